@@ -99,16 +99,10 @@ const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = false;
 const BENDS: bool = false;
 const READS_MEANS: bool = true;
-// The buffers that the kernels read and write, by the word (layout.rs).
-//
-// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
-// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
-// read from the bits.
 
 struct Batch {
     width: u32,
     height: u32,
-    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }
@@ -130,20 +124,13 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
-// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
-// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
-// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
-// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -152,21 +139,17 @@ const FIRST_CURVATURE: u32 = 8u;
 const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
-// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
-// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
 const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
-// More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 
 fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
@@ -201,11 +184,9 @@ fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     planes[at + 2u * pixels] = vector.z;
 }
 
-// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
     return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }
-// The points as the first pass has left them, in metres, so that the others need not read the input again.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -213,7 +194,6 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     }
     return kept_at(frame, KEPT_POINT, u32(y) * batch.width + u32(x));
 }
-// The samples of the windows are the block means that a pass before this one has left.
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -222,18 +202,12 @@ fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     return kept_at(frame, KEPT_MEAN, u32(y) * batch.width + u32(x));
 }
 
-// The measured point of a pixel.
 fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
     if pixel.x >= batch.width || pixel.y >= batch.height {
         return vec3<f32>(NO_POINT);
     }
     return kept_at(frame, KEPT_POINT, pixel.y * batch.width + pixel.x);
 }
-// The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
-//
-// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
-// the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
-// z are separate arrays, in which the threads of a row read adjacent words.
 
 const REACH: u32 = WINDOW * STRIDE;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
@@ -243,7 +217,6 @@ var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-// Index of a pixel's first candidate.
 alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -265,10 +238,8 @@ fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
     let at = window + row * PITCH + column * STRIDE;
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }
-// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Slope of the weight over the squared distance.
     slope: f32,
 }
 
@@ -276,44 +247,30 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
-// Sums over the neighbours, relative to p.
 struct Sums {
-    // How many.
     n: f32,
-    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
-    // xx, xy, xz
     x_row: vec3<f32>,
-    // yy, yz, zz
     rest: vec3<f32>,
 }
 
 fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
-// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
-//
-// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
-// nothing changes at once.
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
-// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
 
-// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
-        // Scaled, since the squares may be too large.
         let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
         let scaled = ray / largest;
         return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
@@ -321,7 +278,6 @@ fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
 }
 
-// Coefficients of 1, z and z² in the header, from a field on.
 fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
     return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
 }
@@ -331,7 +287,6 @@ fn radius_at(frame: u32, range: f32) -> f32 {
     return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
 }
 
-// First pass. Masks instead of a branch: with so little to skip, branching costs more.
 fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     var sums: Sums;
     for (var row = 0u; row < SIDE; row++) {
@@ -352,14 +307,7 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     }
     return sums;
 }
-// The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
-//
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
-// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
-// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
-// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
-// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -371,7 +319,6 @@ struct Symmetric {
     zz: f32,
 }
 
-// Eigenvalues in ascending order and the unit eigenvector of the smallest.
 struct Smallest {
     values: vec3<f32>,
     vector: vec3<f32>,
@@ -385,9 +332,7 @@ fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
 fn cos_third_acos(x: f32) -> f32 {
-    // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
     let magnitude = abs(x);
     var p = -0.0012624911;
     p = fma(p, magnitude, 0.0066700901);
@@ -399,7 +344,6 @@ fn cos_third_acos(x: f32) -> f32 {
     p = fma(p, magnitude, 1.5707963268);
     let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
     let angle = select(acute, 3.1415926536 - acute, x < 0.0);
-    // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.
     let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
     var c = 2.4801587e-5;
     c = fma(c, s, -1.3888889e-3);
@@ -408,12 +352,10 @@ fn cos_third_acos(x: f32) -> f32 {
     return fma(c, s, 1.0);
 }
 
-// a b - c d
 fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -428,14 +370,12 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
     return vec3<f32>(0.0, 0.0, 1.0);
 }
 
-// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
 struct Tangents {
     u: vec3<f32>,
     v: vec3<f32>,
@@ -451,7 +391,6 @@ fn tangents_of(n: vec3<f32>) -> Tangents {
     );
 }
 
-// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
 fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let tangents = tangents_of(axis);
     let bu = symmetric_times(b, tangents.u);
@@ -462,7 +401,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let half_sum = (uu + vv) * 0.5;
     let half_difference = (uu - vv) * 0.5;
     let spread = sqrt(fma(half_difference, half_difference, uv * uv));
-    // The eigenvector of the smaller one, by the longer of the two rows' normals.
     let reach = abs(half_difference) + spread;
     let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
     let length_squared = dot(along, along);
@@ -474,7 +412,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
 }
 
 fn smallest_eigenvector(m: Symmetric) -> Smallest {
-    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
     let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
     let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
     let off = vec3<f32>(m.xy, m.xz, m.yz);
@@ -495,7 +432,6 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);
@@ -505,15 +441,9 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
         let across = across_line(b, axis);
         return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
     }
-    // The other two lie around minus half of it, sqrt(3) sin apart from there.
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
-// Position of the sensor in the cloud's frame (docs/method.md, section 11).
-//
-// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
-// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
-// operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
     return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
@@ -523,60 +453,40 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;
     }
     return dot(header_vec3(frame, AXIS), ray);
 }
-// The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
 
 struct Plane {
-    // Unit normal, towards the sensor.
     normal: vec3<f32>,
-    // c·n: the foot of p on the plane is this times the normal.
     height: f32,
-    // The mean of the neighbours, c.
     centroid: vec3<f32>,
-    // The sum of the variances along the plane, l1 + l2, in m².
     spread: f32,
-    // Variance along the normal, l0, in m².
     residual: f32,
-    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
-    // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
     extent_squared: f32,
-    // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
     off_line: f32,
-    // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
-    // How many neighbours.
     n: f32,
-    // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
-    // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
-    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
     no_plane_fits: f32,
 }
 
-// `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
     let c = sums.e * inverse_total;
-    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
     let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
@@ -589,14 +499,10 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// How a window bends (docs/method.md, section 10).
 
-// Half the width of the middle of a window, and the share of its pixels' spread in the window's.
 const MIDDLE: u32 = WINDOW / 2u;
 const MIDDLE_SHARE: f32 = f32(MIDDLE * (MIDDLE + 1u)) / f32(WINDOW * (WINDOW + 1u));
 
-// The sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the plane, which
-// is fitted to all of them.
 fn window_bend(window: WindowOrigin, p: vec3<f32>, gate: Gate, plane: Plane, radius: f32) -> f32 {
     var total = 0.0;
     var height = 0.0;
@@ -616,7 +522,6 @@ fn window_bend(window: WindowOrigin, p: vec3<f32>, gate: Gate, plane: Plane, rad
     let most = MOST_WINDOW_BEND / radius;
     return clamp(bend, -most, most);
 }
-// Fits the first planes if edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(
@@ -646,10 +551,8 @@ fn fit_first_planes(
     let gate = gate_of(radius);
     let sums = sums_of(window, p, gate);
     let plane = plane_of(ray, sums);
-    // Scaled, since the squares may be too large.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
     let cosine = abs(dot(plane.normal, direction)) / sqrt(dot(direction, direction));
-    // Enough points, not on a line, on a plane that is not seen edge-on: each from 0 to 1.
     let enough = clamp(sums.total - MIN_TOTAL, 0.0, 1.0);
     let facing = clamp((cosine - MIN_INCIDENCE_COSINE) / COSINE_FADE, 0.0, 1.0);
     let usable = enough * clamp(plane.off_line, 0.0, 1.0) * facing;

@@ -99,16 +99,10 @@ const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = false;
 const BENDS: bool = false;
 const READS_MEANS: bool = false;
-// The buffers that the kernels read and write, by the word (layout.rs).
-//
-// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
-// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
-// read from the bits.
 
 struct Batch {
     width: u32,
     height: u32,
-    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }
@@ -130,20 +124,13 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
-// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
-// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
-// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
-// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -152,21 +139,17 @@ const FIRST_CURVATURE: u32 = 8u;
 const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
-// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
-// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
 const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
-// More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 
 fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
@@ -201,11 +184,9 @@ fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     planes[at + 2u * pixels] = vector.z;
 }
 
-// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
     return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }
-// The points as the first pass has left them, in metres, so that the others need not read the input again.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -213,19 +194,15 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     }
     return kept_at(frame, KEPT_POINT, u32(y) * batch.width + u32(x));
 }
-// The samples of the windows are the points as measured.
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     return point_at(frame, x, y);
 }
 
-// The measured point of a pixel.
 fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
     return candidate(window, WINDOW, WINDOW);
 }
-// The candidates straight from the frame, for windows whose tile outgrows workgroup memory (docs/method.md, section 2).
 
-// Frame, and column and row of a pixel's first candidate.
 struct WindowOrigin {
     frame: u32,
     x: i32,
@@ -243,10 +220,8 @@ fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOri
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
     return sample_at(window.frame, window.x + i32(column * STRIDE), window.y + i32(row * STRIDE));
 }
-// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Slope of the weight over the squared distance.
     slope: f32,
 }
 
@@ -254,44 +229,30 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
-// Sums over the neighbours, relative to p.
 struct Sums {
-    // How many.
     n: f32,
-    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
-    // xx, xy, xz
     x_row: vec3<f32>,
-    // yy, yz, zz
     rest: vec3<f32>,
 }
 
 fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
-// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
-//
-// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
-// nothing changes at once.
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
-// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
 
-// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
-        // Scaled, since the squares may be too large.
         let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
         let scaled = ray / largest;
         return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
@@ -299,7 +260,6 @@ fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
 }
 
-// Coefficients of 1, z and z² in the header, from a field on.
 fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
     return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
 }
@@ -309,7 +269,6 @@ fn radius_at(frame: u32, range: f32) -> f32 {
     return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
 }
 
-// First pass. Masks instead of a branch: with so little to skip, branching costs more.
 fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     var sums: Sums;
     for (var row = 0u; row < SIDE; row++) {
@@ -330,14 +289,7 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     }
     return sums;
 }
-// The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
-//
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
-// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
-// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
-// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
-// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -349,7 +301,6 @@ struct Symmetric {
     zz: f32,
 }
 
-// Eigenvalues in ascending order and the unit eigenvector of the smallest.
 struct Smallest {
     values: vec3<f32>,
     vector: vec3<f32>,
@@ -363,9 +314,7 @@ fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
 fn cos_third_acos(x: f32) -> f32 {
-    // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
     let magnitude = abs(x);
     var p = -0.0012624911;
     p = fma(p, magnitude, 0.0066700901);
@@ -377,7 +326,6 @@ fn cos_third_acos(x: f32) -> f32 {
     p = fma(p, magnitude, 1.5707963268);
     let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
     let angle = select(acute, 3.1415926536 - acute, x < 0.0);
-    // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.
     let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
     var c = 2.4801587e-5;
     c = fma(c, s, -1.3888889e-3);
@@ -386,12 +334,10 @@ fn cos_third_acos(x: f32) -> f32 {
     return fma(c, s, 1.0);
 }
 
-// a b - c d
 fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -406,14 +352,12 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
     return vec3<f32>(0.0, 0.0, 1.0);
 }
 
-// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
 struct Tangents {
     u: vec3<f32>,
     v: vec3<f32>,
@@ -429,7 +373,6 @@ fn tangents_of(n: vec3<f32>) -> Tangents {
     );
 }
 
-// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
 fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let tangents = tangents_of(axis);
     let bu = symmetric_times(b, tangents.u);
@@ -440,7 +383,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let half_sum = (uu + vv) * 0.5;
     let half_difference = (uu - vv) * 0.5;
     let spread = sqrt(fma(half_difference, half_difference, uv * uv));
-    // The eigenvector of the smaller one, by the longer of the two rows' normals.
     let reach = abs(half_difference) + spread;
     let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
     let length_squared = dot(along, along);
@@ -452,7 +394,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
 }
 
 fn smallest_eigenvector(m: Symmetric) -> Smallest {
-    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
     let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
     let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
     let off = vec3<f32>(m.xy, m.xz, m.yz);
@@ -473,7 +414,6 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);
@@ -483,15 +423,9 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
         let across = across_line(b, axis);
         return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
     }
-    // The other two lie around minus half of it, sqrt(3) sin apart from there.
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
-// Position of the sensor in the cloud's frame (docs/method.md, section 11).
-//
-// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
-// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
-// operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
     return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
@@ -501,60 +435,40 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;
     }
     return dot(header_vec3(frame, AXIS), ray);
 }
-// The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
 
 struct Plane {
-    // Unit normal, towards the sensor.
     normal: vec3<f32>,
-    // c·n: the foot of p on the plane is this times the normal.
     height: f32,
-    // The mean of the neighbours, c.
     centroid: vec3<f32>,
-    // The sum of the variances along the plane, l1 + l2, in m².
     spread: f32,
-    // Variance along the normal, l0, in m².
     residual: f32,
-    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
-    // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
     extent_squared: f32,
-    // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
     off_line: f32,
-    // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
-    // How many neighbours.
     n: f32,
-    // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
-    // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
-    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
     no_plane_fits: f32,
 }
 
-// `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
     let c = sums.e * inverse_total;
-    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
     let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
@@ -567,14 +481,11 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// The point on the surface, its normal and its status (docs/method.md, section 7).
 
 struct Projected {
     point: vec3<f32>,
     normal: vec3<f32>,
-    // Codes of Status.
     status: u32,
-    // The depth at which the ray meets the surface, over the measured one.
     depth_scale: f32,
 }
 
@@ -582,7 +493,6 @@ fn is_on_ray(frame: u32) -> bool {
     return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
-// Moves p onto the surface `height` away along the plane's normal; `normal` is the normal of that surface.
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
     let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
@@ -597,8 +507,6 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
     return Projected(point, normal, status, 1.0 + along);
 }
 
-// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
-// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
     let square = max(dot(ray, ray), MIN_POSITIVE);
     let across = dot(ray, normal);
@@ -611,7 +519,6 @@ fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32
 fn project_on_plane(frame: u32, p: vec3<f32>, plane: Plane, radius: f32) -> Projected {
     return put_on_surface(frame, p, plane.normal, plane.height, plane.normal, radius, STATUS_PLANE);
 }
-// A point's result before it is stored. NaN is written by its bits and never computed.
 
 const NAN_BITS: u32 = 0x7fc00000u;
 
@@ -620,18 +527,13 @@ struct PixelResult {
     normal: vec3<u32>,
     curvature: u32,
     depth_m: u32,
-    // Frames: status in the low byte, the number of neighbours in the next, raw depth in the upper half. Unorganized
-    // clouds: status in the low byte, the clamped number of neighbours in the upper three.
     codes: u32,
 }
 
 fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
-// A depth in metres, and in raw units.
 
-// x y less the product as rounded to f32, from the upper and lower halves of both, whose products are exact. A driver
-// may compute fma() as a product and a sum, which would be 0 here.
 fn product_error(x: f32, y: f32, product: f32) -> f32 {
     let upper = vec2<f32>(bitcast<f32>(bitcast<u32>(x) & 0xfffff000u), bitcast<f32>(bitcast<u32>(y) & 0xfffff000u));
     let lower = vec2<f32>(x, y) - upper;
@@ -644,7 +546,6 @@ fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
         result.depth_m = bitcast<u32>(depth);
         let units = header(frame, UNITS_PER_METRE);
         let product = depth * units;
-        // Halves are rounded up, as the host does; round() rounds to even, and so does the product to f32.
         let rounded = round(product);
         let over = product - rounded;
         let error = product_error(depth, units, product);
@@ -657,9 +558,6 @@ fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
     }
     return result;
 }
-// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
-//
-// Packed rows start at whole words, so a row of a tile is whole words too.
 
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
@@ -667,7 +565,6 @@ fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;
@@ -723,7 +620,6 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
         }
     }
 }
-// The results that the pass before this one has kept.
 
 struct KeptResult {
     point: vec3<f32>,
@@ -737,8 +633,6 @@ fn kept_result(frame: u32, x: i32, y: i32) -> KeptResult {
     let at = u32(y) * batch.width + u32(x);
     return KeptResult(plane_vector(frame, RESULT_POINT, at), plane_vector(frame, RESULT_NORMAL, at));
 }
-// The results around a tile of pixels, in workgroup memory (docs/method.md, section 10). x, y and z are separate arrays,
-// in which the threads of a row read adjacent words.
 
 const PITCH: u32 = TILE_WIDTH + 2u * WINDOW;
 const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
@@ -750,7 +644,6 @@ var<workgroup> normal_x: array<f32, TILE_AREA>;
 var<workgroup> normal_y: array<f32, TILE_AREA>;
 var<workgroup> normal_z: array<f32, TILE_AREA>;
 
-// Index of the first result of a pixel's block.
 alias BlockOrigin = u32;
 
 fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -776,12 +669,9 @@ fn result_in_block(block: BlockOrigin, column: u32, row: u32) -> KeptResult {
     let point = vec3<f32>(point_x[at], point_y[at], point_z[at]);
     return KeptResult(point, vec3<f32>(normal_x[at], normal_y[at], normal_z[at]));
 }
-// Moves each result onto the mean of the surfaces that the pixels of its block have found (docs/method.md, section 10).
 
-// Half the width of a block gives this many places of one colour of a chessboard.
 const PLACES: u32 = 2u * WINDOW * (WINDOW + 1u) + 1u;
 
-// Weighted sums over surfaces around a point: offsets, normals, and heights over the point.
 struct Around {
     total: f32,
     offset: vec3<f32>,
@@ -801,7 +691,6 @@ fn surfaces_around(block: BlockOrigin, own: KeptResult, width: f32) -> Around {
             let cosine = dot(own.normal, other.normal);
             let alike = clamp((abs(cosine) - ALIKE_FROM) / (ALIKE_TO - ALIKE_FROM), 0.0, 1.0);
             let weight = max(fma(-widths, widths, 1.0), 0.0) * alike;
-            // Rounding decides which side of a surface seen edge-on faces the sensor.
             let signed = select(weight, -weight, cosine < 0.0);
             around.total += weight;
             around.height = fma(signed, height, around.height);
@@ -826,7 +715,6 @@ fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResu
     var result = no_result(status, n);
     if status == STATUS_DEGENERATE {
         result.point = bitcast<vec3<u32>>(p);
-        // Without a normal the depth is the point's own.
         return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
     }
     if status < STATUS_PLANE {
@@ -845,7 +733,6 @@ fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResu
     let moved = select(fma(vec3<f32>(height), normal, own.point), fma(vec3<f32>(along), ray, own.point), is_on_ray(frame));
     result.curvature = bitcast<u32>(planes[plane_word(frame, FIRST_CURVATURE, at)]);
     let depth = planes[plane_word(frame, RESULT_DEPTH, at)];
-    // Both steps together stay within the limits of one.
     let limit = min(radius, MAX_ALONG * sqrt(dot(ray, ray)));
     if !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
         let is_near = square(own.point) < MAX_COORDINATE_M * MAX_COORDINATE_M;

@@ -99,16 +99,10 @@ const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = false;
 const BENDS: bool = false;
 const READS_MEANS: bool = false;
-// The buffers that the kernels read and write, by the word (layout.rs).
-//
-// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
-// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
-// read from the bits.
 
 struct Batch {
     width: u32,
     height: u32,
-    // Distance between frames.
     input_words: u32,
     output_words: u32,
 }
@@ -130,20 +124,13 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
 }
-// Intermediate data that passes of a frame leave on the device: points and planes, one channel per number, frame after
-// frame (docs/method.md, sections 2 and 10).
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Points as measured, and samples of the windows (block means). NO_POINT for a hole.
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
 
-// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
-// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
-// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends.
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
 const FIRST_RESIDUAL: u32 = 6u;
@@ -152,21 +139,17 @@ const FIRST_CURVATURE: u32 = 8u;
 const FIRST_COUNT: u32 = 9u;
 const FIRST_EXTENT: u32 = 10u;
 const FIRST_BEND: u32 = 11u;
-// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, how it bends along the tangents of the normal, and how far no plane fits.
 const SURFACE_NORMAL: u32 = 12u;
 const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
 
-// Results, in place of surfaces that are no longer needed: normal and point, 0 without a normal; depth in metres; status.
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
 const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
-// More than any variance, and its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 
 fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
@@ -201,14 +184,9 @@ fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
     planes[at + 2u * pixels] = vector.z;
 }
 
-// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
     return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }
-// The input frame: depth or points (layout.rs).
-//
-// Stage: copy or deproject (docs/method.md, section 1), in metres, in the cloud's frame. Deprojected depth is finite,
-// since Camera::validate bounds rays and units.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
@@ -228,7 +206,6 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     return bitcast<vec3<f32>>(bits);
 }
 
-// Depth in metres; 0 for a hole.
 fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
     if IS_RAW_DEPTH {
         let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
@@ -246,21 +223,14 @@ fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
     let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
     return vec3<f32>(ray_x * z, ray_y * z, z);
 }
-// The samples of the windows are the points as measured.
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     return point_at(frame, x, y);
 }
 
-// The measured point of a pixel.
 fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
     return candidate(window, WINDOW, WINDOW);
 }
-// The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
-//
-// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
-// the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
-// z are separate arrays, in which the threads of a row read adjacent words.
 
 const REACH: u32 = WINDOW * STRIDE;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
@@ -270,7 +240,6 @@ var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-// Index of a pixel's first candidate.
 alias WindowOrigin = u32;
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -292,10 +261,8 @@ fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
     let at = window + row * PITCH + column * STRIDE;
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }
-// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
 
 struct Gate {
-    // Slope of the weight over the squared distance.
     slope: f32,
 }
 
@@ -303,44 +270,30 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// Weight of an offset by its square, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
-// Sums over the neighbours, relative to p.
 struct Sums {
-    // How many.
     n: f32,
-    // Sum of the weights.
     total: f32,
     e: vec3<f32>,
-    // xx, xy, xz
     x_row: vec3<f32>,
-    // yy, yz, zz
     rest: vec3<f32>,
 }
 
 fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
-// The neighbours of a pixel: the candidates within the radius, and their sums (docs/method.md, sections 2 and 3).
-//
-// Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
-// nothing changes at once.
 
 const SIDE: u32 = 2u * WINDOW + 1u;
 
-// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
-// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
     return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
 }
 
-// The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
-        // Scaled, since the squares may be too large.
         let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
         let scaled = ray / largest;
         return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
@@ -348,7 +301,6 @@ fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
     return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
 }
 
-// Coefficients of 1, z and z² in the header, from a field on.
 fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
     return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
 }
@@ -358,7 +310,6 @@ fn radius_at(frame: u32, range: f32) -> f32 {
     return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
 }
 
-// First pass. Masks instead of a branch: with so little to skip, branching costs more.
 fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     var sums: Sums;
     for (var row = 0u; row < SIDE; row++) {
@@ -379,14 +330,7 @@ fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
     }
     return sums;
 }
-// The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
-//
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
-// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
-// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
-// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
 
-// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -398,7 +342,6 @@ struct Symmetric {
     zz: f32,
 }
 
-// Eigenvalues in ascending order and the unit eigenvector of the smallest.
 struct Smallest {
     values: vec3<f32>,
     vector: vec3<f32>,
@@ -412,9 +355,7 @@ fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
 fn cos_third_acos(x: f32) -> f32 {
-    // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
     let magnitude = abs(x);
     var p = -0.0012624911;
     p = fma(p, magnitude, 0.0066700901);
@@ -426,7 +367,6 @@ fn cos_third_acos(x: f32) -> f32 {
     p = fma(p, magnitude, 1.5707963268);
     let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
     let angle = select(acute, 3.1415926536 - acute, x < 0.0);
-    // cos on [0, pi/3] by its series in the square: the next term is below 2e-8.
     let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
     var c = 2.4801587e-5;
     c = fma(c, s, -1.3888889e-3);
@@ -435,12 +375,10 @@ fn cos_third_acos(x: f32) -> f32 {
     return fma(c, s, 1.0);
 }
 
-// a b - c d
 fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
 
-// Returns a unit vector in the null space of B - value I: the longest cross product of two of its rows.
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
     let x = vec3<f32>(b.xx - value, b.xy, b.xz);
     let y = vec3<f32>(b.xy, b.yy - value, b.yz);
@@ -455,14 +393,12 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
     return vec3<f32>(0.0, 0.0, 1.0);
 }
 
-// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
 struct Tangents {
     u: vec3<f32>,
     v: vec3<f32>,
@@ -478,7 +414,6 @@ fn tangents_of(n: vec3<f32>) -> Tangents {
     );
 }
 
-// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
 fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let tangents = tangents_of(axis);
     let bu = symmetric_times(b, tangents.u);
@@ -489,7 +424,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let half_sum = (uu + vv) * 0.5;
     let half_difference = (uu - vv) * 0.5;
     let spread = sqrt(fma(half_difference, half_difference, uv * uv));
-    // The eigenvector of the smaller one, by the longer of the two rows' normals.
     let reach = abs(half_difference) + spread;
     let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
     let length_squared = dot(along, along);
@@ -501,7 +435,6 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
 }
 
 fn smallest_eigenvector(m: Symmetric) -> Smallest {
-    // M = mean I + p B: B has trace 0, eigenvalues between -2 and 2, and the characteristic polynomial x³ - 3x - det(B).
     let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
     let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
     let off = vec3<f32>(m.xy, m.xz, m.yz);
@@ -522,7 +455,6 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
     );
     let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    // The isolated root: -2 cos(acos(-r)/3) or 2 cos(acos(r)/3).
     let is_line_like = half_det > LINE_LIKE;
     let sign = select(-1.0, 1.0, is_line_like);
     let half_alone = sign * cos_third_acos(half_det * sign);
@@ -532,15 +464,9 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
         let across = across_line(b, axis);
         return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
     }
-    // The other two lie around minus half of it, sqrt(3) sin apart from there.
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
-// Position of the sensor in the cloud's frame (docs/method.md, section 11).
-//
-// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
-// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
-// operations change no bit (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
     return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
@@ -550,60 +476,40 @@ fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
     if !IS_POINTS {
         return p;
     }
-    // Clamped, so that derived values stay finite.
     return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
-// Returns the length of a ray along the sensor's axis.
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     if !IS_POINTS {
         return ray.z;
     }
     return dot(header_vec3(frame, AXIS), ray);
 }
-// The plane of a neighbourhood by principal component analysis (docs/method.md, section 4). Metres, relative to p.
 
 struct Plane {
-    // Unit normal, towards the sensor.
     normal: vec3<f32>,
-    // c·n: the foot of p on the plane is this times the normal.
     height: f32,
-    // The mean of the neighbours, c.
     centroid: vec3<f32>,
-    // The sum of the variances along the plane, l1 + l2, in m².
     spread: f32,
-    // Variance along the normal, l0, in m².
     residual: f32,
-    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
-    // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
     extent_squared: f32,
-    // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
     off_line: f32,
-    // The neighbours lie on a line; the rest means nothing.
     is_degenerate: bool,
 }
 
-// The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
-    // How many neighbours.
     n: f32,
-    // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
-    // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
-    // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
     no_plane_fits: f32,
 }
 
-// `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
     let c = sums.e * inverse_total;
-    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
     let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));
@@ -616,7 +522,6 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let off_line = l.y / max(line, MIN_POSITIVE) - 1.0;
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
-// Computes the plane of a point from its window (docs/method.md, section 4).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let ray = ray_to(frame, p);
@@ -628,14 +533,11 @@ fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>
     }
     return result_of(frame, window, p, radius, LocalSurface(plane_of(ray, sums), sums.n, 0.0, vec3<f32>(0.0), 0.0));
 }
-// The point on the surface, its normal and its status (docs/method.md, section 7).
 
 struct Projected {
     point: vec3<f32>,
     normal: vec3<f32>,
-    // Codes of Status.
     status: u32,
-    // The depth at which the ray meets the surface, over the measured one.
     depth_scale: f32,
 }
 
@@ -643,7 +545,6 @@ fn is_on_ray(frame: u32) -> bool {
     return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
-// Moves p onto the surface `height` away along the plane's normal; `normal` is the normal of that surface.
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
     let on_ray = is_on_ray(frame);
     var point = fma(vec3<f32>(height), plane_normal, p);
@@ -658,8 +559,6 @@ fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32
     return Projected(point, normal, status, 1.0 + along);
 }
 
-// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
-// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
 fn along_ray(height: f32, normal: vec3<f32>, ray: vec3<f32>, radius: f32) -> f32 {
     let square = max(dot(ray, ray), MIN_POSITIVE);
     let across = dot(ray, normal);
@@ -712,30 +611,16 @@ struct Moments {
     t21: f32,
     t30: f32,
 }
-// The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
-//
-// The weight is g 2^-(a² + b² + f²), with the gate g, and narrower across the surface if edges are kept. a and b are
-// the in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). Moments: m_ij
-// = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for i + j <= DEGREE, summed as outer products of the
-// powers of a and b. kernel.rs generates the struct Moments and replaces the lines that name them by the loop over the
-// candidates (e is a candidate's offset from p, count its number of points) and by the sums, one statement per moment.
-// Loops are not unrolled: the kernel would exceed the instruction cache.
 
 struct Fit {
     moments: Moments,
-    // sum w f²; 0 if BENDS is false.
     squares: f32,
-    // In-plane axes, of unit length.
     u: vec3<f32>,
     v: vec3<f32>,
-    // Units of a, b and f in a metre.
     per_metre: f32,
-    // The square of the extent in units of a and b.
     extent_squared: f32,
 }
 
-// Second pass over the window. Uses the gate of the first pass, in these units. Neighbours count within `width` of the
-// surface.
 fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, width: f32, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
@@ -745,9 +630,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let f_axis = plane.normal * per_metre;
     let f_offset = plane.height * per_metre;
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
-    // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / width) * (bandwidth / width);
-    // Half the bend in these units, subtracted from f.
     let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
     var squares = 0.0;
@@ -1225,10 +1108,7 @@ c0 = fma(-l2_0, c2, c0);
 c0 = fma(-l1_0, c1, c0);
 return vec4<f32>(c0, c1, c2, y0 * (y0 * inverse0) + y1 * (y1 * inverse1) + y2 * (y2 * inverse2) + y3 * (y3 * inverse3) + y4 * (y4 * inverse4) + y5 * (y5 * inverse5) + y6 * (y6 * inverse6) + y7 * (y7 * inverse7) + y8 * (y8 * inverse8) + y9 * (y9 * inverse9));
 }
-// The point on the polynomial over the plane (docs/method.md, section 7).
 
-// `c` is c_00, c_10 and c_01 in the units of the fit. If the surface is farther away than the radius, or its height is
-// NaN, the plane is used.
 fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
@@ -1252,8 +1132,6 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     let ridge = header(frame, RIDGE);
     var fit: Fit;
     var c = vec3<f32>(0.0);
-    // If no plane fits, the polynomial of all neighbours replaces the first, provided that it is close to them. This is a
-    // loop because two copies of the fit would exceed the instruction cache.
     let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
     for (var round = 0u; round < rounds; round++) {
         let of_all = BENDS && round == 1u;
@@ -1270,7 +1148,6 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     }
     return project_on_polynomial(frame, p, surface.plane, fit, c, radius, surface.n);
 }
-// A point's result before it is stored. NaN is written by its bits and never computed.
 
 const NAN_BITS: u32 = 0x7fc00000u;
 
@@ -1279,18 +1156,13 @@ struct PixelResult {
     normal: vec3<u32>,
     curvature: u32,
     depth_m: u32,
-    // Frames: status in the low byte, the number of neighbours in the next, raw depth in the upper half. Unorganized
-    // clouds: status in the low byte, the clamped number of neighbours in the upper three.
     codes: u32,
 }
 
 fn no_result(status: u32, n: u32) -> PixelResult {
     return PixelResult(vec3<u32>(NAN_BITS), vec3<u32>(NAN_BITS), NAN_BITS, NAN_BITS, status | (n << 8u));
 }
-// A depth in metres, and in raw units.
 
-// x y less the product as rounded to f32, from the upper and lower halves of both, whose products are exact. A driver
-// may compute fma() as a product and a sum, which would be 0 here.
 fn product_error(x: f32, y: f32, product: f32) -> f32 {
     let upper = vec2<f32>(bitcast<f32>(bitcast<u32>(x) & 0xfffff000u), bitcast<f32>(bitcast<u32>(y) & 0xfffff000u));
     let lower = vec2<f32>(x, y) - upper;
@@ -1303,7 +1175,6 @@ fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
         result.depth_m = bitcast<u32>(depth);
         let units = header(frame, UNITS_PER_METRE);
         let product = depth * units;
-        // Halves are rounded up, as the host does; round() rounds to even, and so does the product to f32.
         let rounded = round(product);
         let over = product - rounded;
         let error = product_error(depth, units, product);
@@ -1316,15 +1187,12 @@ fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
     }
     return result;
 }
-// Computes the result of a point from its plane: sections 5 to 7 of docs/method.md.
 
-// Result of a point with at least 3 neighbours.
 fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surface: LocalSurface) -> PixelResult {
     let n = u32(surface.n);
     if surface.plane.is_degenerate {
         var result = no_result(STATUS_DEGENERATE, n);
         result.point = bitcast<vec3<u32>>(p);
-        // Without a normal the depth is the point's own.
         return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
     }
     let projected = surface_of(frame, window, p, radius, surface);
@@ -1337,9 +1205,6 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
     );
     return with_depth(frame, depth_of(frame, ray_to(frame, p)) * projected.depth_scale, result);
 }
-// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
-//
-// Packed rows start at whole words, so a row of a tile is whole words too.
 
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
@@ -1347,7 +1212,6 @@ fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;
@@ -1403,7 +1267,6 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
         }
     }
 }
-// The results of a tile of pixels.
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn smooth_frames(

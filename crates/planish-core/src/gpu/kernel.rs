@@ -7,6 +7,7 @@
 use std::fmt::Write;
 
 use super::layout::{InputKind, constants};
+use super::shader::shader;
 use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, edge_shift_px};
@@ -163,67 +164,60 @@ impl KernelKey {
         let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.keeps_edges);
         let _ = writeln!(text, "const BENDS: bool = {};", self.keeps_edges);
         let _ = writeln!(text, "const READS_MEANS: bool = {};", self.reads_means);
-        text += include_str!("shaders/buffers.wgsl");
-        text += include_str!("shaders/kept.wgsl");
-        text +=
-            if self.reads_input { include_str!("shaders/input.wgsl") } else { include_str!("shaders/input_kept.wgsl") };
+        text += shader!("shaders/buffers.wgsl");
+        text += shader!("shaders/kept.wgsl");
+        text += if self.reads_input { shader!("shaders/input.wgsl") } else { shader!("shaders/input_kept.wgsl") };
         text += if self.reads_means {
-            include_str!("shaders/samples_means.wgsl")
+            shader!("shaders/samples_means.wgsl")
         } else {
-            include_str!("shaders/samples_measured.wgsl")
+            shader!("shaders/samples_measured.wgsl")
         };
         text += if self.tiled && self.pass != Pass::SurfaceMeans {
-            include_str!("shaders/window_tiled.wgsl")
+            shader!("shaders/window_tiled.wgsl")
         } else {
-            include_str!("shaders/window_untiled.wgsl")
+            shader!("shaders/window_untiled.wgsl")
         };
-        text += include_str!("shaders/gate.wgsl");
-        text += include_str!("shaders/window.wgsl");
-        text += include_str!("shaders/eigen.wgsl");
-        text += include_str!("shaders/sensor.wgsl");
+        text += shader!("shaders/gate.wgsl");
+        text += shader!("shaders/window.wgsl");
+        text += shader!("shaders/eigen.wgsl");
+        text += shader!("shaders/sensor.wgsl");
         if matches!(self.pass, Pass::Blocks | Pass::Surfaces) {
-            text += include_str!("shaders/blocks.wgsl");
-            text += match self.pass {
-                Pass::Blocks => include_str!("shaders/average_blocks.wgsl"),
-                _ => concat!(include_str!("shaders/bend.wgsl"), include_str!("shaders/find_surfaces.wgsl")),
-            };
+            text += shader!("shaders/blocks.wgsl");
+            if self.pass == Pass::Blocks {
+                text += shader!("shaders/average_blocks.wgsl");
+            } else {
+                text += shader!("shaders/bend.wgsl");
+                text += shader!("shaders/find_surfaces.wgsl");
+            }
             return text;
         }
-        text += include_str!("shaders/plane.wgsl");
+        text += shader!("shaders/plane.wgsl");
         if self.pass == Pass::FirstPlanes {
-            text += include_str!("shaders/window_bend.wgsl");
-            text += include_str!("shaders/fit_first_planes.wgsl");
+            text += shader!("shaders/window_bend.wgsl");
+            text += shader!("shaders/fit_first_planes.wgsl");
             return text;
         }
         if self.pass == Pass::SurfaceMeans {
-            text += include_str!("shaders/project_plane.wgsl");
-            text += include_str!("shaders/pixel_result.wgsl");
-            text += include_str!("shaders/result_depth.wgsl");
-            text += include_str!("shaders/output.wgsl");
-            text += include_str!("shaders/kept_results.wgsl");
+            text += shader!("shaders/project_plane.wgsl");
+            text += shader!("shaders/pixel_result.wgsl");
+            text += shader!("shaders/result_depth.wgsl");
+            text += shader!("shaders/output.wgsl");
+            text += shader!("shaders/kept_results.wgsl");
             text += if self.tiled {
-                include_str!("shaders/results_tiled.wgsl")
+                shader!("shaders/results_tiled.wgsl")
             } else {
-                include_str!("shaders/results_untiled.wgsl")
+                shader!("shaders/results_untiled.wgsl")
             };
-            text += include_str!("shaders/average_surfaces.wgsl");
+            text += shader!("shaders/average_surfaces.wgsl");
             return text;
         }
-        text += if self.keeps_edges {
-            include_str!("shaders/own_surface.wgsl")
-        } else {
-            include_str!("shaders/own_plane.wgsl")
-        };
+        text += if self.keeps_edges { shader!("shaders/own_surface.wgsl") } else { shader!("shaders/own_plane.wgsl") };
         text += &surface(self.degree as usize, WINDOW_LOOP);
-        text += include_str!("shaders/pixel_result.wgsl");
-        text += include_str!("shaders/result_depth.wgsl");
-        text += include_str!("shaders/result.wgsl");
-        text += if self.keeps_results {
-            include_str!("shaders/keep_result.wgsl")
-        } else {
-            include_str!("shaders/output.wgsl")
-        };
-        text += include_str!("shaders/smooth.wgsl");
+        text += shader!("shaders/pixel_result.wgsl");
+        text += shader!("shaders/result_depth.wgsl");
+        text += shader!("shaders/result.wgsl");
+        text += if self.keeps_results { shader!("shaders/keep_result.wgsl") } else { shader!("shaders/output.wgsl") };
+        text += shader!("shaders/smooth.wgsl");
         text
     }
 }
@@ -238,17 +232,17 @@ const WINDOW_LOOP: [&str; 2] = [
 
 /// Generates the function that returns the point on the surface, for a degree and a loop over the candidates.
 pub(super) fn surface(degree: usize, [before, after]: [&str; 2]) -> String {
-    let mut text = include_str!("shaders/project_plane.wgsl").to_owned();
+    let mut text = shader!("shaders/project_plane.wgsl").to_owned();
     if degree == 1 {
-        return text + include_str!("shaders/surface_plane.wgsl");
+        return text + shader!("shaders/surface_plane.wgsl");
     }
     text += &moments_struct(degree);
-    text += &include_str!("shaders/polynomial.wgsl")
+    text += &shader!("shaders/polynomial.wgsl")
         .replace("FOR_EACH_CANDIDATE", before)
         .replace("END_OF_CANDIDATES", after)
         .replace("SUM_MOMENTS", &moment_sums(degree));
     text += &solve(degree);
-    text + include_str!("shaders/project_polynomial.wgsl")
+    text + shader!("shaders/project_polynomial.wgsl")
 }
 
 /// Returns the exponents with i + j <= degree.

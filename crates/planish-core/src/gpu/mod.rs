@@ -27,6 +27,7 @@ pub(crate) mod plan;
 #[cfg(feature = "gpu")]
 mod queues;
 mod results;
+mod shader;
 #[cfg(feature = "gpu")]
 mod slot;
 #[cfg(feature = "gpu")]

@@ -302,7 +302,10 @@ fn assert_as_on_grid([robust, on_grid]: &[Report; 2], nearest: usize) {
     assert!(robust.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", robust.crease_deg, on_grid.crease_deg);
     assert!(robust.edge_mean_mm < 1.2 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
     for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges).skip(nearest) {
-        assert!(range.rmse_mm < 1.2 * of_grid.rmse_mm && range.normal_mean_deg < of_grid.normal_mean_deg, "{range:?}");
+        assert!(
+            range.rmse_mm < 1.2 * of_grid.rmse_mm && range.normal_mean_deg < 1.1 * of_grid.normal_mean_deg,
+            "{range:?}"
+        );
     }
 }
 

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::super::device::GpuDevice;
 use super::super::kernel;
 use super::super::layout::{InputKind, constants};
+use super::super::shader::shader;
 use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, Radius};
@@ -163,8 +164,8 @@ impl Pass {
     pub(super) fn wgsl(self, params: &EngineParams, outputs: Outputs) -> String {
         let mut text = constants(InputKind::Points, outputs);
         let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
-        text += include_str!("../shaders/buffers.wgsl");
-        text += include_str!("../shaders/general/cloud.wgsl");
+        text += shader!("../shaders/buffers.wgsl");
+        text += shader!("../shaders/general/cloud.wgsl");
         let (read, written) = self.resources(params.edges);
         for (resources, access) in [(read, "read"), (written, "read_write")] {
             for &resource in resources {
@@ -177,58 +178,58 @@ impl Pass {
                 }
             }
         }
-        let gate = include_str!("../shaders/gate.wgsl");
-        let node = include_str!("../shaders/general/node.wgsl");
-        let walk = include_str!("../shaders/general/walk.wgsl");
-        let digit = include_str!("../shaders/general/digit.wgsl");
-        let heads = include_str!("../shaders/general/heads.wgsl");
-        let store = [include_str!("../shaders/pixel_result.wgsl"), include_str!("../shaders/general/store.wgsl")];
+        let gate = shader!("../shaders/gate.wgsl");
+        let node = shader!("../shaders/general/node.wgsl");
+        let walk = shader!("../shaders/general/walk.wgsl");
+        let digit = shader!("../shaders/general/digit.wgsl");
+        let heads = shader!("../shaders/general/heads.wgsl");
+        let store = [shader!("../shaders/pixel_result.wgsl"), shader!("../shaders/general/store.wgsl")];
         match self {
-            Self::Keys => text += &(store.concat() + include_str!("../shaders/general/keys.wgsl")),
-            Self::CountDigits => text += &(digit.to_owned() + include_str!("../shaders/general/count_digits.wgsl")),
-            Self::ScanCounts => text += include_str!("../shaders/general/scan.wgsl"),
-            Self::ScatterDigits => text += &(digit.to_owned() + include_str!("../shaders/general/scatter_digits.wgsl")),
-            Self::CountHeads => text += &(heads.to_owned() + include_str!("../shaders/general/count_heads.wgsl")),
-            Self::PlaceHeads => text += &(heads.to_owned() + include_str!("../shaders/general/place_heads.wgsl")),
-            Self::Repeat => text += include_str!("../shaders/general/repeat.wgsl"),
+            Self::Keys => text += &(store.concat() + shader!("../shaders/general/keys.wgsl")),
+            Self::CountDigits => text += &(digit.to_owned() + shader!("../shaders/general/count_digits.wgsl")),
+            Self::ScanCounts => text += shader!("../shaders/general/scan.wgsl"),
+            Self::ScatterDigits => text += &(digit.to_owned() + shader!("../shaders/general/scatter_digits.wgsl")),
+            Self::CountHeads => text += &(heads.to_owned() + shader!("../shaders/general/count_heads.wgsl")),
+            Self::PlaceHeads => text += &(heads.to_owned() + shader!("../shaders/general/place_heads.wgsl")),
+            Self::Repeat => text += shader!("../shaders/general/repeat.wgsl"),
             Self::PointRadii => {
-                let result = include_str!("../shaders/pixel_result.wgsl");
-                text += &(result.to_owned() + include_str!("../shaders/general/point_radii.wgsl"));
+                let result = shader!("../shaders/pixel_result.wgsl");
+                text += &(result.to_owned() + shader!("../shaders/general/point_radii.wgsl"));
             }
-            Self::Leaves => text += &(node.to_owned() + include_str!("../shaders/general/leaves.wgsl")),
-            Self::Nodes => text += &(node.to_owned() + include_str!("../shaders/general/nodes.wgsl")),
-            Self::Radii => text += &[gate, walk, include_str!("../shaders/general/radii.wgsl")].concat(),
+            Self::Leaves => text += &(node.to_owned() + shader!("../shaders/general/leaves.wgsl")),
+            Self::Nodes => text += &(node.to_owned() + shader!("../shaders/general/nodes.wgsl")),
+            Self::Radii => text += &[gate, walk, shader!("../shaders/general/radii.wgsl")].concat(),
             Self::FirstPlanes => {
-                text += &[gate, walk, include_str!("../shaders/eigen.wgsl")].concat();
-                text += include_str!("../shaders/sensor.wgsl");
-                text += include_str!("../shaders/plane.wgsl");
-                text += include_str!("../shaders/general/neighbours.wgsl");
+                text += &[gate, walk, shader!("../shaders/eigen.wgsl")].concat();
+                text += shader!("../shaders/sensor.wgsl");
+                text += shader!("../shaders/plane.wgsl");
+                text += shader!("../shaders/general/neighbours.wgsl");
                 text += radius_of(params.radius);
-                text += include_str!("../shaders/general/first_planes.wgsl");
-                text += include_str!("../shaders/general/fit_first_planes.wgsl");
+                text += shader!("../shaders/general/first_planes.wgsl");
+                text += shader!("../shaders/general/fit_first_planes.wgsl");
             }
             Self::Fit => {
                 let keeps_edges = params.edges != Edges::Off;
-                text += &[gate, walk, include_str!("../shaders/eigen.wgsl")].concat();
-                text += include_str!("../shaders/sensor.wgsl");
+                text += &[gate, walk, shader!("../shaders/eigen.wgsl")].concat();
+                text += shader!("../shaders/sensor.wgsl");
                 let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
                 let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
                 // Section 10 bends the surfaces of frames only.
                 let _ = writeln!(text, "const BENDS: bool = false;");
-                text += include_str!("../shaders/plane.wgsl");
-                text += include_str!("../shaders/general/neighbours.wgsl");
+                text += shader!("../shaders/plane.wgsl");
+                text += shader!("../shaders/general/neighbours.wgsl");
                 text += &kernel::surface(params.degree as usize, LEAVES_LOOP);
                 text += &store.concat();
-                text += include_str!("../shaders/result_depth.wgsl");
-                text += include_str!("../shaders/result.wgsl");
+                text += shader!("../shaders/result_depth.wgsl");
+                text += shader!("../shaders/result.wgsl");
                 if keeps_edges {
-                    text += include_str!("../shaders/general/first_planes.wgsl");
-                    text += include_str!("../shaders/general/fit_found_surface.wgsl");
+                    text += shader!("../shaders/general/first_planes.wgsl");
+                    text += shader!("../shaders/general/fit_found_surface.wgsl");
                 } else {
                     text += radius_of(params.radius);
-                    text += include_str!("../shaders/general/fit_own_plane.wgsl");
+                    text += shader!("../shaders/general/fit_own_plane.wgsl");
                 }
-                text += include_str!("../shaders/general/fit.wgsl");
+                text += shader!("../shaders/general/fit.wgsl");
             }
         }
         text
@@ -238,8 +239,8 @@ impl Pass {
 /// Returns the function that gives the radius of a place.
 fn radius_of(radius: Radius) -> &'static str {
     match radius {
-        Radius::Neighbours { .. } => include_str!("../shaders/general/radius_limited.wgsl"),
-        Radius::Fixed { .. } | Radius::Sensor => include_str!("../shaders/general/radius_fixed.wgsl"),
+        Radius::Neighbours { .. } => shader!("../shaders/general/radius_limited.wgsl"),
+        Radius::Fixed { .. } | Radius::Sensor => shader!("../shaders/general/radius_fixed.wgsl"),
     }
 }
 
