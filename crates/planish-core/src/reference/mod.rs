@@ -2,8 +2,8 @@
 //! engines, so it shares no code with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`surface_mean`] (10). Unorganized clouds differ in the neighbours only:
-//! [`general`] (8). All compute in the sensor's frame (11); results are turned back at the end.
+//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`surface_mean`] (10). Unorganized clouds differ in the
+//! neighbours only: [`general`] (8). All compute in the sensor's frame (11); results are turned back at the end.
 
 mod bend;
 mod blocks;
