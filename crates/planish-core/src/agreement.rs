@@ -24,7 +24,7 @@ pub const RADIUS_M: f64 = 0.25;
 pub const POSITION_9999_M: f64 = 1e-4;
 
 /// Every position: the normal of few points that are nearly as far off a plane in two directions is badly determined.
-pub const POSITION_WORST_M: f64 = 1e-3;
+pub const POSITION_WORST_M: f64 = 6e-4;
 
 /// Differences between results and the reference, collected over one or more frames.
 #[derive(Debug, Clone, Default)]

@@ -14,7 +14,7 @@ pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 /// Minimum width of a gate, so that a point that is its own sample is its neighbour, and squares fit f32.
 pub(crate) const MIN_GATE_M: f32 = 1e-12;
 
-/// The square of a larger range would leave f32; its radius is at the limit or fixed.
+/// The squares of larger ranges and coordinates would leave f32. The radius of a larger range is at its limit or fixed.
 pub(crate) const MAX_RANGE_M: f32 = 1e18;
 
 /// The rules of one frame: with the range z, r = max(linear z, step polynomial), sigma = sigma polynomial, and the gate

@@ -9,12 +9,10 @@ use rayon::prelude::*;
 use crate::error::ParamError;
 use crate::frame::PointsView;
 use crate::neighbours::{Bounds, LEAF, PointIndex};
+use crate::range::MAX_RANGE_M;
 
 /// Leaves of a task.
 const LEAVES_PER_TASK: usize = 64;
-
-/// The squares of larger ones are beyond f32.
-const MAX_COORDINATE_M: f32 = 1e18;
 
 /// A leaf wider than this many times the reach contains strays, whose neighbours are gathered one by one.
 const WIDEST_LEAF: f32 = 4.0;
@@ -85,7 +83,7 @@ fn index_of(points: &PointsView<'_>) -> Result<PointIndex, ParamError> {
     let mut index = PointIndex::default();
     index.fill(points);
     let largest = index.positions.iter().flatten().fold(0.0f32, |largest, value| largest.max(value.abs()));
-    if largest > MAX_COORDINATE_M {
+    if largest > MAX_RANGE_M {
         let allowed = "coordinates within 10^18 m";
         return Err(ParamError { field: "points", value: format!("{largest:e}"), allowed });
     }

@@ -312,7 +312,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("ALIKE_TO", constants::ALIKE[1]),
         ("AROUND_FROM", constants::AROUND[0]),
         ("AROUND_TO", constants::AROUND[1]),
-        ("MAX_COORDINATE_M", constants::MAX_COORDINATE_M),
+        ("LEAST_AVERAGED", constants::LEAST_AVERAGED),
         ("LEAST_SPREAD", constants::LEAST_SPREAD),
         ("MOST_WINDOW_BEND", constants::MOST_WINDOW_BEND),
         ("BEND_DAMPING", constants::BEND_DAMPING),

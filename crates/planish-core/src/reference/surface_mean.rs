@@ -15,6 +15,9 @@ const ALIKE: [f64; 2] = [0.9, 0.95];
 /// planes matter. From the second share on, so does how they bend.
 const AROUND: [f64; 2] = [0.6, 0.9];
 
+/// Points with fewer neighbours, which hardly determine a normal, stay.
+const LEAST_NEIGHBOURS: u32 = 6;
+
 /// The results of all pixels, each on its own surface.
 pub(super) struct Results<'a> {
     pub(super) grid: &'a Grid,
@@ -31,7 +34,7 @@ impl Results<'_> {
     pub(super) fn on_mean(&self, (u, v): (usize, usize), p: DVec3, surface: &Surface, radius_m: f64) -> PointResult {
         let Self { grid, results, on_ray, .. } = *self;
         let own = results[v * grid.width + u];
-        if !own.status.has_normal() {
+        if !own.status.has_normal() || own.neighbours < LEAST_NEIGHBOURS {
             return own;
         }
         let half = self.half as isize;

@@ -4,7 +4,7 @@
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
 use super::{BEND, FirstPlanes, HEIGHT, NO_PLANE_FITS, NORMAL, SurfaceRows, Surfaces, WIDTH};
-use crate::constants::{ALIKE, AROUND, MAX_ALONG, MAX_COORDINATE_M, MEAN_WIDTH, NARROW_WIDTH};
+use crate::constants::{ALIKE, AROUND, LEAST_AVERAGED, MAX_ALONG, MEAN_WIDTH, NARROW_WIDTH};
 use crate::cpu::Kernel;
 use crate::cpu::output::OutputRows;
 use crate::cpu::padded::PaddedFrame;
@@ -13,6 +13,7 @@ use crate::cpu::project::{Projected, along_ray};
 use crate::cpu::row_tasks::SplitRows;
 use crate::cpu::valid_points;
 use crate::cpu::vector::{Mask, Vec3, rises, splat};
+use crate::range::MAX_RANGE_M;
 
 // Results, in the channels of surfaces. WIDTH stays. A point without a normal has a normal of 0 and thus no weight.
 const RESULT_NORMAL: usize = NORMAL;
@@ -32,7 +33,7 @@ impl SurfaceRows<'_> {
         let has_normal: Mask<S> = projected.status.simd_ge(splat(simd, PLANE));
         let Vec3 { x, y, z } = projected.point.or(has_normal, zero);
         // Sums over points must stay finite.
-        let (least, most) = (splat(simd, -MAX_COORDINATE_M), splat(simd, MAX_COORDINATE_M));
+        let (least, most) = (splat(simd, -MAX_RANGE_M), splat(simd, MAX_RANGE_M));
         let point: Vec3<S> = Vec3::new(x.max(least).min(most), y.max(least).min(most), z.max(least).min(most));
         self.store_vector(RESULT_NORMAL, at, projected.normal.or(has_normal, zero));
         self.store_vector(RESULT_POINT, at, point);
@@ -68,8 +69,8 @@ pub(in crate::cpu) fn average_surfaces<S: Simd>(
                 continue;
             }
             let ray = kernel.sensor.ray(simd, p);
-            let projected = surfaces.on_mean(simd, kernel, here, p, ray);
             let n = valid.select(first_planes.count(simd, here).abs(), splat(simd, 0.0));
+            let projected = surfaces.on_mean(simd, kernel, here, (p, n), ray);
             let plane = first_planes.plane(simd, here);
             let surface = Surface { plane, n, width: None, bend: None, no_plane_fits: None };
             rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface);
@@ -86,13 +87,20 @@ struct Around<S: Simd> {
 }
 
 impl Surfaces {
-    /// Moves the results from an index on.
+    /// Moves the results from an index on, of points p with n neighbours; holes have none.
     #[inline(always)]
-    fn on_mean<S: Simd>(&self, simd: S, kernel: &Kernel, here: usize, p: Vec3<S>, ray: Vec3<S>) -> Projected<S> {
+    fn on_mean<S: Simd>(
+        &self,
+        simd: S,
+        kernel: &Kernel,
+        here: usize,
+        (p, n): (Vec3<S>, S::f32s),
+        ray: Vec3<S>,
+    ) -> Projected<S> {
         let planes = &self.planes;
         let point = planes.vector(simd, RESULT_POINT, here);
         let status = planes.load(simd, STATUS, here);
-        let valid = valid_points(simd, p);
+        let valid: Mask<S> = n.simd_gt(splat(simd, 0.0));
         let has_normal: Mask<S> = valid & status.simd_ge(splat(simd, PLANE));
         let Around { total, offset, normal, height } = self.around_result(simd, kernel.block_half, here, point);
         let one = splat(simd, 1.0);
@@ -109,10 +117,11 @@ impl Surfaces {
         // Both steps together stay within the limits of one. False for a NaN.
         let displacement = moved.sub(p);
         let limit = radius.min(ray.dot(ray).sqrt() * splat(simd, MAX_ALONG));
-        let moves: Mask<S> = displacement.dot(displacement).simd_le(limit * limit);
+        let within: Mask<S> = displacement.dot(displacement).simd_le(limit * limit);
+        let moves = within & n.simd_ge(splat(simd, LEAST_AVERAGED));
         let away: Mask<S> = normal.dot(ray).simd_gt(splat(simd, 0.0));
         let normal = normal.scale(away.select(-one, one)).or(moves, own_normal);
-        let near: Mask<S> = point.dot(point).simd_lt(splat(simd, MAX_COORDINATE_M * MAX_COORDINATE_M));
+        let near: Mask<S> = point.dot(point).simd_lt(splat(simd, MAX_RANGE_M * MAX_RANGE_M));
         let point = moved.or(moves, point.or(near, p));
         let nan = Vec3::splat(simd, f32::NAN);
         let degenerate: Mask<S> = valid & status.simd_eq(splat(simd, 2.0));

@@ -69,8 +69,8 @@ fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResu
     let depth = planes[plane_word(frame, RESULT_DEPTH, at)];
     // Both steps together stay within the limits of one.
     let limit = min(radius, MAX_ALONG * sqrt(dot(ray, ray)));
-    if !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
-        let is_near = square(own.point) < MAX_COORDINATE_M * MAX_COORDINATE_M;
+    if f32(n) < LEAST_AVERAGED || !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
+        let is_near = square(own.point) < MAX_RANGE_M * MAX_RANGE_M;
         result.point = bitcast<vec3<u32>>(select(p, own.point, is_near));
         result.normal = bitcast<vec3<u32>>(own.normal);
         return with_depth(frame, depth, result);

@@ -11,7 +11,7 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
     if status >= STATUS_PLANE {
         normal = bitcast<vec3<f32>>(result.normal);
         // Sums over points must stay finite.
-        point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_COORDINATE_M), vec3<f32>(MAX_COORDINATE_M));
+        point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_RANGE_M), vec3<f32>(MAX_RANGE_M));
         planes[plane_word(frame, RESULT_DEPTH, at)] = bitcast<f32>(result.depth_m);
     }
     keep_vector(frame, RESULT_NORMAL, at, normal);
