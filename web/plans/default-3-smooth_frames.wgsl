@@ -76,7 +76,7 @@ const ALIKE_FROM: f32 = 0.9;
 const ALIKE_TO: f32 = 0.95;
 const AROUND_FROM: f32 = 0.6;
 const AROUND_TO: f32 = 0.9;
-const MAX_COORDINATE_M: f32 = 1e18;
+const LEAST_AVERAGED: f32 = 5.0;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -898,7 +898,7 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
     var point = vec3<f32>(0.0);
     if status >= STATUS_PLANE {
         normal = bitcast<vec3<f32>>(result.normal);
-        point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_COORDINATE_M), vec3<f32>(MAX_COORDINATE_M));
+        point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_RANGE_M), vec3<f32>(MAX_RANGE_M));
         planes[plane_word(frame, RESULT_DEPTH, at)] = bitcast<f32>(result.depth_m);
     }
     keep_vector(frame, RESULT_NORMAL, at, normal);

@@ -76,7 +76,7 @@ const ALIKE_FROM: f32 = 0.9;
 const ALIKE_TO: f32 = 0.95;
 const AROUND_FROM: f32 = 0.6;
 const AROUND_TO: f32 = 0.9;
-const MAX_COORDINATE_M: f32 = 1e18;
+const LEAST_AVERAGED: f32 = 5.0;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -621,6 +621,16 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
     }
 }
 
+const PITCH: u32 = TILE_WIDTH + 2u * WINDOW;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+
+var<workgroup> point_x: array<f32, TILE_AREA>;
+var<workgroup> point_y: array<f32, TILE_AREA>;
+var<workgroup> point_z: array<f32, TILE_AREA>;
+var<workgroup> normal_x: array<f32, TILE_AREA>;
+var<workgroup> normal_y: array<f32, TILE_AREA>;
+var<workgroup> normal_z: array<f32, TILE_AREA>;
+
 struct KeptResult {
     point: vec3<f32>,
     normal: vec3<f32>,
@@ -633,18 +643,6 @@ fn kept_result(frame: u32, x: i32, y: i32) -> KeptResult {
     let at = u32(y) * batch.width + u32(x);
     return KeptResult(plane_vector(frame, RESULT_POINT, at), plane_vector(frame, RESULT_NORMAL, at));
 }
-
-const PITCH: u32 = TILE_WIDTH + 2u * WINDOW;
-const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
-
-var<workgroup> point_x: array<f32, TILE_AREA>;
-var<workgroup> point_y: array<f32, TILE_AREA>;
-var<workgroup> point_z: array<f32, TILE_AREA>;
-var<workgroup> normal_x: array<f32, TILE_AREA>;
-var<workgroup> normal_y: array<f32, TILE_AREA>;
-var<workgroup> normal_z: array<f32, TILE_AREA>;
-
-alias BlockOrigin = u32;
 
 fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
     let first = vec2<i32>(origin) - i32(WINDOW);
@@ -660,11 +658,7 @@ fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-fn block_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> BlockOrigin {
-    return local.y * PITCH + local.x;
-}
-
-fn result_in_block(block: BlockOrigin, column: u32, row: u32) -> KeptResult {
+fn result_in_block(block: u32, column: u32, row: u32) -> KeptResult {
     let at = block + row * PITCH + column;
     let point = vec3<f32>(point_x[at], point_y[at], point_z[at]);
     return KeptResult(point, vec3<f32>(normal_x[at], normal_y[at], normal_z[at]));
@@ -679,7 +673,7 @@ struct Around {
     height: f32,
 }
 
-fn surfaces_around(block: BlockOrigin, own: KeptResult, width: f32) -> Around {
+fn surfaces_around(block: u32, own: KeptResult, width: f32) -> Around {
     let per_width = 1.0 / width;
     var around: Around;
     for (var row = 0u; row < SIDE; row++) {
@@ -701,7 +695,7 @@ fn surfaces_around(block: BlockOrigin, own: KeptResult, width: f32) -> Around {
     return around;
 }
 
-fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResult {
+fn result_on_mean(frame: u32, pixel: vec2<u32>, block: u32) -> PixelResult {
     if pixel.x >= batch.width || pixel.y >= batch.height {
         return no_result(STATUS_HOLE, 0u);
     }
@@ -734,8 +728,8 @@ fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResu
     result.curvature = bitcast<u32>(planes[plane_word(frame, FIRST_CURVATURE, at)]);
     let depth = planes[plane_word(frame, RESULT_DEPTH, at)];
     let limit = min(radius, MAX_ALONG * sqrt(dot(ray, ray)));
-    if !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
-        let is_near = square(own.point) < MAX_COORDINATE_M * MAX_COORDINATE_M;
+    if f32(n) < LEAST_AVERAGED || !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
+        let is_near = square(own.point) < MAX_RANGE_M * MAX_RANGE_M;
         result.point = bitcast<vec3<u32>>(select(p, own.point, is_near));
         result.normal = bitcast<vec3<u32>>(own.normal);
         return with_depth(frame, depth, result);
@@ -754,6 +748,5 @@ fn average_surfaces(
     let origin = origin_of(group);
     let pixel = origin + local.xy;
     load_results(group.z, origin, thread);
-    let block = block_origin_of(group.z, pixel, local.xy);
-    store(group.z, origin, pixel, thread, result_on_mean(group.z, pixel, block));
+    store(group.z, origin, pixel, thread, result_on_mean(group.z, pixel, local.y * PITCH + local.x));
 }

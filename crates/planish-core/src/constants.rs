@@ -72,7 +72,7 @@ pub(crate) const ALIKE: [f32; 2] = [0.9, 0.95];
 /// on, so does how they bend.
 pub(crate) const AROUND: [f32; 2] = [0.6, 0.9];
 /// Points with fewer neighbours, which hardly determine a normal, stay.
-pub(crate) const LEAST_AVERAGED: f32 = 6.0;
+pub(crate) const LEAST_AVERAGED: f32 = 5.0;
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

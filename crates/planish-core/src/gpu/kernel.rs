@@ -120,12 +120,10 @@ impl KernelKey {
         let degree = if pass == Pass::Smooth { degree } else { 1 };
         let edge_shift = if pass == Pass::Surfaces { edge_shift_px(params.reach_px()) as u32 } else { 0 };
         let [tile_width, tile_height] = tile_of(degree);
-        // Points, or the points and normals of results.
-        let sample_bytes = if pass == Pass::SurfaceMeans { 24 } else { 12 };
-        let tile_area = (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
-        let tile_bytes = sample_bytes * tile_area;
+        let tile_bytes = 12 * (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
         let codes_bytes = 4 * tile_width * tile_height;
-        let tiled = tile_bytes + codes_bytes <= workgroup_bytes;
+        // The pass of means reads no samples.
+        let tiled = pass != Pass::SurfaceMeans && tile_bytes + codes_bytes <= workgroup_bytes;
         Self {
             window,
             stride,
@@ -172,11 +170,7 @@ impl KernelKey {
         } else {
             shader!("shaders/samples_measured.wgsl")
         };
-        text += if self.tiled && self.pass != Pass::SurfaceMeans {
-            shader!("shaders/window_tiled.wgsl")
-        } else {
-            shader!("shaders/window_untiled.wgsl")
-        };
+        text += if self.tiled { shader!("shaders/window_tiled.wgsl") } else { shader!("shaders/window_untiled.wgsl") };
         text += shader!("shaders/gate.wgsl");
         text += shader!("shaders/window.wgsl");
         text += shader!("shaders/eigen.wgsl");
@@ -203,11 +197,6 @@ impl KernelKey {
             text += shader!("shaders/result_depth.wgsl");
             text += shader!("shaders/output.wgsl");
             text += shader!("shaders/kept_results.wgsl");
-            text += if self.tiled {
-                shader!("shaders/results_tiled.wgsl")
-            } else {
-                shader!("shaders/results_untiled.wgsl")
-            };
             text += shader!("shaders/average_surfaces.wgsl");
             return text;
         }

@@ -16,7 +16,7 @@ const ALIKE: [f64; 2] = [0.9, 0.95];
 const AROUND: [f64; 2] = [0.6, 0.9];
 
 /// Points with fewer neighbours, which hardly determine a normal, stay.
-const LEAST_NEIGHBOURS: u32 = 6;
+const LEAST_NEIGHBOURS: u32 = 5;
 
 /// The results of all pixels, each on its own surface.
 pub(super) struct Results<'a> {

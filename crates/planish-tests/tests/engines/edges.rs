@@ -130,7 +130,7 @@ fn the_default_setting_keeps_its_figures() {
     }
     let edges = found.edge_mean_mm / raw.edge_mean_mm;
     assert!(edges < 0.207 && found.flying_share < 1.8e-3, "{edges} {}", found.flying_share);
-    assert!(found.crease_deg < 3.2 && found.speck_share < 2e-4, "{} {}", found.crease_deg, found.speck_share);
+    assert!(found.crease_deg < 3.2 && found.speck_share < 2.6e-4, "{} {}", found.crease_deg, found.speck_share);
     // Measured: 0.0086, and 0.034 without the mean of the surfaces.
     assert!(found.lattice < 0.009, "{}", found.lattice);
     assert!(found.sphere_radius_bias.abs() < 2e-3, "{}", found.sphere_radius_bias);

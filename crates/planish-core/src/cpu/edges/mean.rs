@@ -8,7 +8,7 @@ use crate::constants::{ALIKE, AROUND, LEAST_AVERAGED, MAX_ALONG, MEAN_WIDTH, NAR
 use crate::cpu::Kernel;
 use crate::cpu::output::OutputRows;
 use crate::cpu::padded::PaddedFrame;
-use crate::cpu::plane::Surface;
+use crate::cpu::plane::{Points, Surface};
 use crate::cpu::project::{Projected, along_ray};
 use crate::cpu::row_tasks::SplitRows;
 use crate::cpu::valid_points;
@@ -70,7 +70,8 @@ pub(in crate::cpu) fn average_surfaces<S: Simd>(
             }
             let ray = kernel.sensor.ray(simd, p);
             let n = valid.select(first_planes.count(simd, here).abs(), splat(simd, 0.0));
-            let projected = surfaces.on_mean(simd, kernel, here, (p, n), ray);
+            let radius = kernel.rules.radius(simd, kernel.range(simd, ray));
+            let projected = surfaces.on_mean(simd, kernel, here, Points { p, ray, radius, valid }, n);
             let plane = first_planes.plane(simd, here);
             let surface = Surface { plane, n, width: None, bend: None, no_plane_fits: None };
             rows.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface);
@@ -87,20 +88,13 @@ struct Around<S: Simd> {
 }
 
 impl Surfaces {
-    /// Moves the results from an index on, of points p with n neighbours; holes have none.
+    /// Moves the results from an index on, of points with n neighbours.
     #[inline(always)]
-    fn on_mean<S: Simd>(
-        &self,
-        simd: S,
-        kernel: &Kernel,
-        here: usize,
-        (p, n): (Vec3<S>, S::f32s),
-        ray: Vec3<S>,
-    ) -> Projected<S> {
+    fn on_mean<S: Simd>(&self, simd: S, kernel: &Kernel, here: usize, points: Points<S>, n: S::f32s) -> Projected<S> {
+        let Points { p, ray, radius, valid } = points;
         let planes = &self.planes;
         let point = planes.vector(simd, RESULT_POINT, here);
         let status = planes.load(simd, STATUS, here);
-        let valid: Mask<S> = n.simd_gt(splat(simd, 0.0));
         let has_normal: Mask<S> = valid & status.simd_ge(splat(simd, PLANE));
         let Around { total, offset, normal, height } = self.around_result(simd, kernel.block_half, here, point);
         let one = splat(simd, 1.0);
@@ -110,7 +104,6 @@ impl Surfaces {
         let places = 2 * kernel.block_half * (kernel.block_half + 1) + 1;
         let around = rises(simd, total * splat(simd, 1.0 / places as f32), AROUND);
         let height = (around * splat(simd, 0.5)).mul_add(bend, height) / total;
-        let radius = kernel.rules.radius(simd, kernel.range(simd, ray));
         let along = along_ray(simd, height, normal, ray, radius);
         let moved = if kernel.on_ray { point.add_scaled(along, ray) } else { point.add_scaled(height, normal) };
         let own_normal = planes.vector(simd, RESULT_NORMAL, here);

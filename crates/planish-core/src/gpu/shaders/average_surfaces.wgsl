@@ -11,7 +11,7 @@ struct Around {
     height: f32,
 }
 
-fn surfaces_around(block: BlockOrigin, own: KeptResult, width: f32) -> Around {
+fn surfaces_around(block: u32, own: KeptResult, width: f32) -> Around {
     let per_width = 1.0 / width;
     var around: Around;
     for (var row = 0u; row < SIDE; row++) {
@@ -34,7 +34,7 @@ fn surfaces_around(block: BlockOrigin, own: KeptResult, width: f32) -> Around {
     return around;
 }
 
-fn result_on_mean(frame: u32, pixel: vec2<u32>, block: BlockOrigin) -> PixelResult {
+fn result_on_mean(frame: u32, pixel: vec2<u32>, block: u32) -> PixelResult {
     if pixel.x >= batch.width || pixel.y >= batch.height {
         return no_result(STATUS_HOLE, 0u);
     }
@@ -89,6 +89,5 @@ fn average_surfaces(
     let origin = origin_of(group);
     let pixel = origin + local.xy;
     load_results(group.z, origin, thread);
-    let block = block_origin_of(group.z, pixel, local.xy);
-    store(group.z, origin, pixel, thread, result_on_mean(group.z, pixel, block));
+    store(group.z, origin, pixel, thread, result_on_mean(group.z, pixel, local.y * PITCH + local.x));
 }
