@@ -3,9 +3,10 @@
 //! Stages have the names of the reference, one file each, and are written once for all SIMD levels ([`SimdLevel`]). A
 //! frame is copied into a padded one ([`padded`]), and tasks take bands of rows ([`row_tasks`], [`output`]). Each
 //! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`]. If
-//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to three passes before. Coordinates are in the
-//! cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads only results of finished
-//! passes, so threads change no bit. Lanes are independent, so a pixel's position in its vector changes none either.
+//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to three passes before and one after. Coordinates
+//! are in the cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads only results of
+//! finished passes, so threads change no bit. Lanes are independent, so a pixel's position in its vector changes none
+//! either.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]

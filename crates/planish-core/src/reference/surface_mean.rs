@@ -29,8 +29,8 @@ pub(super) struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Moves the result of the valid point p of pixel (u, v) onto the mean of the surfaces around it: those of the
-    /// pixels of its block that have the colour of p's on a chessboard.
+    /// Moves the result of the valid point p of pixel (u, v) onto the mean of the surfaces around it. If its block were
+    /// a chessboard, only the fields of the pixel's own colour would count.
     pub(super) fn on_mean(&self, (u, v): (usize, usize), p: DVec3, surface: &Surface, radius_m: f64) -> PointResult {
         let Self { grid, results, on_ray, .. } = *self;
         let own = results[v * grid.width + u];

@@ -167,7 +167,7 @@ fn flat_surfaces_with_more_noise_than_the_model_stay_flat() {
     assert!(near < 2.25 && middle < 7.1, "{near}° {middle}°");
 }
 
-/// Planes beside a crease turn like those on a cylinder, but the crease must not be rounded off.
+/// The normals beside a crease differ, as on a cylinder. The crease must stay sharp.
 #[test]
 fn creases_of_any_angle_are_no_cylinders() {
     let camera = Camera::new((320, 240), [525.0; 2], [159.5, 119.5]);
