@@ -13,8 +13,9 @@ const BY_DISTANCE: u32 = 1u;
 const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
-const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 21u;
+const CELL: u32 = 2u;
+const POINT_CHANNELS: u32 = 9u;
+const PLANE_CHANNELS: u32 = 22u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -69,6 +70,7 @@ const MISSING_PLANE: f32 = 0.011111111;
 const TURNING_FLAT: f32 = 0.02;
 const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
+const FEWEST_RIDGE: f32 = 0.003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
 const MEAN_WIDTH: f32 = 1.5;
@@ -76,7 +78,15 @@ const ALIKE_FROM: f32 = 0.9;
 const ALIKE_TO: f32 = 0.95;
 const AROUND_FROM: f32 = 0.6;
 const AROUND_TO: f32 = 0.9;
-const LEAST_AVERAGED: f32 = 5.0;
+const LEAST_SURFACE_WEIGHT: f32 = 1e-12;
+const LEAST_CERTAINTY: f32 = 1e-6;
+const AGREEING: f32 = 0.5;
+const LEAST_MEANS: f32 = 0.1;
+const LEAST_NORMAL: f32 = 1e-15;
+const MEAN_STAY: f32 = 0.05;
+const LEAST_RAY_M: f32 = 0.0001;
+const LEAST_SIDE: f32 = 1e-6;
+const SIDE_COSINE: f32 = 0.1;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -93,12 +103,17 @@ const MAX_OFF_SURFACE: f32 = 11.54156;
 const TILE_WIDTH: u32 = 32u;
 const TILE_HEIGHT: u32 = 8u;
 const WINDOW: u32 = 2u;
+const SIDE: u32 = 6u;
 const STRIDE: u32 = 1u;
+const ROW_STEP: u32 = 1u;
 const DEGREE: u32 = 1u;
-const EDGE_SHIFT: u32 = 11u;
+const EDGE_SHIFT: u32 = 6u;
 const KEEPS_EDGES: bool = false;
+const KEEPS_RESULTS: bool = false;
 const BENDS: bool = false;
 const READS_MEANS: bool = false;
+const AVERAGES_BLOCKS: bool = true;
+const SAMPLES: u32 = KEPT_MEAN;
 
 struct Batch {
     width: u32,
@@ -130,6 +145,7 @@ fn is_finite(bits: u32) -> bool {
 
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
+const KEPT_SURFACE_MEAN: u32 = 6u;
 
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
@@ -144,44 +160,61 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+const SURFACE_CERTAINTY: u32 = 21u;
 
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
-const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 const NOT_USABLE: f32 = 1e18;
 
-fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
-    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+fn grid_size() -> vec2<u32> {
+    return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
 }
 
-fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+fn cells_in_frame() -> u32 {
+    let size = grid_size();
+    return size.x * size.y;
+}
+
+fn is_outside(cell: vec2<u32>) -> bool {
+    return any(cell >= grid_size());
+}
+
+fn cell_index(cell: vec2<u32>) -> u32 {
+    return cell.y * grid_size().x + cell.x;
+}
+
+fn kept_at(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
+    return vec3<f32>(kept_points[at], kept_points[at + cells], kept_points[at + 2u * cells]);
+}
+
+fn keep_point(frame: u32, channel: u32, cell: u32, point: vec3<f32>) {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
     kept_points[at] = point.x;
-    kept_points[at + pixels] = point.y;
-    kept_points[at + 2u * pixels] = point.z;
+    kept_points[at + cells] = point.y;
+    kept_points[at + 2u * cells] = point.z;
 }
 
-fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
-    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+fn plane_word(frame: u32, channel: u32, cell: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * cells_in_frame() + cell;
 }
 
-fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
-    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+fn plane_vector(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
+    return vec3<f32>(planes[at], planes[at + cells], planes[at + 2u * cells]);
 }
 
-fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
+fn keep_vector(frame: u32, channel: u32, cell: u32, vector: vec3<f32>) {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
     planes[at] = vector.x;
-    planes[at + pixels] = vector.y;
-    planes[at + 2u * pixels] = vector.z;
+    planes[at + cells] = vector.y;
+    planes[at + 2u * cells] = vector.z;
 }
 
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
@@ -192,7 +225,38 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
         return vec3<f32>(NO_POINT);
     }
-    return kept_at(frame, KEPT_POINT, u32(y) * batch.width + u32(x));
+    let base = frame * batch.input_words + HEADER_WORDS;
+    let pixel = u32(y) * batch.width + u32(x);
+    let samples = base + batch.width + batch.height;
+    if IS_RAW_DEPTH || IS_DEPTH_METRES {
+        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
+    }
+    let pixels = batch.width * batch.height;
+    let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        return vec3<f32>(NO_POINT);
+    }
+    return bitcast<vec3<f32>>(bits);
+}
+
+fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
+    if IS_RAW_DEPTH {
+        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+    }
+    let bits = input[samples + pixel];
+    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+}
+
+fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
+    if z <= 0.0 {
+        return vec3<f32>(NO_POINT);
+    }
+    let ray_x = bitcast<f32>(input[base + u32(x)]);
+    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+    let point = vec3<f32>(ray_x * z, ray_y * z, z);
+    let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
+    return select(vec3<f32>(NO_POINT), point, is_point);
 }
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
@@ -203,34 +267,42 @@ fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
     return candidate(window, WINDOW, WINDOW);
 }
 
-const REACH: u32 = WINDOW * STRIDE;
-const PITCH: u32 = TILE_WIDTH + 2u * REACH;
-const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+const PITCH: u32 = TILE_WIDTH * CELL + 2u * WINDOW;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT * CELL + 2u * WINDOW);
 
 var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
 var<workgroup> tile_z: array<f32, TILE_AREA>;
 
-alias WindowOrigin = u32;
+alias WindowOrigin = vec2<u32>;
+
+fn place_of(column: u32, row: u32) -> u32 {
+    return row * PITCH + column % CELL * (PITCH / CELL) + column / CELL;
+}
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
-    let first = vec2<i32>(origin) - i32(REACH);
+    let first = vec2<i32>(origin * CELL) - i32(WINDOW);
     for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
-        tile_x[i] = p.x;
-        tile_y[i] = p.y;
-        tile_z[i] = p.z;
+        let p = point_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH));
+        let at = place_of(i % PITCH, i / PITCH);
+        tile_x[at] = p.x;
+        tile_y[at] = p.y;
+        tile_z[at] = p.z;
     }
     workgroupBarrier();
 }
 
-fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
-    return local.y * PITCH + local.x;
+fn window_origin_of(frame: u32, cell: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
+    return local * CELL;
 }
 
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
-    let at = window + row * PITCH + column * STRIDE;
+    let at = place_of(window.x + column, window.y + row);
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+}
+fn offset_of(column: u32) -> i32 {
+    let from_middle = i32(column) - i32(WINDOW);
+    return sign(from_middle) * ((abs(from_middle) * i32(STRIDE) + i32(CELL) - 1) / i32(CELL));
 }
 
 struct Gate {
@@ -257,10 +329,8 @@ fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
 
-const SIDE: u32 = 2u * WINDOW + 1u;
-
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
-    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
 }
 
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
@@ -457,9 +527,17 @@ fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
     return dot(header_vec3(frame, AXIS), ray);
 }
 
-fn block_gate(frame: u32, range: f32) -> Gate {
+fn middle_of(window: WindowOrigin) -> vec3<f32> {
+    var p = candidate(window, WINDOW, WINDOW);
+    for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
+        p = candidate(window, WINDOW + i % CELL, WINDOW + i / CELL);
+    }
+    return p;
+}
+
+fn block_gate(frame: u32, range: f32) -> f32 {
     let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
-    return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));
+    return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
 }
 
 fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
@@ -604,6 +682,7 @@ struct Surface {
     width: f32,
     bend: vec3<f32>,
     no_plane_fits: f32,
+    certainty: f32,
 }
 
 fn fit_by(variance: f32) -> f32 {
@@ -611,18 +690,17 @@ fn fit_by(variance: f32) -> f32 {
     return (root * root) * (root * root);
 }
 
-fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
+fn vote(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
     var around: Around;
     for (var row = 0u; row < 3u; row++) {
         for (var column = 0u; column < 3u; column++) {
-            let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
-            let y = i32(pixel.y + row * EDGE_SHIFT) - i32(EDGE_SHIFT);
-            if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+            let other = vec2<i32>(cell + vec2<u32>(column, row) * EDGE_SHIFT) - i32(EDGE_SHIFT);
+            if any(other < vec2<i32>(0)) || is_outside(vec2<u32>(other)) {
                 continue;
             }
-            let at = u32(y) * batch.width + u32(x);
+            let at = cell_index(vec2<u32>(other));
             let offset = kept_at(frame, KEPT_POINT, at) - p;
             let nearness = unclamped(gate, square(offset));
             if !(nearness > 0.0) {
@@ -673,14 +751,14 @@ fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
     return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
 }
 
-fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
-    let own = pixel.y * batch.width + pixel.x;
+fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
+    let own = cell_index(cell);
     let own_normal = plane_vector(frame, FIRST_NORMAL, own);
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
-        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0);
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0, 0.0);
     }
-    let around = vote(frame, pixel, p, to_mean, radius, noise);
+    let around = vote(frame, cell, p, to_mean, radius, noise);
     let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
     let turn = turn_of(around, radius, noise);
     let tangents = tangents_of(found.normal);
@@ -690,14 +768,15 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     }
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
     let no_plane_fits = lack_of_planes(around);
-    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits);
+    let certainty = around.total / (around.total + STAY_WEIGHT);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits, certainty);
     if bend_square(measured.bend) == 0.0 {
         return surface;
     }
     let tilt = bend_times(measured.bend, measured.centre);
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits, certainty);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -708,15 +787,18 @@ fn find_surfaces(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+    if is_outside(cell) {
         return;
     }
-    let at = pixel.y * batch.width + pixel.x;
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = candidate(window, WINDOW, WINDOW);
+    let at = cell_index(cell);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = kept_at(frame, KEPT_POINT, at);
     if p.x == NO_POINT {
+        if CELL > 1u {
+            keep_point(frame, KEPT_SURFACE_MEAN, at, p);
+        }
         return;
     }
     let ray = ray_to(frame, p);
@@ -724,18 +806,23 @@ fn find_surfaces(
     let radius = radius_at(frame, range);
     let noise = noise_at(frame, range, radius);
     var to_mean = vec3<f32>(0.0);
-    if WINDOW > 0u {
+    if AVERAGES_BLOCKS {
         to_mean = kept_at(frame, KEPT_MEAN, at) - p;
     }
-    let surface = surface_of(frame, pixel, p, to_mean, ray, radius, noise);
+    let surface = surface_of(frame, cell, p, to_mean, ray, radius, noise);
     keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
     keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
     planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
-    if WINDOW > 0u {
-        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
-        let mean = block_mean(window, p, block_gate(frame, range), surface.normal * per_width, surface.height * per_width);
-        keep_point(frame, KEPT_MEAN, at, mean);
+    planes[plane_word(frame, SURFACE_CERTAINTY, at)] = surface.certainty;
+    if CELL == 1u {
+        return;
     }
+    var mean = p;
+    if AVERAGES_BLOCKS {
+        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
+        mean = block_mean(window, p, gate_of(block_gate(frame, range)), surface.normal * per_width, surface.height * per_width);
+    }
+    keep_point(frame, KEPT_SURFACE_MEAN, at, mean);
 }

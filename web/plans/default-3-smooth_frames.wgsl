@@ -13,14 +13,15 @@ const BY_DISTANCE: u32 = 1u;
 const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
-const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 21u;
+const CELL: u32 = 2u;
+const POINT_CHANNELS: u32 = 9u;
+const PLANE_CHANNELS: u32 = 22u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
 const CURVATURE_CHANNEL: u32 = 6u;
 const DEPTH_M_CHANNEL: u32 = 6u;
-const CHANNELS: u32 = 7u;
+const CHANNELS: u32 = 6u;
 const STATUS_HOLE: u32 = 0u;
 const STATUS_TOO_FEW: u32 = 1u;
 const STATUS_DEGENERATE: u32 = 2u;
@@ -37,7 +38,7 @@ const WANTS_CURVATURE: bool = false;
 const WANTS_STATUS: bool = false;
 const WANTS_NEIGHBOURS: bool = false;
 const WANTS_DEPTH: bool = false;
-const WANTS_DEPTH_M: bool = true;
+const WANTS_DEPTH_M: bool = false;
 const MIN_POSITIVE: f32 = 1.1754944e-38;
 const GRAZING_COSINE: f32 = 0.2;
 const MAX_ALONG: f32 = 0.5;
@@ -69,6 +70,7 @@ const MISSING_PLANE: f32 = 0.011111111;
 const TURNING_FLAT: f32 = 0.02;
 const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
+const FEWEST_RIDGE: f32 = 0.003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
 const MEAN_WIDTH: f32 = 1.5;
@@ -76,7 +78,15 @@ const ALIKE_FROM: f32 = 0.9;
 const ALIKE_TO: f32 = 0.95;
 const AROUND_FROM: f32 = 0.6;
 const AROUND_TO: f32 = 0.9;
-const LEAST_AVERAGED: f32 = 5.0;
+const LEAST_SURFACE_WEIGHT: f32 = 1e-12;
+const LEAST_CERTAINTY: f32 = 1e-6;
+const AGREEING: f32 = 0.5;
+const LEAST_MEANS: f32 = 0.1;
+const LEAST_NORMAL: f32 = 1e-15;
+const MEAN_STAY: f32 = 0.05;
+const LEAST_RAY_M: f32 = 0.0001;
+const LEAST_SIDE: f32 = 1e-6;
+const SIDE_COSINE: f32 = 0.1;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -93,12 +103,17 @@ const MAX_OFF_SURFACE: f32 = 11.54156;
 const TILE_WIDTH: u32 = 32u;
 const TILE_HEIGHT: u32 = 8u;
 const WINDOW: u32 = 2u;
+const SIDE: u32 = 5u;
 const STRIDE: u32 = 5u;
+const ROW_STEP: u32 = 1u;
 const DEGREE: u32 = 2u;
 const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = true;
+const KEEPS_RESULTS: bool = true;
 const BENDS: bool = true;
 const READS_MEANS: bool = true;
+const AVERAGES_BLOCKS: bool = true;
+const SAMPLES: u32 = KEPT_SURFACE_MEAN;
 
 struct Batch {
     width: u32,
@@ -130,6 +145,7 @@ fn is_finite(bits: u32) -> bool {
 
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
+const KEPT_SURFACE_MEAN: u32 = 6u;
 
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
@@ -144,44 +160,61 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+const SURFACE_CERTAINTY: u32 = 21u;
 
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
-const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 const NOT_USABLE: f32 = 1e18;
 
-fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
-    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+fn grid_size() -> vec2<u32> {
+    return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
 }
 
-fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+fn cells_in_frame() -> u32 {
+    let size = grid_size();
+    return size.x * size.y;
+}
+
+fn is_outside(cell: vec2<u32>) -> bool {
+    return any(cell >= grid_size());
+}
+
+fn cell_index(cell: vec2<u32>) -> u32 {
+    return cell.y * grid_size().x + cell.x;
+}
+
+fn kept_at(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
+    return vec3<f32>(kept_points[at], kept_points[at + cells], kept_points[at + 2u * cells]);
+}
+
+fn keep_point(frame: u32, channel: u32, cell: u32, point: vec3<f32>) {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
     kept_points[at] = point.x;
-    kept_points[at + pixels] = point.y;
-    kept_points[at + 2u * pixels] = point.z;
+    kept_points[at + cells] = point.y;
+    kept_points[at + 2u * cells] = point.z;
 }
 
-fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
-    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+fn plane_word(frame: u32, channel: u32, cell: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * cells_in_frame() + cell;
 }
 
-fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
-    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+fn plane_vector(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
+    return vec3<f32>(planes[at], planes[at + cells], planes[at + 2u * cells]);
 }
 
-fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
+fn keep_vector(frame: u32, channel: u32, cell: u32, vector: vec3<f32>) {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
     planes[at] = vector.x;
-    planes[at + pixels] = vector.y;
-    planes[at + 2u * pixels] = vector.z;
+    planes[at + cells] = vector.y;
+    planes[at + 2u * cells] = vector.z;
 }
 
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
@@ -196,22 +229,23 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
 }
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
-    if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+    let size = vec2<i32>(grid_size());
+    if x < 0 || y < 0 || x >= size.x || y >= size.y {
         return vec3<f32>(NO_POINT);
     }
-    return kept_at(frame, KEPT_MEAN, u32(y) * batch.width + u32(x));
+    return kept_at(frame, SAMPLES, u32(y * size.x + x));
 }
 
-fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+fn centre_of(frame: u32, cell: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
+    if is_outside(cell) {
         return vec3<f32>(NO_POINT);
     }
-    return kept_at(frame, KEPT_POINT, pixel.y * batch.width + pixel.x);
+    return kept_at(frame, KEPT_POINT, cell_index(cell));
 }
 
-const REACH: u32 = WINDOW * STRIDE;
+const REACH: u32 = (WINDOW * STRIDE + CELL - 1u) / CELL;
 const PITCH: u32 = TILE_WIDTH + 2u * REACH;
-const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * REACH);
 
 var<workgroup> tile_x: array<f32, TILE_AREA>;
 var<workgroup> tile_y: array<f32, TILE_AREA>;
@@ -222,7 +256,7 @@ alias WindowOrigin = u32;
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     let first = vec2<i32>(origin) - i32(REACH);
     for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH));
         tile_x[i] = p.x;
         tile_y[i] = p.y;
         tile_z[i] = p.z;
@@ -230,13 +264,17 @@ fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
-    return local.y * PITCH + local.x;
+fn window_origin_of(frame: u32, cell: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
+    return (local.y + REACH) * PITCH + local.x + REACH;
 }
 
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
-    let at = window + row * PITCH + column * STRIDE;
+    let at = u32(i32(window) + offset_of(row) * i32(PITCH) + offset_of(column));
     return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+}
+fn offset_of(column: u32) -> i32 {
+    let from_middle = i32(column) - i32(WINDOW);
+    return sign(from_middle) * ((abs(from_middle) * i32(STRIDE) + i32(CELL) - 1) / i32(CELL));
 }
 
 struct Gate {
@@ -263,10 +301,8 @@ fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
 
-const SIDE: u32 = 2u * WINDOW + 1u;
-
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
-    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
 }
 
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
@@ -500,8 +536,8 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
 
-fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
-    let at = pixel.y * batch.width + pixel.x;
+fn smooth_point(frame: u32, cell: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
+    let at = cell_index(cell);
     let count = planes[plane_word(frame, FIRST_COUNT, at)];
     let n = u32(abs(count));
     if n < 3u {
@@ -529,7 +565,7 @@ struct Projected {
 }
 
 fn is_on_ray(frame: u32) -> bool {
-    return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+    return !KEEPS_RESULTS && (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
@@ -812,13 +848,14 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
     let ridge = header(frame, RIDGE);
+    let low_ridge = min(ridge, select(LOW_RIDGE, FEWEST_RIDGE, surface.n == 6.0));
     var fit: Fit;
     var c = vec3<f32>(0.0);
     let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
     for (var round = 0u; round < rounds; round++) {
         let of_all = BENDS && round == 1u;
         fit = fit_of(window, p, radius * radius, surface, select(surface.width, 1e18, of_all), bandwidth);
-        let solution = solve(fit.moments, select(ridge, min(ridge, LOW_RIDGE), of_all), fit.extent_squared, surface.n);
+        let solution = solve(fit.moments, select(ridge, low_ridge, of_all), fit.extent_squared, surface.n);
         var share = 1.0;
         if of_all {
             let per_noise = NARROW_WIDTH / (surface.width * fit.per_metre);
@@ -888,18 +925,17 @@ fn result_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfac
     return with_depth(frame, depth_of(frame, ray_to(frame, p)) * projected.depth_scale, result);
 }
 
-fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: PixelResult) {
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+fn store(frame: u32, origin: vec2<u32>, cell: vec2<u32>, thread: u32, result: PixelResult) {
+    if is_outside(cell) {
         return;
     }
-    let at = pixel.y * batch.width + pixel.x;
+    let at = cell_index(cell);
     let status = result.codes & 0xffu;
     var normal = vec3<f32>(0.0);
     var point = vec3<f32>(0.0);
     if status >= STATUS_PLANE {
         normal = bitcast<vec3<f32>>(result.normal);
         point = clamp(bitcast<vec3<f32>>(result.point), vec3<f32>(-MAX_RANGE_M), vec3<f32>(MAX_RANGE_M));
-        planes[plane_word(frame, RESULT_DEPTH, at)] = bitcast<f32>(result.depth_m);
     }
     keep_vector(frame, RESULT_NORMAL, at, normal);
     keep_vector(frame, RESULT_POINT, at, point);
@@ -914,13 +950,13 @@ fn smooth_frames(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = centre_of(frame, pixel, window);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = centre_of(frame, cell, window);
     var result = no_result(STATUS_HOLE, 0u);
     if p.x != NO_POINT {
-        result = smooth_point(frame, pixel, window, p);
+        result = smooth_point(frame, cell, window, p);
     }
-    store(frame, origin, pixel, thread, result);
+    store(frame, origin, cell, thread, result);
 }

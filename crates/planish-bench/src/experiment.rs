@@ -246,7 +246,7 @@ impl<'a> Bench<'a> {
                 expected
             }
         };
-        let mut agreement = Agreement::default();
+        let mut agreement = Agreement::with_params(params);
         let reach = params.window.nominal().reach_px();
         let radii_m = radii_m(&input.cloud, params);
         for copy in 0..copies {

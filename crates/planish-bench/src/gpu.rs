@@ -159,7 +159,7 @@ impl Bench<'_> {
             smoother.smooth_batch(&frames, &mut results[2..])?;
             let radii_m = radii_m(&self.cloud, params);
             for result in &results {
-                let mut agreement = Agreement::default();
+                let mut agreement = Agreement::with_params(params);
                 agreement.add(result, reference, |i| radii_m[i]);
                 let misses = agreement.misses();
                 if !misses.is_empty() {

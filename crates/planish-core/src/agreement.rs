@@ -26,15 +26,29 @@ pub const POSITION_9999_M: f64 = 1e-4;
 /// Every position: the normal of few points that are nearly as far off a plane in two directions is badly determined.
 pub const POSITION_WORST_M: f64 = 6e-4;
 
+/// If edges are kept, windows of nine samples hardly determine the surfaces that pixels share: all tolerances on
+/// positions are this many times larger.
+pub const NINE_SAMPLES: f64 = 10.0;
+
 /// Differences between results and the reference, collected over one or more frames.
 #[derive(Debug, Clone, Default)]
 pub struct Agreement {
+    nine_samples: bool,
     pixels: usize,
     equal: usize,
     distances_m: Vec<f64>,
 }
 
 impl Agreement {
+    /// Starts a comparison with the tolerances for these parameters; those of [`Agreement::default`] are for most.
+    pub fn with_params(params: impl Into<Params>) -> Self {
+        let params: EngineParams = match params.into() {
+            Params::Frame(params) => params.into(),
+            Params::Cloud(params) => params.into(),
+        };
+        Self { nine_samples: params.window == 1 && params.cell_px() > 1, ..Self::default() }
+    }
+
     /// Adds a frame; both results need points and status, or they agree on no pixel. Distances are scaled to a range of
     /// [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger.
     pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(usize) -> f64) {
@@ -105,7 +119,9 @@ impl Agreement {
         if self.equal_status() < EQUAL_STATUS - one_pixel {
             misses.push(format!("status equal on {}", self.equal_status()));
         }
+        let times = if self.nine_samples { NINE_SAMPLES } else { 1.0 };
         for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M), (1.0, POSITION_WORST_M)] {
+            let tolerance_m = times * tolerance_m;
             let found_m = self.position_m(share);
             if found_m > tolerance_m {
                 misses.push(format!(

@@ -61,18 +61,39 @@ pub(crate) const MISSING_PLANE: f32 = 0.1 / 9.0;
 pub(crate) const TURNING: [f32; 2] = [0.02, 0.07];
 /// The ridge is at most this if no plane fits.
 pub(crate) const LOW_RIDGE: f32 = 3e-4;
+/// The same for as many neighbours as a polynomial of degree 2 has coefficients, and would fit exactly.
+pub(crate) const FEWEST_RIDGE: f32 = 3e-3;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.
 pub(crate) const CLOSE: [f32; 2] = [0.3, 0.8];
-/// The surfaces of a block count up to this many times the width within which neighbours count...
+/// If the weights of the surfaces around a point sum to no more, it is on none of them.
+pub(crate) const LEAST_SURFACE_WEIGHT: f32 = 1e-12;
+/// Surfaces around a point count up to this many standard deviations of the noise from the point on its own surface...
 pub(crate) const MEAN_WIDTH: f32 = 1.5;
 /// ...and from the first cosine between their normals on, fully from the second on.
 pub(crate) const ALIKE: [f32; 2] = [0.9, 0.95];
-/// If less than the first share of a block's surfaces count, only their tangent planes matter. From the second share
-/// on, so does how they bend.
+/// If less than the first share of the surfaces around a point count, only their tangent planes matter. From the second
+/// share on, so does how they bend.
 pub(crate) const AROUND: [f32; 2] = [0.6, 0.9];
-/// Points with fewer neighbours, which hardly determine a normal, stay.
-pub(crate) const LEAST_AVERAGED: f32 = 5.0;
+/// Added to the certainty of surfaces where their normals are averaged, so that a normal is defined even if all are
+/// uncertain.
+pub(crate) const LEAST_CERTAINTY: f32 = 1e-6;
+/// Points move less where the mean of the normals of the surfaces around them is shorter: where they disagree, are
+/// uncertain or seen edge-on.
+pub(crate) const AGREEING: f32 = 0.5;
+/// If the weights of the block means around a pixel sum to less, their mean is drawn towards its point.
+pub(crate) const LEAST_MEANS: f32 = 0.1;
+/// If the mean of the normals of the surfaces around a point is shorter, rounding decides its direction.
+pub(crate) const LEAST_NORMAL: f32 = 1e-15;
+/// Weight of a zero displacement, relative to the surfaces around a point that are like its own.
+pub(crate) const MEAN_STAY: f32 = 0.05;
+/// If the cosine between a surface's normal and a point's ray is smaller, the surface counts in proportion to it, since
+/// rounding decides which side faces the sensor...
+pub(crate) const SIDE_COSINE: f32 = 0.1;
+/// ...but at least this much...
+pub(crate) const LEAST_SIDE: f32 = 1e-6;
+/// ...and fully if the ray is shorter than this, because its direction is then only rounding.
+pub(crate) const LEAST_RAY_M: f32 = 1e-4;
 /// Upper bound of the exponent: a neighbour far from the surface keeps exp(-8) of its weight. Stored as a power of two.
 pub(crate) const MAX_OFF_SURFACE: f32 = 8.0 * std::f32::consts::LOG2_E;
 

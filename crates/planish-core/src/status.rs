@@ -8,7 +8,8 @@ pub enum Status {
     /// No measurement came in, none goes out.
     #[default]
     Hole = 0,
-    /// Fewer than 3 neighbours, or an isolated point that was to be removed: the output is a hole.
+    /// Fewer than 3 neighbours, none of the surfaces around the point near it, or an isolated point that was to be
+    /// removed: the output is a hole.
     TooFew = 1,
     /// The neighbours are collinear: the point is unchanged, without a normal.
     Degenerate = 2,

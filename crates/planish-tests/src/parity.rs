@@ -35,7 +35,7 @@ fn compare_in_frame(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams],
         }
         for (subject, engine) in subjects {
             let what = format!("{name}, {subject}, {params:?}");
-            let mut agreement = Agreement::default();
+            let mut agreement = Agreement::with_params(params);
             for (cloud, reference) in clouds.iter().zip(&references) {
                 let result = engine.smooth(cloud, params);
                 let radii_m = radii_m(cloud, params);

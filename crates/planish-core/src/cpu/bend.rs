@@ -5,6 +5,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
+use super::Kernel;
 use super::eigen::Symmetric;
 use super::plane::Plane;
 use super::vector::{Mask, Vec3, rises, share, splat};
@@ -18,12 +19,12 @@ use crate::constants::{
 #[inline(always)]
 pub(super) fn of_window<S: Simd>(
     simd: S,
-    window: Window<'_>,
+    (window, kernel): (Window<'_>, &Kernel),
     p: Vec3<S>,
     radius: S::f32s,
     plane: &Plane<S>,
 ) -> S::f32s {
-    let middle = window.middle();
+    let middle = window.middle(kernel);
     let (mut total, mut height) = (splat(simd, 0.0), splat(simd, 0.0));
     middle.neighbours(
         simd,
@@ -36,11 +37,9 @@ pub(super) fn of_window<S: Simd>(
             height = weight.mul_add(e.dot(plane.normal) - plane.height, height);
         },
     );
-    let [half, middle] = [window.half() as f32, middle.half() as f32];
-    // The spread of the middle's pixels is this share of the window's.
-    let share = middle * (middle + 1.0) / (half * (half + 1.0));
     let spread = plane.spread.max(radius * radius * splat(simd, LEAST_SPREAD));
-    let bend = height * splat(simd, -4.0 / (1.0 - share)) / (total.max(splat(simd, 1.0)) * spread);
+    let bend =
+        height * splat(simd, -4.0 / (1.0 - kernel.offsets.middle_share)) / (total.max(splat(simd, 1.0)) * spread);
     let most = splat(simd, MOST_WINDOW_BEND) / radius;
     bend.max(-most).min(most)
 }

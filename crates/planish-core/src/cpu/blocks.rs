@@ -1,5 +1,5 @@
-//! Block means (docs/method.md, section 2): each sample of a window is the mean of its pixel's block. With edges kept,
-//! only points on the pixel's surface are averaged (section 10).
+//! Block means (docs/method.md, section 2): each sample of a window is the mean of the block around its pixel, or its
+//! cell. With edges kept, only points on the cell's surface are averaged (section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -11,49 +11,70 @@ use super::window::Gate;
 use super::{Kernel, valid_points};
 use crate::constants::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
 
-/// The block of a vector of pixels.
-pub(super) struct Block<'a, S: Simd> {
-    measured: &'a PaddedFrame,
+/// The block of a vector of pixels, or of cells.
+pub(super) struct Block<'a, S: Simd, P> {
+    pixels: &'a P,
     half: usize,
-    here: usize,
+    /// Column and row of the first.
+    place: (usize, usize),
     p: Vec3<S>,
     gate: Gate<S>,
 }
 
-impl<'a, S: Simd> Block<'a, S> {
-    /// Computes means around the points p from an index on, given their ranges.
+/// Pixels that blocks are made of.
+pub(super) trait BlockPixels {
+    /// Visits the points of the blocks around a vector of pixels or cells, the first at `place`. A block is the pixel
+    /// or cell plus `half` pixels on each side.
+    fn visit_block<S: Simd>(&self, simd: S, place: (usize, usize), half: usize, visit: impl FnMut(Vec3<S>));
+}
+
+impl BlockPixels for PaddedFrame {
+    #[inline(always)]
+    fn visit_block<S: Simd>(&self, simd: S, (u, v): (usize, usize), half: usize, mut visit: impl FnMut(Vec3<S>)) {
+        let first = self.index(u, v) - half * (self.row_len + 1);
+        let side = 2 * half + 1;
+        self.assert_within(first, first + 2 * half * (self.row_len + 1));
+        for row in 0..side {
+            for column in 0..side {
+                // SAFETY: checked above for the first and the last point.
+                visit(unsafe { self.load_within(simd, first + row * self.row_len + column) });
+            }
+        }
+    }
+}
+
+impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
+    /// Returns the blocks around a vector of pixels or cells, the first at `place`, given their points p and ranges.
     #[inline(always)]
     pub(super) fn around(
         simd: S,
-        measured: &'a PaddedFrame,
+        pixels: &'a P,
         kernel: &Kernel,
-        here: usize,
+        place: (usize, usize),
         p: Vec3<S>,
         range: S::f32s,
     ) -> Self {
-        Self { measured, half: kernel.block_half, here, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
+        Self { pixels, half: kernel.block_half, place, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
     }
 
     /// Averages its points, each weighted by the gate and by `weigh` of its offset from p.
     #[inline(always)]
     fn mean(&self, simd: S, weigh: impl Fn(Vec3<S>) -> S::f32s) -> Vec3<S> {
-        let row_len = self.measured.row_len;
-        let first = self.here - self.half * (row_len + 1);
-        let side = 2 * self.half + 1;
-        self.measured.assert_within(first, first + 2 * self.half * (row_len + 1));
         let (mut sum, mut total) = (Vec3::splat(simd, 0.0), splat(simd, 0.0));
-        for row in 0..side {
-            for column in 0..side {
-                // SAFETY: checked above for the first and the last point.
-                let q = unsafe { self.measured.load_within(simd, first + row * row_len + column) };
+        self.pixels.visit_block(
+            simd,
+            self.place,
+            self.half,
+            #[inline(always)]
+            |q| {
                 let e = q.sub(self.p);
                 let (gate, near) = self.gate.weight(simd, e);
                 let weight = gate * weigh(e);
                 // A point beyond the gate may be NaN and must not change the sum.
                 sum = sum.add_scaled(weight, e).or(near, sum);
                 total = near.select(total + weight, total);
-            }
-        }
+            },
+        );
         // p itself has a weight.
         self.p.add_scaled(splat(simd, 1.0) / total, sum)
     }
@@ -78,21 +99,27 @@ impl<'a, S: Simd> Block<'a, S> {
     }
 }
 
-/// The means of some rows.
+/// The means around the points of some rows.
 #[inline(always)]
-pub(super) fn average<S: Simd>(simd: S, measured: &PaddedFrame, kernel: &Kernel, rows: &mut PaddedRows<'_>) {
-    for row in 0..rows.count() {
-        for u in (0..measured.width).step_by(S::f32s::LEN) {
-            let here = measured.index(u, rows.first + row);
-            let p = measured.load(simd, here);
+pub(super) fn average<S: Simd, P: BlockPixels>(
+    simd: S,
+    pixels: &P,
+    points: &PaddedFrame,
+    kernel: &Kernel,
+    means: &mut PaddedRows<'_>,
+) {
+    for row in 0..means.count() {
+        for u in (0..points.width).step_by(S::f32s::LEN) {
+            let place = (u, means.first + row);
+            let p = points.load(simd, points.index(place.0, place.1));
             let valid: Mask<S> = valid_points(simd, p);
             let mut mean = p;
             if valid.any_true() {
                 let range = kernel.range(simd, kernel.sensor.ray(simd, p));
                 let one = splat(simd, 1.0);
-                mean = Block::around(simd, measured, kernel, here, p, range).mean(simd, |_| one);
+                mean = Block::around(simd, pixels, kernel, place, p, range).mean(simd, |_| one);
             }
-            rows.store(rows.index(row, u), mean.or(valid, Vec3::splat(simd, f32::NAN)));
+            means.store(means.index(row, u), mean.or(valid, Vec3::splat(simd, f32::NAN)));
         }
     }
 }

@@ -49,6 +49,11 @@ impl<const N: usize> Channels<N> {
         unsafe { self.vector_within(simd, channel, at) }
     }
 
+    /// Returns one value of a channel.
+    pub(super) fn value(&self, channel: usize, at: usize) -> f32 {
+        self.values[channel][at]
+    }
+
     /// Panics unless vectors can be loaded from all indices from `first` to `last`.
     #[inline(always)]
     pub(super) fn assert_within(&self, first: usize, last: usize) {

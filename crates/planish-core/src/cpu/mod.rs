@@ -3,10 +3,9 @@
 //! Stages have the names of the reference, one file each, and are written once for all SIMD levels ([`SimdLevel`]). A
 //! frame is copied into a padded one ([`padded`]), and tasks take bands of rows ([`row_tasks`], [`output`]). Each
 //! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`]. If
-//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to three passes before and one after. Coordinates
-//! are in the cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads only results of
-//! finished passes, so threads change no bit. Lanes are independent, so a pixel's position in its vector changes none
-//! either.
+//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to four passes before the fit and one after.
+//! Coordinates are in the cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads
+//! only results of finished passes, so threads change no bit.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
@@ -20,6 +19,7 @@ mod general;
 mod math;
 mod output;
 mod padded;
+mod pixels;
 mod plane;
 mod polynomial;
 mod project;
@@ -41,31 +41,32 @@ use crate::constants::LEAST_NEIGHBOURS;
 use crate::error::{EngineError, Error};
 use crate::frame::Frame;
 use crate::outputs::SmoothedMut;
-use crate::params::{Edges, EngineParams, edge_shift_px};
+use crate::params::{Edges, EngineParams};
 use crate::range::{MAX_RADIUS_M, MAX_RANGE_M, MIN_GATE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
 use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
+use blocks::BlockPixels;
 use edges::{FirstPlanes, FirstRows, SurfaceRows, Surfaces};
 pub use general::CloudEstimate;
 pub(crate) use general::Decided;
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
+use pixels::Pixels;
 use plane::{Points, Surface};
 use polynomial::{Source, Terms, Weighting};
 use project::{Projected, Projection};
 use row_tasks::{SplitRows, run_on_rows};
 use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
-use window::{Candidates, Window};
+use window::{Candidates, Offsets, Window};
 
 /// Parameters of a kernel.
 struct Kernel {
-    /// Candidates along a side of the window, 2k + 1.
-    side: usize,
-    stride: usize,
+    /// Distances to the columns and rows of the window.
+    offsets: Offsets,
     /// Half width of the blocks that are averaged, in pixels.
     block_half: usize,
     degree: u32,
@@ -133,13 +134,62 @@ pub(crate) struct Cpu {
     level: Level,
     /// `None` runs on the calling thread.
     threads: Option<Threads>,
-    padded: PaddedFrame,
-    /// Where blocks are averaged.
-    means: Option<PaddedFrame>,
-    /// First planes and surfaces, if edges are kept.
-    planes: Option<(FirstPlanes, Surfaces)>,
+    buffers: Buffers,
     rays: Rays,
     timings: FrameTimings,
+}
+
+/// What the passes compute for a frame.
+#[expect(clippy::large_enum_variant, reason = "an engine has one")]
+enum Buffers {
+    /// Every pixel has its own surface.
+    Pixels {
+        measured: PaddedFrame,
+        /// Where blocks are averaged.
+        means: Option<PaddedFrame>,
+        /// First planes and surfaces, if edges are kept.
+        planes: Option<(FirstPlanes, Surfaces)>,
+    },
+    /// The pixels of a cell share a surface.
+    Cells {
+        pixels: Pixels,
+        /// The points of the cells.
+        points: PaddedFrame,
+        /// Where blocks are averaged: the means of all their points, and of those on the surface.
+        means: Option<[PaddedFrame; 2]>,
+        planes: (FirstPlanes, Surfaces),
+    },
+}
+
+impl Buffers {
+    fn new(params: &EngineParams, shape: (usize, usize)) -> Self {
+        let (width, height) = params.cells_of(shape);
+        let frame = || PaddedFrame::new(width, height, params.reach().max(params.edge_shift()));
+        let points = frame();
+        let planes = || (FirstPlanes::new(params, &points), Surfaces::new(&points));
+        if params.cell_px() == 1 {
+            let means = params.averages_blocks().then(frame);
+            let planes = (params.edges == Edges::Robust).then(planes);
+            Self::Pixels { measured: points, means, planes }
+        } else {
+            let (means, planes) = (params.averages_blocks().then(|| [frame(), frame()]), planes());
+            Self::Cells { pixels: Pixels::new(shape, params.block_half_px()), points, means, planes }
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        let of_planes = |(first_planes, surfaces): &(FirstPlanes, Surfaces)| first_planes.bytes() + surfaces.bytes();
+        match self {
+            Self::Pixels { measured, means, planes } => {
+                let means = means.as_ref().map_or(0, PaddedFrame::bytes);
+                measured.bytes() + means + planes.as_ref().map_or(0, of_planes)
+            }
+            Self::Cells { pixels, points, means, planes } => {
+                let means = means.iter().flatten().map(PaddedFrame::bytes).sum::<usize>();
+                pixels.bytes() + points.bytes() + means + of_planes(planes)
+            }
+        }
+    }
 }
 
 impl Cpu {
@@ -151,78 +201,109 @@ impl Cpu {
     ) -> Result<Self, EngineError> {
         let level = level(simd)?;
         let threads = if threads == Some(1) { None } else { Some(Threads::open(threads)?) };
-        let border = params.reach_px().max(edge_shift_px(params.reach_px()));
-        let padded = PaddedFrame::new(shape.0, shape.1, border);
-        let means = params.averages_blocks().then(|| PaddedFrame::new(shape.0, shape.1, border));
-        let planes =
-            (params.edges == Edges::Robust).then(|| (FirstPlanes::new(&params, &padded), Surfaces::new(&padded)));
+        let buffers = Buffers::new(&params, shape);
         let (rays, timings) = (Rays::default(), FrameTimings::default());
-        Ok(Self { params, level, threads, padded, means, planes, rays, timings })
+        Ok(Self { params, level, threads, buffers, rays, timings })
     }
 
-    /// Fills the padded frame and smooths all rows, on the threads of the pool that it is called in or on the calling
-    /// one.
+    /// Copies the frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
     fn smooth_rows(&mut self, frame: &AdmittedFrame<'_>, kernel: &Kernel, out: SmoothedMut<'_>, parallel: bool) {
         let level = self.level;
         let start = Stopwatch::start();
-        self.padded.fill(frame, &self.rays, parallel);
-        let upload = start.elapsed();
-        let measured = &self.padded;
-        if let Some(means) = &mut self.means {
-            let average =
-                |mut rows: PaddedRows<'_>| dispatch!(level, simd => blocks::average(simd, measured, kernel, &mut rows));
-            run_on_rows(means.rows(), parallel, &average);
+        match &mut self.buffers {
+            Buffers::Pixels { measured, .. } => measured.fill(frame, &self.rays, parallel),
+            Buffers::Cells { pixels, .. } => pixels.fill(frame, &self.rays, parallel),
         }
+        let upload = start.elapsed();
+        let run = Run { level, kernel, parallel };
         let out = OutputRows::all(frame, out);
-        if let Some((first_planes, surfaces)) = &mut self.planes {
-            let height = frame.frame.shape().1;
-            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-            let fit = |mut rows: FirstRows<'_>| dispatch!(level, simd => edges::fit_first_planes(simd, input, kernel, &mut rows));
-            run_on_rows(first_planes.rows(height), parallel, &fit);
-            let first_planes = &*first_planes;
-            let find = |mut rows: SurfaceRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, measured, first_planes, kernel, &mut rows));
-            run_on_rows(surfaces.rows(height, self.means.as_mut().map(PaddedFrame::rows)), parallel, &find);
-            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-            let rows = surfaces.rows(height, None);
-            if self.params.averages_surfaces() {
-                run_fit(
-                    level,
-                    kernel,
-                    input,
-                    Some(first_planes),
-                    FitRows { surfaces: Some(rows), out: None },
-                    parallel,
-                );
-                let surfaces = &*surfaces;
-                let average = |mut rows: OutputRows<'_>| dispatch!(level, simd => edges::average_surfaces(simd, measured, (first_planes, surfaces), kernel, &mut rows));
-                run_on_rows(out, parallel, &average);
-            } else {
-                let rows = FitRows { surfaces: Some(rows), out: Some(out) };
-                run_fit(level, kernel, input, Some(first_planes), rows, parallel);
+        match &mut self.buffers {
+            Buffers::Pixels { measured, means, planes } => {
+                let measured = &*measured;
+                if let Some(means) = means {
+                    run.average(measured, measured, means);
+                }
+                let input = Input { measured, samples: means.as_ref().unwrap_or(measured) };
+                match planes {
+                    None => run.fit(input, None, FitRows::Own(out)),
+                    Some((first_planes, surfaces)) => {
+                        run.find_surfaces(input, None, first_planes, (surfaces, None));
+                        run.fit(input, Some(first_planes), FitRows::Kept(surfaces.rows(measured.height, None), out));
+                    }
+                }
             }
-        } else {
-            let input = Input { measured, samples: self.means.as_ref().unwrap_or(measured) };
-            run_fit(level, kernel, input, None, FitRows { surfaces: None, out: Some(out) }, parallel);
+            Buffers::Cells { pixels, points, means, planes: (first_planes, surfaces) } => {
+                let pixels = &*pixels;
+                let represent = |mut rows: PaddedRows<'_>| dispatch!(level, simd => pixels.represent(simd, &mut rows));
+                run_on_rows(points.rows(), parallel, &represent);
+                let points = &*points;
+                let (means, on_surfaces) = match means {
+                    None => (None, None),
+                    Some([means, on_surfaces]) => {
+                        run.average(pixels, points, means);
+                        (Some(&*means), Some(on_surfaces))
+                    }
+                };
+                let input = Input { measured: points, samples: means.unwrap_or(points) };
+                let blocks = means.map(|means| edges::Blocks { pixels, means });
+                let mut on_surfaces = on_surfaces;
+                run.find_surfaces(input, blocks, first_planes, (surfaces, on_surfaces.as_deref_mut()));
+                let samples = on_surfaces.as_deref().unwrap_or(points);
+                let rows = FitRows::Cells(surfaces.rows(points.height, None));
+                run.fit(Input { measured: points, samples }, Some(first_planes), rows);
+                let found = edges::Found { pixels, cells: points, means, surfaces };
+                let write = |mut rows: OutputRows<'_>| dispatch!(level, simd => edges::results_of_pixels(simd, found, kernel, &mut rows));
+                run_on_rows(out, parallel, &write);
+            }
         }
         self.timings = FrameTimings { upload, kernel: start.elapsed() - upload, readback: Duration::ZERO };
     }
 }
 
-/// Fits the surfaces of all rows.
-fn run_fit(
+/// How passes run.
+#[derive(Clone, Copy)]
+struct Run<'a> {
     level: Level,
-    kernel: &Kernel,
-    input: Input<'_>,
-    first_planes: Option<&FirstPlanes>,
-    rows: FitRows<'_>,
+    kernel: &'a Kernel,
     parallel: bool,
-) {
-    let fit = |mut rows: FitRows<'_>| match kernel.degree {
-        1 => dispatch!(level, simd => fit_rows::<_, 1>(simd, input, first_planes, kernel, &mut rows)),
-        2 => dispatch!(level, simd => fit_rows::<_, 2>(simd, input, first_planes, kernel, &mut rows)),
-        _ => dispatch!(level, simd => fit_rows::<_, 3>(simd, input, first_planes, kernel, &mut rows)),
-    };
-    run_on_rows(rows, parallel, &fit);
+}
+
+impl Run<'_> {
+    /// Averages the blocks around points.
+    fn average(self, pixels: &(impl BlockPixels + Sync), points: &PaddedFrame, means: &mut PaddedFrame) {
+        let Self { level, kernel, parallel } = self;
+        let average = |mut rows: PaddedRows<'_>| dispatch!(level, simd => blocks::average(simd, pixels, points, kernel, &mut rows));
+        run_on_rows(means.rows(), parallel, &average);
+    }
+
+    /// Finds the surfaces of all points, and the means of their blocks on them if there are any.
+    fn find_surfaces(
+        self,
+        input: Input<'_>,
+        blocks: Option<edges::Blocks<'_>>,
+        first_planes: &mut FirstPlanes,
+        (surfaces, means): (&mut Surfaces, Option<&mut PaddedFrame>),
+    ) {
+        let Self { level, kernel, parallel } = self;
+        let height = input.measured.height;
+        let fit =
+            |mut rows: FirstRows<'_>| dispatch!(level, simd => edges::fit_first_planes(simd, input, kernel, &mut rows));
+        run_on_rows(first_planes.rows(height), parallel, &fit);
+        let first_planes = &*first_planes;
+        let find = |mut rows: SurfaceRows<'_>| dispatch!(level, simd => edges::find_surfaces(simd, input.measured, blocks, first_planes, kernel, &mut rows));
+        run_on_rows(surfaces.rows(height, means.map(PaddedFrame::rows)), parallel, &find);
+    }
+
+    /// Fits the surfaces of all rows.
+    fn fit(self, input: Input<'_>, first_planes: Option<&FirstPlanes>, rows: FitRows<'_>) {
+        let Self { level, kernel, parallel } = self;
+        let fit = |mut rows: FitRows<'_>| match kernel.degree {
+            1 => dispatch!(level, simd => fit_rows::<_, 1>(simd, input, first_planes, kernel, &mut rows)),
+            2 => dispatch!(level, simd => fit_rows::<_, 2>(simd, input, first_planes, kernel, &mut rows)),
+            _ => dispatch!(level, simd => fit_rows::<_, 3>(simd, input, first_planes, kernel, &mut rows)),
+        };
+        run_on_rows(rows, parallel, &fit);
+    }
 }
 
 impl ImmediateEngine for Cpu {
@@ -231,8 +312,7 @@ impl ImmediateEngine for Cpu {
             self.rays.set(depth.camera());
         }
         let kernel = Kernel {
-            side: 2 * self.params.window as usize + 1,
-            stride: self.params.stride as usize,
+            offsets: Offsets::new(&self.params),
             block_half: self.params.block_half_px(),
             degree: self.params.degree,
             rules: RangeRules::new(&self.params, &frame.geometry),
@@ -261,9 +341,7 @@ impl ImmediateEngine for Cpu {
 
     /// Includes its padded frames and planes.
     fn buffer_bytes(&self) -> u64 {
-        let means = self.means.as_ref().map_or(0, PaddedFrame::bytes);
-        let planes = self.planes.as_ref().map_or(0, |(first_planes, surfaces)| first_planes.bytes() + surfaces.bytes());
-        (self.padded.bytes() + means + planes) as u64
+        self.buffers.bytes() as u64
     }
 }
 
@@ -277,43 +355,70 @@ struct Input<'a> {
 }
 
 /// A band of rows of the last fit.
-struct FitRows<'a> {
-    /// The surfaces over which it fits, if edges are kept.
-    surfaces: Option<SurfaceRows<'a>>,
-    /// Where results go; `None` keeps them in place of the surfaces.
-    out: Option<OutputRows<'a>>,
+#[expect(clippy::large_enum_variant, reason = "the larger one is the usual one")]
+enum FitRows<'a> {
+    /// Surfaces are the planes of windows; results are written.
+    Own(OutputRows<'a>),
+    /// Surfaces have been found; results are written.
+    Kept(SurfaceRows<'a>, OutputRows<'a>),
+    /// Surfaces of cells have been found; results replace them.
+    Cells(SurfaceRows<'a>),
 }
 
 impl SplitRows for FitRows<'_> {
     fn count(&self) -> usize {
-        let surfaces = self.surfaces.as_ref().map(SplitRows::count);
-        surfaces.or(self.out.as_ref().map(SplitRows::count)).unwrap_or(0)
+        match self {
+            Self::Own(out) => out.count(),
+            Self::Kept(surfaces, _) | Self::Cells(surfaces) => surfaces.count(),
+        }
     }
 
     fn split_at(self, rows: usize) -> (Self, Self) {
-        let (surfaces, surfaces_after) = self.surfaces.map(|surfaces| surfaces.split_at(rows)).unzip();
-        let (out, out_after) = self.out.map(|out| out.split_at(rows)).unzip();
-        (Self { surfaces, out }, Self { surfaces: surfaces_after, out: out_after })
+        match self {
+            Self::Own(out) => {
+                let (before, after) = out.split_at(rows);
+                (Self::Own(before), Self::Own(after))
+            }
+            Self::Kept(surfaces, out) => {
+                let ((surfaces, surfaces_after), (out, out_after)) = (surfaces.split_at(rows), out.split_at(rows));
+                (Self::Kept(surfaces, out), Self::Kept(surfaces_after, out_after))
+            }
+            Self::Cells(surfaces) => {
+                let (before, after) = surfaces.split_at(rows);
+                (Self::Cells(before), Self::Cells(after))
+            }
+        }
     }
 }
 
-impl FitRows<'_> {
+impl<'a> FitRows<'a> {
     /// The first row's number in the image.
     fn first(&self) -> usize {
-        let surfaces = self.surfaces.as_ref().map(|surfaces| surfaces.first);
-        surfaces.or(self.out.as_ref().map(|out| out.first)).unwrap_or(0)
+        match self {
+            Self::Own(out) => out.first,
+            Self::Kept(surfaces, _) | Self::Cells(surfaces) => surfaces.first,
+        }
+    }
+
+    fn surfaces(&self) -> Option<&SurfaceRows<'a>> {
+        match self {
+            Self::Own(_) => None,
+            Self::Kept(surfaces, _) | Self::Cells(surfaces) => Some(surfaces),
+        }
     }
 
     fn projection(&self, on_ray: bool) -> Projection {
-        // Means of surfaces take everything.
-        let all = Projection {
-            on_ray,
-            needs_normal: true,
-            needs_depth: true,
-            keeps_isolated: false,
-            least_neighbours: LEAST_NEIGHBOURS,
-        };
-        self.out.as_ref().map_or(all, |out| out.projection(on_ray))
+        match self {
+            Self::Own(out) | Self::Kept(_, out) => out.projection(on_ray),
+            // The points of cells move along the normals of their planes.
+            Self::Cells(_) => Projection {
+                on_ray: false,
+                needs_normal: true,
+                needs_depth: false,
+                keeps_isolated: false,
+                least_neighbours: LEAST_NEIGHBOURS,
+            },
+        }
     }
 }
 
@@ -358,8 +463,8 @@ fn fit_vector<S: Simd, const D: usize>(
     let valid = valid_points(simd, p);
     if !valid.any_true() {
         match rows {
-            FitRows { out: Some(out), .. } => out.store_holes(row, u, S::f32s::LEN),
-            FitRows { surfaces, .. } => surfaces.iter_mut().for_each(|surfaces| surfaces.keep_holes(simd, (u, row))),
+            FitRows::Own(out) | FitRows::Kept(_, out) => out.store_holes(row, u, S::f32s::LEN),
+            FitRows::Cells(surfaces) => surfaces.keep_holes(simd, (u, row)),
         }
         return;
     }
@@ -367,7 +472,7 @@ fn fit_vector<S: Simd, const D: usize>(
     let range = kernel.range(simd, ray);
     let radius = kernel.rules.radius(simd, range);
     let window = Window::at(input.samples, kernel, u, v);
-    let (surface, source) = match (first_planes, &rows.surfaces) {
+    let (surface, source) = match (first_planes, rows.surfaces()) {
         (Some(first_planes), Some(surfaces)) => {
             let surface = surfaces.surface(simd, first_planes, (u, row), here);
             let n = valid.select(surface.n, splat(simd, 0.0));
@@ -384,8 +489,10 @@ fn fit_vector<S: Simd, const D: usize>(
     let points = Points { p, ray, radius, valid };
     let projected = fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
     match rows {
-        FitRows { out: Some(out), .. } => out.store(row, u, kernel.sensor.depth(simd, ray), &projected, &surface),
-        FitRows { surfaces, .. } => surfaces.iter_mut().for_each(|surfaces| surfaces.keep(simd, (u, row), &projected)),
+        FitRows::Own(out) | FitRows::Kept(_, out) => {
+            out.store(row, u, &projected, [kernel.sensor.depth(simd, ray), surface.plane.curvature, surface.n]);
+        }
+        FitRows::Cells(surfaces) => surfaces.keep(simd, (u, row), &projected, &surface),
     }
 }
 

@@ -2,7 +2,6 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
-use super::plane::Surface;
 use super::project::{Projected, Projection};
 use super::row_tasks::SplitRows;
 use super::vector::Vec3;
@@ -81,17 +80,16 @@ impl<'a> OutputRows<'a> {
         }
     }
 
-    /// Writes the results of the pixels from column u of the `row`-th of these rows on; `depth` is the measured depth.
+    /// Writes the results of the pixels from column u of the `row`-th of these rows on, with their measured depths,
+    /// curvatures and numbers of neighbours.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
         row: usize,
         u: usize,
-        depth: S::f32s,
         projected: &Projected<S>,
-        surface: &Surface<S>,
+        [depth, curvature, n]: [S::f32s; 3],
     ) {
-        let Surface { plane, n, .. } = surface;
         let end = self.width.min(u + S::f32s::LEN);
         let at = row * self.width + u..row * self.width + end;
         if let Some(points) = &mut self.out.points {
@@ -109,9 +107,9 @@ impl<'a> OutputRows<'a> {
         if let Some(depth_m) = &mut self.out.depth_m {
             put(depth * projected.depth_scale, &mut depth_m[at.clone()]);
         }
-        if let Some(curvature) = &mut self.out.curvature {
-            let out = &mut curvature[at.clone()];
-            put(plane.curvature, out);
+        if let Some(out) = &mut self.out.curvature {
+            let out = &mut out[at.clone()];
+            put(curvature, out);
             // Curvature is finite exactly for points with a normal.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if !(3.0..6.0).contains(&status) {

@@ -5,6 +5,8 @@
 //! last column. Every load of a window, for every vector of pixels, is then a plain load inside the buffer. NaN and
 //! infinite values fail the gate.
 
+use std::ops::Range;
+
 use fearless_simd::{Simd, SimdBase};
 
 use super::channels::{Channels, MAX_LANES};
@@ -22,7 +24,7 @@ pub(super) struct PaddedFrame {
     /// Values from one row to the next.
     pub(super) row_len: usize,
     pub(super) width: usize,
-    height: usize,
+    pub(super) height: usize,
     /// Columns and rows of border before the image.
     pub(super) border: usize,
 }
@@ -40,18 +42,6 @@ impl PaddedRows<'_> {
     /// Returns the index of column u in the `row`-th of these rows.
     pub(super) fn index(&self, row: usize, u: usize) -> usize {
         row * self.row_len + self.border + u
-    }
-
-    /// Returns the points from an index on.
-    #[inline(always)]
-    pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
-        let lanes = at..at + S::f32s::LEN;
-        let [x, y, z] = &self.xyz;
-        Vec3::new(
-            S::f32s::from_slice(simd, &x[lanes.clone()]),
-            S::f32s::from_slice(simd, &y[lanes.clone()]),
-            S::f32s::from_slice(simd, &z[lanes]),
-        )
     }
 
     /// Stores points from an index on. The tail of the last vector falls into the border and is NaN too.
@@ -139,25 +129,14 @@ impl PaddedFrame {
             let count = rows.count();
             let PaddedRows { first, xyz: [x, y, z], .. } = rows;
             for row in 0..count {
-                let (v, at) = (first + row, row * row_len + border..row * row_len + border + width);
-                let (x, y, z) = (&mut x[at.clone()], &mut y[at.clone()], &mut z[at]);
-                match admitted.frame {
-                    Frame::Points(points) => {
-                        points.copy_to(v * width..(v + 1) * width, x, y, z);
-                    }
-                    Frame::Depth(depth) => {
-                        match depth.row(v) {
-                            DepthSamples::U16(raw) => {
-                                let metres_per_unit = depth.camera().metres_per_unit();
-                                z.iter_mut().zip(raw).for_each(|(z, &raw)| *z = depth_m(raw, metres_per_unit));
-                            }
-                            DepthSamples::F32(metres) => z.iter_mut().zip(metres).for_each(|(z, &metres)| {
-                                *z = if metres > 0.0 && metres.is_finite() { metres } else { f32::NAN };
-                            }),
-                        }
-                        deproject_row(rays.row(v), z, x, y);
-                    }
-                }
+                let at = row * row_len + border..row * row_len + border + width;
+                points_of_row(
+                    admitted,
+                    rays,
+                    first + row,
+                    0..width,
+                    [&mut x[at.clone()], &mut y[at.clone()], &mut z[at]],
+                );
             }
         };
         if parallel {
@@ -168,11 +147,41 @@ impl PaddedFrame {
     }
 }
 
+/// Copies or deprojects the points of some columns of row v.
+pub(super) fn points_of_row(
+    admitted: &AdmittedFrame<'_>,
+    rays: &Rays,
+    v: usize,
+    columns: Range<usize>,
+    [x, y, z]: [&mut [f32]; 3],
+) {
+    match admitted.frame {
+        Frame::Points(points) => {
+            let start = v * admitted.frame.shape().0;
+            points.copy_to(start + columns.start..start + columns.end, x, y, z);
+        }
+        Frame::Depth(depth) => {
+            match depth.row(v) {
+                DepthSamples::U16(raw) => {
+                    let metres_per_unit = depth.camera().metres_per_unit();
+                    z.iter_mut().zip(&raw[columns.clone()]).for_each(|(z, &raw)| *z = depth_m(raw, metres_per_unit));
+                }
+                DepthSamples::F32(metres) => z.iter_mut().zip(&metres[columns.clone()]).for_each(|(z, &metres)| {
+                    *z = if metres > 0.0 && metres.is_finite() { metres } else { f32::NAN };
+                }),
+            }
+            deproject_row(rays.row(v), columns, z, x, y);
+        }
+    }
+}
+
 /// Equal bit for bit to [`crate::DepthFrame::deproject`].
-fn deproject_row(rays: RowRays<'_>, z: &[f32], x: &mut [f32], y: &mut [f32]) {
-    x.iter_mut().zip(rays.x).zip(z).for_each(|((x, ray_x), z)| *x = ray_x * z);
+fn deproject_row(rays: RowRays<'_>, columns: Range<usize>, z: &[f32], x: &mut [f32], y: &mut [f32]) {
+    x.iter_mut().zip(&rays.x[columns.clone()]).zip(z).for_each(|((x, ray_x), z)| *x = ray_x * z);
     match rays.y {
         RowRaysY::Same(ray_y) => y.iter_mut().zip(z).for_each(|(y, z)| *y = ray_y * z),
-        RowRaysY::Each(rays_y) => y.iter_mut().zip(rays_y).zip(z).for_each(|((y, ray_y), z)| *y = ray_y * z),
+        RowRaysY::Each(rays_y) => {
+            y.iter_mut().zip(&rays_y[columns]).zip(z).for_each(|((y, ray_y), z)| *y = ray_y * z);
+        }
     }
 }

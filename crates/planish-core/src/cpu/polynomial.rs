@@ -18,7 +18,7 @@ use super::solve::{Solution, solve};
 use super::unroll::unroll;
 use super::vector::{Mask, Vec3, rises, splat};
 use super::window::{Candidates, Sums};
-use crate::constants::{CLOSE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E};
+use crate::constants::{CLOSE, FEWEST_RIDGE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E, coefficient_count};
 
 /// Number of moments for degree 3, the most.
 const MAX_MOMENTS: usize = 28;
@@ -144,11 +144,13 @@ pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
 ) -> Polynomial<S> {
     let Fit { moments, all, u, v, metres, extent_squared } =
         moments::<S, C, D>(simd, source, p, plane, weighting, terms);
-    let Solution { mut c, .. } = solve::<S, D>(simd, &moments, extent_squared, ridge, n);
+    let Solution { mut c, .. } = solve::<S, D>(simd, &moments, extent_squared, splat(simd, ridge), n);
     if let (Some((moments, squares)), Some(no_plane_fits), Some(width)) =
         (&all, weighting.no_plane_fits, weighting.width)
     {
-        let of_all = solve::<S, D>(simd, moments, extent_squared, ridge.min(LOW_RIDGE), n);
+        let fewest: Mask<S> = n.simd_eq(splat(simd, coefficient_count(2) as f32));
+        let low_ridge = fewest.select(splat(simd, ridge.min(FEWEST_RIDGE)), splat(simd, ridge.min(LOW_RIDGE)));
+        let of_all = solve::<S, D>(simd, moments, extent_squared, low_ridge, n);
         let total = moments.m::<D>(0, 0);
         let per_noise = metres * splat(simd, NARROW_WIDTH) / width;
         let variance = (*squares - of_all.explained) * (per_noise * per_noise) / total;

@@ -28,12 +28,12 @@ pub(super) fn solve<S: Simd, const D: usize>(
     simd: S,
     moments: &Moments<S>,
     extent_squared: S::f32s,
-    ridge: f32,
+    ridge: S::f32s,
     n: S::f32s,
 ) -> Solution<S> {
     let zero = splat(simd, 0.0);
     // lambda sum(w) h^(2 (i + j)), by i + j.
-    let linear = moments.m::<D>(0, 0) * splat(simd, ridge) * extent_squared;
+    let linear = moments.m::<D>(0, 0) * ridge * extent_squared;
     let quadratic = linear * extent_squared;
     let ridges = [zero, linear, quadratic, quadratic * extent_squared];
     let count = coefficient_count(D);

@@ -183,7 +183,8 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         let mut found = [[0.0; 3]; 5];
         for (found, (points, ridge)) in found.iter_mut().zip(cases) {
             let count = lanes(simd, points.len() as f64);
-            let [value, slope_a, slope_b] = solve::<S, 3>(simd, &moments_of::<S, 3>(simd, points), one, ridge, count).c;
+            let [value, slope_a, slope_b] =
+                solve::<S, 3>(simd, &moments_of::<S, 3>(simd, points), one, splat(simd, ridge), count).c;
             *found = [value[0], slope_a[0], slope_b[0]];
         }
         let [of_spread, of_line, of_nine, stiff, of_nothing] = found;
@@ -196,7 +197,8 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         assert!((value - 0.3).abs() < 1e-4 && (slope_a + 0.2).abs() < 1e-3, "{level}: {value} {slope_a}");
         assert_eq!(slope_b, 0.0, "{level}");
         // 9 neighbours do not determine a cubic: the result is that of degree 2.
-        let quadratic = solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), one, RIDGE, lanes(simd, 9.0)).c;
+        let quadratic =
+            solve::<S, 2>(simd, &moments_of::<S, 2>(simd, &nine), one, splat(simd, RIDGE), lanes(simd, 9.0)).c;
         for (cubic, quadratic) in of_nine.iter().zip(quadratic) {
             assert!((cubic - quadratic[0]).abs() < 1e-6, "{level}: {cubic} {}", quadratic[0]);
         }

@@ -89,6 +89,15 @@ impl<S: Simd> Vec3<S> {
         Self::new(self.x - other.x, self.y - other.y, self.z - other.z)
     }
 
+    /// Returns vectors whose lanes come from either in turn, in two halves.
+    #[inline(always)]
+    pub(super) fn interleave(even: Self, odd: Self) -> [Self; 2] {
+        let (x, x_after) = even.x.interleave(odd.x);
+        let (y, y_after) = even.y.interleave(odd.y);
+        let (z, z_after) = even.z.interleave(odd.z);
+        [Self { x, y, z }, Self { x: x_after, y: y_after, z: z_after }]
+    }
+
     /// self + factor * other.
     #[inline(always)]
     pub(super) fn add_scaled(self, factor: S::f32s, other: Self) -> Self {

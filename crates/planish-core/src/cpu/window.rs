@@ -11,16 +11,17 @@ use super::Kernel;
 use super::padded::PaddedFrame;
 use super::vector::{Mask, Vec3, splat};
 use crate::constants::GATE_FADE;
+use crate::params::EngineParams;
 
 /// The candidates around a vector of pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
-    /// Surroundings of a pixel: the points as measured, or their block means.
+    /// Surroundings of a pixel or cell: the points as measured, or their block means.
     samples: &'a PaddedFrame,
-    /// Index of the first candidate of the first lane.
-    first: usize,
-    side: usize,
-    stride: usize,
+    /// Index of the first lane's pixel or cell.
+    centre: usize,
+    /// Distances from there to the columns of the window, and to its rows.
+    offsets: &'a [isize],
 }
 
 /// A gate on distance that fades out around its radius, so that nothing changes at once.
@@ -131,38 +132,63 @@ impl<S: Simd> Sums<S> {
 }
 
 impl<'a> Window<'a> {
-    /// Returns the window around the pixels from (u, v) on.
+    /// Returns the window around the pixels or cells from (u, v) on.
     #[inline(always)]
-    pub(super) fn at(samples: &'a PaddedFrame, kernel: &Kernel, u: usize, v: usize) -> Self {
-        let reach = kernel.side / 2 * kernel.stride;
-        let first = samples.index(u, v) - reach * (samples.row_len + 1);
-        Self { samples, first, side: kernel.side, stride: kernel.stride }
-    }
-
-    /// Half its width, in strides.
-    #[inline(always)]
-    pub(super) fn half(&self) -> usize {
-        self.side / 2
+    pub(super) fn at(samples: &'a PaddedFrame, kernel: &'a Kernel, u: usize, v: usize) -> Self {
+        Self { samples, centre: samples.index(u, v), offsets: kernel.offsets.all() }
     }
 
     /// Returns the middle of the window, half as wide.
     #[inline(always)]
-    pub(super) fn middle(&self) -> Self {
-        let half = self.half() / 2;
-        let skipped = (self.half() - half) * self.stride;
-        Self { first: self.first + skipped * (self.samples.row_len + 1), side: 2 * half + 1, ..*self }
+    pub(super) fn middle(&self, kernel: &'a Kernel) -> Self {
+        Self { offsets: kernel.offsets.middle(), ..*self }
+    }
+}
+
+/// Columns of the widest window.
+const MAX_SIDE: usize = 15;
+
+/// Distances from the centre of a window to its columns, in pixels or cells.
+pub(super) struct Offsets {
+    values: [isize; MAX_SIDE],
+    len: usize,
+    /// The mean square of those in the middle over that of all.
+    pub(super) middle_share: f32,
+}
+
+impl Offsets {
+    pub(super) fn new(params: &EngineParams) -> Self {
+        let half = params.window as isize;
+        let offset = |i: isize| i.signum() * params.sample_offset(i.unsigned_abs()) as isize;
+        let mut offsets = Self { values: [0; MAX_SIDE], len: 2 * half as usize + 1, middle_share: 0.0 };
+        offsets.values.iter_mut().zip(-half..=half).for_each(|(value, i)| *value = offset(i));
+        let mean_square = |values: &[isize]| values.iter().map(|x| x * x).sum::<isize>() as f32 / values.len() as f32;
+        offsets.middle_share = mean_square(offsets.middle()) / mean_square(offsets.all());
+        offsets
+    }
+
+    #[inline(always)]
+    fn all(&self) -> &[isize] {
+        &self.values[..self.len]
+    }
+
+    /// Returns those of the window half as wide.
+    #[inline(always)]
+    fn middle(&self) -> &[isize] {
+        let half = self.len / 2;
+        &self.values[half - half / 2..=half + half / 2]
     }
 }
 
 impl<S: Simd> Candidates<S> for Window<'_> {
     #[inline(always)]
     fn rows(&self) -> usize {
-        self.side
+        self.offsets.len()
     }
 
     #[inline(always)]
     fn row_len(&self) -> usize {
-        self.side
+        self.offsets.len()
     }
 
     #[inline(always)]
@@ -176,14 +202,15 @@ impl<S: Simd> Candidates<S> for Window<'_> {
     ) {
         let gate = Gate::new(simd, radius);
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let row_step = self.stride * self.samples.row_len;
-        let last = self.first + rows.end.saturating_sub(1) * row_step + (self.side - 1) * self.stride;
-        self.samples.assert_within(self.first, last);
-        for row in rows {
-            let start = self.first + row * row_step;
-            for column in 0..self.side {
+        let row_len = self.samples.row_len as isize;
+        let [.., reach] = *self.offsets else { return };
+        let reach = reach as usize * (self.samples.row_len + 1);
+        self.samples.assert_within(self.centre - reach, self.centre + reach);
+        for row in &self.offsets[rows] {
+            let start = self.centre.wrapping_add_signed(row * row_len);
+            for column in self.offsets {
                 // SAFETY: checked above for the first and the last candidate.
-                let q = unsafe { self.samples.load_within(simd, start + column * self.stride) };
+                let q = unsafe { self.samples.load_within(simd, start.wrapping_add_signed(*column)) };
                 let (e, weight, near) = gate.apply(simd, q.sub(p));
                 visit(e, weight, near.select(one, zero));
             }

@@ -192,7 +192,7 @@ impl Gpu {
         let (width, height) = self.shape;
         let keeps_planes = self.params.edges != Edges::Off;
         let keeps_points = keeps_planes || self.params.averages_blocks();
-        Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes }
+        Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes, cell: self.params.cell_px() }
     }
 
     /// Returns the kernels of a frame's passes, in order.

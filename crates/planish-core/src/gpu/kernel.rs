@@ -10,12 +10,12 @@ use super::layout::{InputKind, constants};
 use super::shader::shader;
 use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 use crate::outputs::Outputs;
-use crate::params::{Edges, EngineParams, edge_shift_px};
+use crate::params::{Edges, EngineParams};
 
 /// The kernels of a frame (docs/method.md, sections 2 and 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Pass {
-    /// The means of blocks.
+    /// The points of cells, and the means of blocks.
     Blocks,
     /// Fits the first planes, if edges are kept.
     FirstPlanes,
@@ -23,22 +23,18 @@ pub(super) enum Pass {
     Surfaces,
     /// The results, each on its own surface.
     Smooth,
-    /// The results on the means of the surfaces around them, if blocks are averaged and edges kept.
-    SurfaceMeans,
+    /// The results of pixels from those of the cells around them, if pixels share cells.
+    Pixels,
 }
 
 impl Pass {
     /// Returns the passes of a frame, in order.
     pub(super) fn of(params: &EngineParams) -> &'static [Self] {
-        // With edges off, no surfaces are averaged.
-        match (params.edges, params.averages_blocks(), params.averages_surfaces()) {
-            (Edges::Off, false, _) => &[Self::Smooth],
-            (Edges::Off, true, _) => &[Self::Blocks, Self::Smooth],
-            (Edges::Robust, false, false) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth],
-            (Edges::Robust, false, true) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth, Self::SurfaceMeans],
-            (Edges::Robust, true, _) => {
-                &[Self::Blocks, Self::FirstPlanes, Self::Surfaces, Self::Smooth, Self::SurfaceMeans]
-            }
+        match (params.edges, params.cell_px()) {
+            (Edges::Off, _) if params.averages_blocks() => &[Self::Blocks, Self::Smooth],
+            (Edges::Off, _) => &[Self::Smooth],
+            (Edges::Robust, 1) => &[Self::FirstPlanes, Self::Surfaces, Self::Smooth],
+            (Edges::Robust, _) => &[Self::Blocks, Self::FirstPlanes, Self::Surfaces, Self::Smooth, Self::Pixels],
         }
     }
 
@@ -49,7 +45,7 @@ impl Pass {
             Self::FirstPlanes => "fit_first_planes",
             Self::Surfaces => "find_surfaces",
             Self::Smooth => "smooth_frames",
-            Self::SurfaceMeans => "average_surfaces",
+            Self::Pixels => "results_of_pixels",
         }
     }
 }
@@ -60,16 +56,19 @@ pub(super) struct KernelKey {
     pub(super) window: u32,
     pub(super) stride: u32,
     pub(super) degree: u32,
-    /// Distance in pixels to the planes that are considered.
+    /// Width in pixels of the cells that share a surface.
+    cell: u32,
+    /// Distance in cells to the planes that are considered.
     edge_shift: u32,
     pub(super) pass: Pass,
     /// Whether its points are on surfaces found by earlier passes.
     keeps_edges: bool,
-    /// Whether it keeps results for the pass of means.
+    averages_blocks: bool,
+    /// Whether it keeps results for the pass of pixels.
     keeps_results: bool,
-    /// Whether the samples of its windows are block means.
+    /// Whether its windows read samples kept by an earlier pass: block means or points of cells.
     reads_means: bool,
-    /// Whether it reads the input; other kernels read data kept by the first.
+    /// Whether it reads the input; otherwise only data kept by earlier passes.
     reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
@@ -98,39 +97,51 @@ impl KernelKey {
     ) -> Self {
         let EngineParams { degree, .. } = *params;
         let keeps_edges = pass == Pass::Smooth && params.edges != Edges::Off;
+        let cell = params.cell_px() as u32;
+        let averages_blocks = params.averages_blocks();
         // The windows of these passes are the blocks.
-        let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces | Pass::SurfaceMeans);
-        let (window, stride) =
-            if of_blocks { (params.block_half_px() as u32, 1) } else { (params.window, params.stride) };
-        let reads_blocks = params.averages_blocks() || pass == Pass::SurfaceMeans;
-        let window = if reads_blocks || !of_blocks { window } else { 0 };
-        let reads_means = params.averages_blocks() && !of_blocks;
-        let keeps_results = pass == Pass::Smooth && params.averages_surfaces();
-        let reads_input = pass == Pass::of(params)[0];
+        let of_blocks = matches!(pass, Pass::Blocks | Pass::Surfaces);
+        let (window, stride) = match pass {
+            Pass::Blocks | Pass::Surfaces if averages_blocks => (params.block_half_px() as u32, 1),
+            Pass::Blocks | Pass::Surfaces | Pass::Pixels => (0, 1),
+            Pass::FirstPlanes | Pass::Smooth => (params.window, params.stride),
+        };
+        let reads_means = matches!(pass, Pass::FirstPlanes | Pass::Smooth) && (averages_blocks || cell > 1);
+        let keeps_results = pass == Pass::Smooth && cell > 1;
+        let of_pixels = pass == Pass::Pixels || (cell > 1 && of_blocks);
+        let reads_input = pass == Pass::of(params)[0] || of_pixels;
         // Fields that the kernel does not depend on are normalized, so that settings share it.
         let kind = match kind {
             InputKind::DepthMetres if !reads_input => InputKind::Depth,
             kind => kind,
         };
         let outputs = match pass {
-            Pass::Smooth if keeps_results => Outputs { normals: true, depth_m: true, ..Outputs::POINTS },
-            Pass::Smooth | Pass::SurfaceMeans => outputs,
+            Pass::Smooth if keeps_results => Outputs { normals: true, ..Outputs::POINTS },
+            Pass::Smooth | Pass::Pixels => outputs,
             _ => Outputs::POINTS,
         };
         let degree = if pass == Pass::Smooth { degree } else { 1 };
-        let edge_shift = if pass == Pass::Surfaces { edge_shift_px(params.reach_px()) as u32 } else { 0 };
+        let edge_shift = if pass == Pass::Surfaces { params.edge_shift() as u32 } else { 0 };
         let [tile_width, tile_height] = tile_of(degree);
-        let tile_bytes = 12 * (tile_width + 2 * (window * stride) as usize) * (tile_height + 2 * window as usize);
-        let codes_bytes = 4 * tile_width * tile_height;
-        // The pass of means reads no samples.
-        let tiled = pass != Pass::SurfaceMeans && tile_bytes + codes_bytes <= workgroup_bytes;
+        let block = 2 * window as usize;
+        let tile_area = match (cell, of_blocks) {
+            (1, _) => (tile_width + block * stride as usize) * (tile_height + block),
+            (_, true) => (tile_width * cell as usize + block) * (tile_height * cell as usize + block),
+            (_, false) => (tile_width + 2 * params.reach()) * (tile_height + 2 * params.reach()),
+        };
+        // Results are packed there.
+        let codes_bytes = if of_blocks || pass == Pass::FirstPlanes { 0 } else { 4 * tile_width * tile_height };
+        // The pass of pixels reads no samples.
+        let tiled = pass != Pass::Pixels && 12 * tile_area + codes_bytes <= workgroup_bytes;
         Self {
             window,
             stride,
             degree,
+            cell,
             edge_shift,
             pass,
             keeps_edges,
+            averages_blocks,
             keeps_results,
             reads_means,
             reads_input,
@@ -141,27 +152,47 @@ impl KernelKey {
         }
     }
 
-    /// Workgroups for a frame, across and down: each has the rows of a tile, `stride` apart.
+    /// Returns the distance between the rows of a workgroup: a stride, so that its windows share rows of samples, or
+    /// one row of cells.
+    fn row_step(&self) -> u32 {
+        if self.cell > 1 { 1 } else { self.stride }
+    }
+
+    /// Returns workgroups for a frame of this many pixels, across and down: each has the rows of a tile.
     pub(super) fn workgroups(&self, (width, height): (usize, usize)) -> [usize; 2] {
         let [tile_width, tile_height] = tile_of(self.degree);
-        let stride = self.stride as usize;
-        [width.div_ceil(tile_width), height.div_ceil(tile_height * stride) * stride]
+        let cell = if self.pass == Pass::Pixels { 1 } else { self.cell as usize };
+        let step = self.row_step() as usize;
+        let (width, height) = (width.div_ceil(cell), height.div_ceil(cell));
+        [width.div_ceil(tile_width), height.div_ceil(tile_height * step) * step]
     }
 
     /// Returns the WGSL of this kernel.
     pub(super) fn wgsl(&self) -> String {
-        let mut text = constants(self.kind, self.outputs);
+        let mut text = constants(self.kind, self.outputs, self.cell);
         let Self { window, stride, degree, .. } = self;
         let [tile_width, tile_height] = tile_of(*degree);
         let _ = writeln!(text, "const TILE_WIDTH: u32 = {tile_width}u;");
         let _ = writeln!(text, "const TILE_HEIGHT: u32 = {tile_height}u;");
         let _ = writeln!(text, "const WINDOW: u32 = {window}u;");
+        // Blocks are as wide as their cell and the window on both sides.
+        let of_blocks = matches!(self.pass, Pass::Blocks | Pass::Surfaces);
+        let side = 2 * window + if of_blocks { self.cell } else { 1 };
+        let _ = writeln!(text, "const SIDE: u32 = {side}u;");
         let _ = writeln!(text, "const STRIDE: u32 = {stride}u;");
+        let _ = writeln!(text, "const ROW_STEP: u32 = {}u;", self.row_step());
         let _ = writeln!(text, "const DEGREE: u32 = {degree}u;");
         let _ = writeln!(text, "const EDGE_SHIFT: u32 = {}u;", self.edge_shift);
         let _ = writeln!(text, "const KEEPS_EDGES: bool = {};", self.keeps_edges);
+        let _ = writeln!(text, "const KEEPS_RESULTS: bool = {};", self.keeps_results);
         let _ = writeln!(text, "const BENDS: bool = {};", self.keeps_edges);
         let _ = writeln!(text, "const READS_MEANS: bool = {};", self.reads_means);
+        let _ = writeln!(text, "const AVERAGES_BLOCKS: bool = {};", self.averages_blocks);
+        let samples = if self.keeps_results { "KEPT_SURFACE_MEAN" } else { "KEPT_MEAN" };
+        let _ = writeln!(text, "const SAMPLES: u32 = {samples};");
+        if self.pass == Pass::FirstPlanes {
+            let _ = writeln!(text, "const MIDDLE_SHARE: f32 = {:?};", self.middle_share());
+        }
         text += shader!("shaders/buffers.wgsl");
         text += shader!("shaders/kept.wgsl");
         text += if self.reads_input { shader!("shaders/input.wgsl") } else { shader!("shaders/input_kept.wgsl") };
@@ -170,12 +201,20 @@ impl KernelKey {
         } else {
             shader!("shaders/samples_measured.wgsl")
         };
-        text += if self.tiled { shader!("shaders/window_tiled.wgsl") } else { shader!("shaders/window_untiled.wgsl") };
+        text += match (self.cell, of_blocks, self.tiled) {
+            (1, _, true) => shader!("shaders/window_tiled.wgsl"),
+            (1, _, false) => shader!("shaders/window_untiled.wgsl"),
+            (_, true, true) => shader!("shaders/blocks_tiled.wgsl"),
+            (_, true, false) => shader!("shaders/blocks_untiled.wgsl"),
+            (_, false, true) => shader!("shaders/cells_tiled.wgsl"),
+            (_, false, false) => shader!("shaders/cells_untiled.wgsl"),
+        };
+        text += shader!("shaders/cell_offsets.wgsl");
         text += shader!("shaders/gate.wgsl");
         text += shader!("shaders/window.wgsl");
         text += shader!("shaders/eigen.wgsl");
         text += shader!("shaders/sensor.wgsl");
-        if matches!(self.pass, Pass::Blocks | Pass::Surfaces) {
+        if of_blocks {
             text += shader!("shaders/blocks.wgsl");
             if self.pass == Pass::Blocks {
                 text += shader!("shaders/average_blocks.wgsl");
@@ -191,13 +230,14 @@ impl KernelKey {
             text += shader!("shaders/fit_first_planes.wgsl");
             return text;
         }
-        if self.pass == Pass::SurfaceMeans {
+        if self.pass == Pass::Pixels {
+            text += shader!("shaders/blocks.wgsl");
             text += shader!("shaders/project_plane.wgsl");
             text += shader!("shaders/pixel_result.wgsl");
             text += shader!("shaders/result_depth.wgsl");
             text += shader!("shaders/output.wgsl");
-            text += shader!("shaders/kept_results.wgsl");
-            text += shader!("shaders/average_surfaces.wgsl");
+            text += shader!("shaders/cell_results.wgsl");
+            text += shader!("shaders/results_of_pixels.wgsl");
             return text;
         }
         text += if self.keeps_edges { shader!("shaders/own_surface.wgsl") } else { shader!("shaders/own_plane.wgsl") };
@@ -208,6 +248,17 @@ impl KernelKey {
         text += if self.keeps_results { shader!("shaders/keep_result.wgsl") } else { shader!("shaders/output.wgsl") };
         text += shader!("shaders/smooth.wgsl");
         text
+    }
+}
+
+impl KernelKey {
+    /// Returns the mean square of the distances to the columns in the middle of a window, over that of all columns.
+    fn middle_share(&self) -> f32 {
+        let mean_square = |half: u32| {
+            let squares = (1..=half).map(|i| 2 * (i * self.stride).div_ceil(self.cell).pow(2)).sum::<u32>();
+            squares as f32 / (2 * half + 1) as f32
+        };
+        mean_square(self.window / 2) / mean_square(self.window)
     }
 }
 

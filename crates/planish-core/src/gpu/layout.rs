@@ -49,8 +49,12 @@ pub(super) const BY_DISTANCE: u32 = 1;
 pub(super) const ON_RAY: u32 = 2;
 
 /// Channels of the points and the planes that passes leave for one another (kept.wgsl).
-const POINT_CHANNELS: usize = 6;
-const PLANE_CHANNELS: usize = 21;
+const PLANE_CHANNELS: usize = 22;
+
+/// Points and block means; if pixels share cells, also the means of blocks on the cells' surfaces.
+const fn point_channels(cell: usize) -> usize {
+    if cell == 1 { 6 } else { 9 }
+}
 
 pub(super) const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
 const _: () = assert!(size_of::<FrameHeader>() == 88);
@@ -103,6 +107,8 @@ pub(super) struct Layout {
     /// Whether passes keep points and planes for later passes.
     pub(super) keeps_points: bool,
     pub(super) keeps_planes: bool,
+    /// Width in pixels of the cells that these belong to.
+    pub(super) cell: usize,
 }
 
 impl Layout {
@@ -162,8 +168,9 @@ impl Layout {
 
     /// Words per frame of the points and the planes that passes leave for one another.
     pub(super) fn kept_words(&self) -> [usize; 2] {
-        let [points, planes] = [(self.keeps_points, POINT_CHANNELS), (self.keeps_planes, PLANE_CHANNELS)]
-            .map(|(keeps, channels)| if keeps { channels * self.pixels() } else { 0 });
+        let cells = self.width.div_ceil(self.cell) * self.height.div_ceil(self.cell);
+        let [points, planes] = [(self.keeps_points, point_channels(self.cell)), (self.keeps_planes, PLANE_CHANNELS)]
+            .map(|(keeps, channels)| if keeps { channels * cells } else { 0 });
         [points, planes]
     }
 
@@ -215,8 +222,8 @@ fn channels(outputs: Outputs) -> Channels {
     Channels { points: 0, normals, curvature, depth_m, count: depth_m + usize::from(outputs.depth_m) }
 }
 
-/// Returns the constants of this layout in WGSL.
-pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
+/// Returns the constants of this layout in WGSL, for cells this many pixels wide.
+pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String {
     let mut text = String::new();
     let mut constant = |name: &str, wgsl_type: &str, value: String| {
         // Writing to a string does not fail.
@@ -239,7 +246,8 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("ON_RAY", ON_RAY as usize),
         ("BLOCK_LINEAR", std::mem::offset_of!(FrameHeader, block_linear) / 4),
         ("BLOCK", std::mem::offset_of!(FrameHeader, block) / 4),
-        ("POINT_CHANNELS", POINT_CHANNELS),
+        ("CELL", cell as usize),
+        ("POINT_CHANNELS", point_channels(cell as usize)),
         ("PLANE_CHANNELS", PLANE_CHANNELS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
         ("POINTS_CHANNEL", points),
@@ -305,6 +313,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("TURNING_FLAT", constants::TURNING[0]),
         ("TURNING_ROUND", constants::TURNING[1]),
         ("LOW_RIDGE", constants::LOW_RIDGE),
+        ("FEWEST_RIDGE", constants::FEWEST_RIDGE),
         ("CLOSE_FROM", constants::CLOSE[0]),
         ("CLOSE_TO", constants::CLOSE[1]),
         ("MEAN_WIDTH", constants::MEAN_WIDTH),
@@ -312,7 +321,15 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs) -> String {
         ("ALIKE_TO", constants::ALIKE[1]),
         ("AROUND_FROM", constants::AROUND[0]),
         ("AROUND_TO", constants::AROUND[1]),
-        ("LEAST_AVERAGED", constants::LEAST_AVERAGED),
+        ("LEAST_SURFACE_WEIGHT", constants::LEAST_SURFACE_WEIGHT),
+        ("LEAST_CERTAINTY", constants::LEAST_CERTAINTY),
+        ("AGREEING", constants::AGREEING),
+        ("LEAST_MEANS", constants::LEAST_MEANS),
+        ("LEAST_NORMAL", constants::LEAST_NORMAL),
+        ("MEAN_STAY", constants::MEAN_STAY),
+        ("LEAST_RAY_M", constants::LEAST_RAY_M),
+        ("LEAST_SIDE", constants::LEAST_SIDE),
+        ("SIDE_COSINE", constants::SIDE_COSINE),
         ("LEAST_SPREAD", constants::LEAST_SPREAD),
         ("MOST_WINDOW_BEND", constants::MOST_WINDOW_BEND),
         ("BEND_DAMPING", constants::BEND_DAMPING),
@@ -357,6 +374,7 @@ mod tests {
                 outputs,
                 keeps_points: false,
                 keeps_planes: false,
+                cell: 1,
             };
             let planes = layout.points().into_iter().flatten().chain(layout.normals().into_iter().flatten());
             let packed = [layout.curvature(), layout.depth_m(), layout.status(), layout.neighbours(), layout.depth()];
@@ -379,6 +397,7 @@ mod tests {
                 outputs,
                 keeps_points: false,
                 keeps_planes: false,
+                cell: 1,
             }
             .output_words()
         };

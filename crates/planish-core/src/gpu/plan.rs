@@ -98,7 +98,7 @@ impl Plan {
         let kind = InputKind::of(&frame);
         let keeps_planes = params.edges != Edges::Off;
         let keeps_points = keeps_planes || params.averages_blocks();
-        let layout = Layout { width, height, kind, outputs, keeps_points, keeps_planes };
+        let layout = Layout { width, height, kind, outputs, keeps_points, keeps_planes, cell: params.cell_px() };
         let workgroup_bytes = usize::try_from(limits.workgroup_bytes).unwrap_or(usize::MAX);
         let key = |&pass| KernelKey::new(&params, pass, kind, outputs, true, workgroup_bytes);
         let keys: Vec<KernelKey> = Pass::of(&params).iter().map(key).collect();

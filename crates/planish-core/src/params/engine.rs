@@ -91,6 +91,33 @@ impl EngineParams {
         (self.window * self.stride) as usize
     }
 
+    /// Returns the width in pixels of the cells that share a surface (docs/method.md, section 10): two if edges are
+    /// kept and windows skip pixels, otherwise one.
+    pub(crate) fn cell_px(&self) -> usize {
+        if self.edges == Edges::Robust && self.stride > 1 { 2 } else { 1 }
+    }
+
+    /// Returns the shape in cells of a frame of this many pixels.
+    pub(crate) fn cells_of(&self, (width, height): (usize, usize)) -> (usize, usize) {
+        (width.div_ceil(self.cell_px()), height.div_ceil(self.cell_px()))
+    }
+
+    /// Returns the distance in cells from the centre of a window to its i-th column of samples.
+    pub(crate) fn sample_offset(&self, i: usize) -> usize {
+        (i * self.stride as usize).div_ceil(self.cell_px())
+    }
+
+    /// Returns the reach of a window from its centre in cells.
+    pub(crate) fn reach(&self) -> usize {
+        self.sample_offset(self.window as usize)
+    }
+
+    /// Returns the distance in cells to the planes that tell surfaces apart: a little more than the reach of a window,
+    /// so one of them is clear of an edge that the point itself is near to.
+    pub(crate) fn edge_shift(&self) -> usize {
+        (13 * self.reach() + 6 * self.cell_px()) / 12
+    }
+
     /// Returns the half-width of the averaged blocks in pixels: blocks are as wide as the stride, or one pixel wider if
     /// it is even.
     pub(crate) fn block_half_px(&self) -> usize {
@@ -100,11 +127,6 @@ impl EngineParams {
     /// Returns true if there is anything to average.
     pub(crate) fn averages_blocks(&self) -> bool {
         self.average_blocks && self.block_half_px() > 0
-    }
-
-    /// Returns true if the results of a block's pixels are averaged: if edges are kept and windows skip pixels.
-    pub(crate) fn averages_surfaces(&self) -> bool {
-        self.edges == Edges::Robust && self.block_half_px() > 0
     }
 
     /// Returns the number of samples of a window: (2k+1)².
@@ -120,10 +142,4 @@ impl EngineParams {
         let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
         count.div_ceil(4).min(few).max(3)
     }
-}
-
-/// Returns the distance in pixels to the planes that tell surfaces apart: a little more than the reach k s of a window,
-/// so one of them is clear of an edge that the point itself is near to.
-pub(crate) fn edge_shift_px(reach_px: usize) -> usize {
-    (13 * reach_px + 6) / 12
 }

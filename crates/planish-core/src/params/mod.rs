@@ -12,7 +12,7 @@ mod strength;
 mod window;
 
 pub use cloud::{CloudParams, CloudRadius};
-pub(crate) use engine::{EngineParams, Radius, edge_shift_px};
+pub(crate) use engine::{EngineParams, Radius};
 pub use fit::{Edges, Fit, Project};
 pub use frame::{FrameParams, FrameRadius};
 pub use kind::Params;

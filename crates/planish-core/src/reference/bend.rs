@@ -5,7 +5,8 @@ use glam::{DMat3, DVec3};
 
 use super::plane::Plane;
 use super::polynomial::tangents;
-use super::window::{Neighbour, fading_gate};
+use super::window::{Neighbour, fading_gate, sample_offset};
+use crate::params::EngineParams;
 
 /// The variance along a plane is taken to be at least this share of the squared radius.
 const LEAST_SPREAD: f64 = 0.01;
@@ -49,18 +50,22 @@ fn trace(a: DMat3) -> f64 {
     a.x_axis.x + a.y_axis.y + a.z_axis.z
 }
 
-/// Returns how a window of half width `window` bends, as the sum of the principal curvatures in 1/m: from the mean
-/// height of the neighbours in its middle over its plane, which is fitted to all of them.
-pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, window: u32) -> f64 {
-    let (half, middle) = (f64::from(window), f64::from(window / 2));
+/// Returns how a window bends, as the sum of the principal curvatures in 1/m: from the mean height of the neighbours in
+/// its middle over its plane, which is fitted to all of them.
+pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, params: &EngineParams) -> f64 {
+    let half = params.window as isize;
+    let middle = half / 2;
     let (mut total, mut height_m) = (0.0, 0.0);
     for neighbour in neighbours.iter().filter(|n| n.place.iter().all(|place| place.abs() <= middle)) {
         let weight = fading_gate(neighbour.offset, radius_m);
         total += weight;
         height_m += weight * (neighbour.offset - plane.foot).dot(plane.normal);
     }
-    // The spread of the middle's pixels is this share of the window's.
-    let share = middle * (middle + 1.0) / (half * (half + 1.0));
+    let spread_of = |half: isize| {
+        let squares: isize = (-half..=half).map(|i| sample_offset(i, params).pow(2)).sum();
+        squares as f64 / (2 * half + 1) as f64
+    };
+    let share = spread_of(middle) / spread_of(half);
     let spread = spread(plane).max(LEAST_SPREAD * radius_m * radius_m);
     let bend = -4.0 * height_m / (total.max(1.0) * (1.0 - share) * spread);
     bend.clamp(-MOST_WINDOW_BEND / radius_m, MOST_WINDOW_BEND / radius_m)

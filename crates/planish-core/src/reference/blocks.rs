@@ -1,5 +1,5 @@
-//! Block means: each sample of the windows is the mean of its pixel's block of points (docs/method.md, sections 2 and
-//! 10). Metres.
+//! Block means: each sample of the windows is the mean of the points in the block around its pixel or cell
+//! (docs/method.md, sections 2 and 10). Metres.
 
 use glam::DVec3;
 
@@ -18,14 +18,14 @@ const SURFACE_WIDTH: f64 = 1.5;
 /// The root of the weight of a point that is farther off.
 const MIN_WEIGHT: f64 = 0.02;
 
-/// Returns the maximum distance between a pixel's point p and the points of its block.
-fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
+/// Returns the maximum distance between a cell's point p and the points of its block.
+pub(super) fn gate_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     let width_m = params.block_half_px() as f64 * spacing_m(geometry, p);
     (STEPS * params.sensor.step_m(geometry.range_m(p))).max(HALF_WIDTHS * width_m)
 }
 
-/// Returns the offset from a valid point p to the mean of its block. If edges are kept, points are weighted by their
-/// distance from the surface of p.
+/// Returns the offset from the valid point p of cell (u, v) to the mean of its block. If edges are kept, points are
+/// weighted by their distance from the surface of p.
 pub(super) fn mean_offset(
     grid: &Grid,
     (u, v): (usize, usize),
@@ -37,8 +37,10 @@ pub(super) fn mean_offset(
     let gate_m = gate_m(params, geometry, p);
     let half = params.block_half_px();
     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
-    for row in v.saturating_sub(half)..(v + half + 1).min(grid.height) {
-        for column in u.saturating_sub(half)..(u + half + 1).min(grid.width) {
+    let cell_px = params.cell_px();
+    let (first_row, first_column) = (v * cell_px, u * cell_px);
+    for row in first_row.saturating_sub(half)..(first_row + cell_px + half).min(grid.height) {
+        for column in first_column.saturating_sub(half)..(first_column + cell_px + half).min(grid.width) {
             let Some(q) = grid.point(column, row) else { continue };
             let offset = q - p;
             let on_surface = |surface: &Surface| {

@@ -6,8 +6,8 @@ use glam::{DMat3, DVec3};
 use super::Surface;
 use super::bend::{self, Bend, Slope, rises};
 use super::plane::{DEGENERATE_RATIO, Plane};
-use super::window::{Grid, fading_gate};
-use crate::params::{EngineParams, edge_shift_px};
+use super::window::{Grid, fading_gate, sample_offset};
+use crate::params::EngineParams;
 use crate::sensor::SensorModel;
 
 /// A plane whose points count less than this together is not used, and wholly from one more on.
@@ -50,7 +50,7 @@ pub(super) fn noise_m(sensor: &SensorModel, range_m: f64, radius_m: f64) -> f64 
     sensor.sigma_m(range_m).max(MIN_NOISE * radius_m)
 }
 
-/// The first planes of a frame, one per pixel, each fitted to that pixel's window.
+/// The first planes of a frame, one per cell, each fitted to that cell's window.
 pub(super) struct FirstPlanes<'a, N> {
     pub(super) grid: &'a Grid,
     pub(super) surfaces: &'a [Option<Surface>],
@@ -60,7 +60,7 @@ pub(super) struct FirstPlanes<'a, N> {
 }
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
-    /// Returns a pixel's first plane as a candidate for the surface of p. Its variance grows without limit if
+    /// Returns a cell's first plane as a candidate for the surface of p. Its variance grows without limit if
     /// neighbours are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or at the limit.
     fn candidate(&self, u: usize, v: usize, p: DVec3, radius_m: f64) -> Option<Candidate> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
@@ -93,7 +93,8 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         let own = self.surfaces[v * self.grid.width + u]?;
         let Some(own_plane) = own.plane else { return Some(own) };
         let noise_m = (self.noise_m)(p);
-        let shift = edge_shift_px(self.params.reach_px());
+        let shift =
+            (13 * sample_offset(self.params.window as isize, self.params) as usize + 6 * self.params.cell_px()) / 12;
         let mut around = Vec::with_capacity(9);
         for dv in [-1, 0, 1].map(|step| step * shift as isize) {
             for du in [-1, 0, 1].map(|step| step * shift as isize) {
@@ -116,10 +117,12 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         // The other way round it is the same surface.
         let side = side_to_sensor(normal, p);
         let foot = height_m * normal;
-        // Curvature and the extent that scales the fit come from the pixel's window.
+        // Curvature and the extent that scales the fit come from the cell's window.
         let plane = Plane { normal: side * normal, foot, ..own_plane };
         let no_plane_fits = (1.0 - rises(vote.fitting, FITTING)) * rises(vote.turning, TURNING);
-        Some(Surface { plane: Some(plane), width_m: WIDTH * noise_m, bend: side * tensor, no_plane_fits, ..own })
+        let certainty = (vote.total - STAY_WEIGHT) / vote.total;
+        let (width_m, bend) = (WIDTH * noise_m, side * tensor);
+        Some(Surface { plane: Some(plane), width_m, bend, no_plane_fits, certainty, ..own })
     }
 }
 

@@ -2,11 +2,12 @@
 //! engines, so it shares no code with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`surface_mean`] (10). Unorganized clouds differ in the
+//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`cells`] (10). Unorganized clouds differ in the
 //! neighbours only: [`general`] (8). All compute in the sensor's frame (11); results are turned back at the end.
 
 mod bend;
 mod blocks;
+mod cells;
 mod edges;
 mod general;
 mod general_edges;
@@ -15,7 +16,6 @@ mod polynomial;
 mod project;
 mod radius;
 mod solve;
-mod surface_mean;
 mod window;
 
 use std::sync::Arc;
@@ -75,6 +75,8 @@ struct Surface {
     window_bend: f64,
     /// From 0, if planes around it fit, to 1, if none does (section 10).
     no_plane_fits: f64,
+    /// From 0, if no plane near the point fits it, to 1 (section 10).
+    certainty: f64,
 }
 
 impl Surface {
@@ -83,7 +85,7 @@ impl Surface {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
         let neighbours = offsets.len() as u32;
         let (width_m, bend, window_bend, no_plane_fits) = (f64::INFINITY, DMat3::ZERO, 0.0, 0.0);
-        Self { neighbours, plane, width_m, bend, window_bend, no_plane_fits }
+        Self { neighbours, plane, width_m, bend, window_bend, no_plane_fits, certainty: 0.0 }
     }
 }
 
@@ -172,8 +174,9 @@ impl Reference {
                     None => points.clone(),
                     Some(transform) => points.iter().map(|&p| transform.to_sensor(p)).collect(),
                 };
-                // Counts only the last pass over all pixels, which takes by far the longest.
-                self.progress.begin(width * height);
+                // Counts only the fit, which takes by far the longest.
+                let (columns, rows) = self.params.cells_of((width, height));
+                self.progress.begin(columns * rows);
                 self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
             }
         };
@@ -181,19 +184,20 @@ impl Reference {
     }
 
     /// Smooths a grid of points in the sensor's frame.
-    fn smooth_grid(&self, grid: &Grid, geometry: &FrameGeometry) -> Vec<PointResult> {
+    fn smooth_grid(&self, pixels: &Grid, geometry: &FrameGeometry) -> Vec<PointResult> {
         let params = &self.params;
+        let grid = &pixels.cells(params.cell_px());
         let noise_m = |p: DVec3| edges::noise_m(&params.sensor, geometry.range_m(p), self.radius_m(geometry, p));
         let means = params.averages_blocks().then(|| {
-            let mean = |p, pixel| p + blocks::mean_offset(grid, pixel, p, params, geometry, None);
+            let mean = |p, cell| p + blocks::mean_offset(pixels, cell, p, params, geometry, None);
             self.samples(grid, mean)
         });
         let samples = means.as_ref().unwrap_or(grid);
-        let own = |p, pixel| {
+        let own = |p, cell| {
             let radius_m = self.radius_m(geometry, p);
-            let neighbours = self.neighbours(samples, geometry, p, pixel);
+            let neighbours = self.neighbours(samples, geometry, p, cell);
             let surface = Surface::own(&offsets_of(&neighbours), radius_m, p);
-            let bends = |plane| bend::of_window(&neighbours, &plane, radius_m, params.window);
+            let bends = |plane| bend::of_window(&neighbours, &plane, radius_m, params);
             Some(Surface { window_bend: surface.plane.map_or(0.0, bends), ..surface })
         };
         let mut surfaces = self.for_each_pixel(grid, None, own);
@@ -207,44 +211,47 @@ impl Reference {
         }
         let surface_of = |(u, v): (usize, usize)| surfaces[v * grid.width + u];
         let on_surfaces = (means.is_some() && params.edges == Edges::Robust).then(|| {
-            let mean = |p, pixel| p + blocks::mean_offset(grid, pixel, p, params, geometry, surface_of(pixel).as_ref());
+            let mean = |p, cell| p + blocks::mean_offset(pixels, cell, p, params, geometry, surface_of(cell).as_ref());
             self.samples(grid, mean)
         });
         let samples = on_surfaces.as_ref().unwrap_or(samples);
         let on_ray = geometry.is_on_rays(params.project);
-        let smooth = |p, pixel| {
-            let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
-            let offsets = offsets_of(&self.neighbours(samples, geometry, p, pixel));
+        // The points of cells move along the normals of their planes.
+        let moves_on_ray = on_ray && params.cell_px() == 1;
+        let smooth = |p, cell| {
+            let Some(surface) = surface_of(cell) else { return PointResult::hole() };
+            let offsets = offsets_of(&self.neighbours(samples, geometry, p, cell));
             self.progress.add(1);
-            smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, on_ray)
+            smooth_point(p, DVec3::ZERO, &offsets, self.radius_m(geometry, p), params, &surface, moves_on_ray)
         };
         let results = self.for_each_pixel(grid, PointResult::hole(), smooth);
-        if !params.averages_surfaces() {
+        if params.cell_px() == 1 {
             return results;
         }
-        let results = surface_mean::Results { grid, results: &results, half: params.block_half_px(), on_ray };
-        let mean = |p, pixel| {
-            let Some(surface) = surface_of(pixel) else { return PointResult::hole() };
-            results.on_mean(pixel, p, &surface, self.radius_m(geometry, p))
+        let (means, surfaces) = (means.as_ref(), &surfaces[..]);
+        let surfaces = cells::CellSurfaces { cells: grid, means, surfaces, results: &results, on_ray };
+        let on_surfaces = |p, pixel| {
+            let (radius_m, block_gate_m) = (self.radius_m(geometry, p), blocks::gate_m(params, geometry, p));
+            surfaces.result(pixel, &cells::Point { p, radius_m, noise_m: noise_m(p), block_gate_m })
         };
-        self.for_each_pixel(grid, PointResult::hole(), mean)
+        self.for_each_pixel(pixels, PointResult::hole(), on_surfaces)
     }
 
     fn radius_m(&self, geometry: &FrameGeometry, p: DVec3) -> f64 {
         radius::radius_m(&self.params, geometry, p)
     }
 
-    /// Returns the neighbours of p of a pixel.
-    fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, pixel: (usize, usize)) -> Vec<Neighbour> {
-        window::neighbours(samples, pixel, p, &self.params, self.radius_m(geometry, p))
+    /// Returns the neighbours of p of a cell.
+    fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, cell: (usize, usize)) -> Vec<Neighbour> {
+        window::neighbours(samples, cell, p, &self.params, self.radius_m(geometry, p))
     }
 
-    /// Evaluates `mean` for every valid point and its pixel, as a grid.
+    /// Evaluates `mean` for every valid point and its cell, as a grid.
     fn samples(&self, grid: &Grid, mean: impl Fn(DVec3, (usize, usize)) -> DVec3 + Sync) -> Grid {
         Grid { points: self.for_each_pixel(grid, DVec3::NAN, mean), width: grid.width, height: grid.height }
     }
 
-    /// Applies `work` to every valid point and its pixel; gives `hole` for the others.
+    /// Applies `work` to every valid point and its pixel or cell; gives `hole` for the others.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
         grid: &Grid,

@@ -25,6 +25,9 @@ pub(super) struct Polynomial {
 const MAX_OFF_SURFACE: f64 = 8.0;
 /// The ridge is at most this if no plane fits.
 const LOW_RIDGE: f64 = 3e-4;
+/// The same for as many neighbours as a polynomial of degree 2 has coefficients, and would fit exactly.
+const FEWEST_RIDGE: f64 = 3e-3;
+const FEWEST: u32 = 6;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.
 const CLOSE: [f64; 2] = [0.3, 0.8];
@@ -77,7 +80,8 @@ pub(super) fn over(
     if surface.no_plane_fits == 0.0 {
         return Some(kept);
     }
-    let (of_all, variance) = Fitting { width_m: f64::INFINITY, ridge: ridge.min(LOW_RIDGE), ..near_plane }.fit(offsets);
+    let low_ridge = if surface.neighbours == FEWEST { FEWEST_RIDGE } else { LOW_RIDGE };
+    let (of_all, variance) = Fitting { width_m: f64::INFINITY, ridge: ridge.min(low_ridge), ..near_plane }.fit(offsets);
     let noise_variance = (surface.width_m / WIDTH).powi(2);
     let close = 1.0 - rises(variance / noise_variance, CLOSE);
     Some(kept.mix(&of_all, surface.no_plane_fits * close))

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::params::EngineParams;
 
-/// Points on a grid in the sensor's frame, row by row; a hole is not finite.
+/// Points of pixels or cells in the sensor's frame, row by row; a hole is not finite.
 pub(super) struct Grid {
     pub points: Vec<DVec3>,
     pub width: usize,
@@ -18,6 +18,19 @@ impl Grid {
     pub fn point(&self, u: usize, v: usize) -> Option<DVec3> {
         let p = self.points[v * self.width + u];
         p.is_finite().then_some(p)
+    }
+
+    /// Returns the first valid point of each cell of `cell_px` x `cell_px` pixels.
+    pub fn cells(&self, cell_px: usize) -> Self {
+        let (width, height) = (self.width.div_ceil(cell_px), self.height.div_ceil(cell_px));
+        let first = |(u, v): (usize, usize)| {
+            let rows = cell_px * v..(cell_px * (v + 1)).min(self.height);
+            let columns = cell_px * u..(cell_px * (u + 1)).min(self.width);
+            rows.flat_map(|row| columns.clone().map(move |column| (column, row)))
+                .find_map(|(column, row)| self.point(column, row))
+        };
+        let cells = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
+        Self { points: cells.map(|cell| first(cell).unwrap_or(DVec3::NAN)).collect(), width, height }
     }
 }
 
@@ -38,13 +51,18 @@ pub(super) fn reach_m(radius_m: f64) -> f64 {
 /// A neighbour of a point on a grid.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Neighbour {
-    /// Column and row in the window, in strides from its centre.
-    pub place: [f64; 2],
+    /// Column and row in the window, in samples from its centre.
+    pub place: [isize; 2],
     /// q - p.
     pub offset: DVec3,
 }
 
-/// Returns the neighbours of the valid point p of pixel (u, v) among the samples, in row order.
+/// Returns the distance in cells from the centre of a window to its i-th column of samples.
+pub(super) fn sample_offset(i: isize, params: &EngineParams) -> isize {
+    i.signum() * (i.unsigned_abs() * params.stride as usize).div_ceil(params.cell_px()) as isize
+}
+
+/// Returns the neighbours of the valid point p of cell (u, v) among the samples, in row order.
 pub(super) fn neighbours(
     samples: &Grid,
     (u, v): (usize, usize),
@@ -53,18 +71,18 @@ pub(super) fn neighbours(
     radius_m: f64,
 ) -> Vec<Neighbour> {
     let mut neighbours = Vec::with_capacity(params.candidates());
-    let (window, stride) = (params.window as isize, params.stride as isize);
-    let inside = |centre: usize, delta: isize, size: usize| {
-        centre.checked_add_signed(delta * stride).filter(|&coordinate| coordinate < size)
+    let window = params.window as isize;
+    let inside = |centre: usize, i: isize, size: usize| {
+        centre.checked_add_signed(sample_offset(i, params)).filter(|&coordinate| coordinate < size)
     };
-    for dv in -window..=window {
-        let Some(row) = inside(v, dv, samples.height) else { continue };
-        for du in -window..=window {
-            let Some(column) = inside(u, du, samples.width) else { continue };
+    for j in -window..=window {
+        let Some(row) = inside(v, j, samples.height) else { continue };
+        for i in -window..=window {
+            let Some(column) = inside(u, i, samples.width) else { continue };
             let Some(q) = samples.point(column, row) else { continue };
             let offset = q - p;
             if fading_gate(offset, radius_m) > 0.0 {
-                neighbours.push(Neighbour { place: [du as f64, dv as f64], offset });
+                neighbours.push(Neighbour { place: [i, j], offset });
             }
         }
     }

@@ -121,32 +121,32 @@ fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
 #[test]
 fn the_default_setting_keeps_its_figures() {
     let (raw, found) = (evaluate_raw(&CASES), evaluate(FrameParams::default(), &CASES));
-    // Within 5 % of the values measured when they were set: 0.181, 0.173, 0.195 and 0.97, 2.12, 4.99°.
-    for (k, (most, most_deg)) in [(0.19, 1.02), (0.181, 2.23), (0.204, 5.25)].into_iter().enumerate() {
+    // Within 5 % of the values measured when they were set: 0.175, 0.160, 0.179 and 0.91, 1.88, 4.39°.
+    for (k, (most, most_deg)) in [(0.184, 0.95), (0.168, 1.97), (0.188, 4.61)].into_iter().enumerate() {
         let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
         assert!(ratio < most, "range {k}: {ratio}");
         assert!(found.ranges[k].facet_mean_deg < most_deg, "range {k}: {}°", found.ranges[k].facet_mean_deg);
         assert!(found.ranges[k].bias_steps.abs() < 0.1);
     }
     let edges = found.edge_mean_mm / raw.edge_mean_mm;
-    assert!(edges < 0.207 && found.flying_share < 1.8e-3, "{edges} {}", found.flying_share);
-    assert!(found.crease_deg < 3.2 && found.speck_share < 2.6e-4, "{} {}", found.crease_deg, found.speck_share);
-    // Measured: 0.0086, and 0.034 without the mean of the surfaces.
-    assert!(found.lattice < 0.009, "{}", found.lattice);
+    assert!(edges < 0.192 && found.flying_share < 1.3e-3, "{edges} {}", found.flying_share);
+    assert!(found.crease_deg < 2.5 && found.speck_share < 2.2e-4, "{} {}", found.crease_deg, found.speck_share);
+    // Measured: 0.0051, and 0.034 without the mean of the surfaces.
+    assert!(found.lattice < 0.0055, "{}", found.lattice);
     assert!(found.sphere_radius_bias.abs() < 2e-3, "{}", found.sphere_radius_bias);
-    assert!(found.lost_share < 2.9e-3 && found.invented == 0, "{}", found.lost_share);
+    assert!(found.lost_share < 1.3e-3 && found.invented == 0, "{}", found.lost_share);
     let off = evaluate(FrameParams::default().with_edges(Edges::Off), &CASES);
     assert!(found.crease_deg < 0.5 * off.crease_deg);
-    // Measured: 5.0°; 0.55 and 0.38 mm, 3.2 and 1.6°. Planes alone, that do not bend, gave 1.24 and 0.63 mm. The last
-    // three are hardly wider than a window: 0.43, 0.73, 1.02 mm and 5.2, 5.2, 6.7°; where planes were kept 1.15, 1.04
+    // Measured: 4.8°; 0.56 and 0.37 mm, 3.1 and 1.5°. Planes alone, that do not bend, gave 1.24 and 0.63 mm. The last
+    // three are hardly wider than a window: 0.52, 0.69, 1.16 mm and 3.5, 5.1, 6.9°; where planes were kept 1.15, 1.04
     // and 1.99 mm.
-    assert!(found.crease_normal_deg < 5.3, "{}", found.crease_normal_deg);
+    assert!(found.crease_normal_deg < 5.1, "{}", found.crease_normal_deg);
     let most = [
-        ("cylinder", 0.05, 0.575, 3.45),
-        ("sphere", 0.1, 0.4, 1.72),
-        ("sphere", 0.03, 0.46, 5.55),
-        ("cylinder", 0.03, 0.775, 5.5),
-        ("cylinder", 0.015, 1.08, 7.1),
+        ("cylinder", 0.05, 0.585, 3.3),
+        ("sphere", 0.1, 0.391, 1.53),
+        ("sphere", 0.03, 0.543, 3.72),
+        ("cylinder", 0.03, 0.722, 5.35),
+        ("cylinder", 0.015, 1.215, 7.3),
     ];
     for (name, radius_m, most_mm, most_deg) in most {
         let is_it = |c: &&CurveReport| c.name == name && c.radius_m == radius_m && c.range_m == 1.2;
@@ -210,11 +210,12 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
     let adapted = FrameParams::default().at_resolution_of(&blank);
     let raw = evaluate_raw(&cases);
     let [wide, found] = [FrameParams::default().with_stride(5), adapted].map(|params| evaluate(params, &cases));
-    // Four times 25 pixels of a Kinect span whole objects: their points are pulled to the table.
+    // Four times 25 pixels of a Kinect span whole objects: their points are pulled to the table. Next to steps both are
+    // as near, since the wide windows have cells and the others do not: 4.19 and 4.25 mm.
     assert!(found.flying_share < 0.0115 && found.flying_share < wide.flying_share, "{found:?}");
     assert!(found.sphere_radius_bias.abs() < 0.025, "{found:?}");
     let edges_mm = [raw.edge_mean_mm, wide.edge_mean_mm, found.edge_mean_mm];
-    assert!(edges_mm[2] < 0.42 * edges_mm[0] && edges_mm[2] < edges_mm[1], "{edges_mm:?}");
+    assert!(edges_mm[2] < 0.42 * edges_mm[0] && edges_mm[2] < 1.05 * edges_mm[1], "{edges_mm:?}");
     for k in 0..3 {
         assert!(found.ranges[k].rmse_mm < 0.6 * raw.ranges[k].rmse_mm, "range {k}: {found:?}");
     }
@@ -299,11 +300,12 @@ fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
 }
 
 fn assert_as_on_grid([robust, on_grid]: &[Report; 2], nearest: usize) {
+    // Frames have cells: clouds are 1.2 to 1.3 times as far off, on flat surfaces and next to steps.
     assert!(robust.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", robust.crease_deg, on_grid.crease_deg);
-    assert!(robust.edge_mean_mm < 1.2 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
+    assert!(robust.edge_mean_mm < 1.3 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
     for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges).skip(nearest) {
         assert!(
-            range.rmse_mm < 1.2 * of_grid.rmse_mm && range.normal_mean_deg < 1.1 * of_grid.normal_mean_deg,
+            range.rmse_mm < 1.3 * of_grid.rmse_mm && range.normal_mean_deg < 1.15 * of_grid.normal_mean_deg,
             "{range:?}"
         );
     }

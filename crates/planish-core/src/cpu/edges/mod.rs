@@ -1,10 +1,10 @@
 //! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
-//! One pass fits the first planes of all pixels. Another derives each pixel's surface from them, and the mean of its
-//! block's points on that surface. Each component of a plane is a channel with the layout of the padded frame. If the
-//! results of blocks are averaged, they replace the surfaces ([`mean`]).
+//! One pass fits the first planes of all cells, or pixels. Another derives each one's surface from them, and the mean
+//! of its block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
+//! The results of cells replace their surfaces, and those of pixels follow from them ([`pixels`]).
 
-mod mean;
+mod pixels;
 mod vote;
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
@@ -14,6 +14,7 @@ use super::blocks::Block;
 use super::channels::Channels;
 use super::eigen::tangents;
 use super::padded::{PaddedFrame, PaddedRows};
+use super::pixels::Pixels;
 use super::plane::{self, Plane, Points, Surface};
 use super::row_tasks::SplitRows;
 use super::vector::{Mask, Vec3, share, splat};
@@ -23,9 +24,9 @@ use crate::constants::{
     COSINE_FADE, DOUBT_WEIGHT, MIN_INCIDENCE_COSINE, MIN_NOISE, MIN_TOTAL, NARROW_WIDTH, OWN_NORMAL_WEIGHT,
     PLANE_REACH, STAY_WEIGHT,
 };
-use crate::params::{EngineParams, edge_shift_px};
+use crate::params::EngineParams;
 use crate::range::{MAX_RADIUS_M, RangeRules};
-pub(super) use mean::average_surfaces;
+pub(super) use pixels::{Found, results_of_pixels};
 use vote::Voting;
 
 // Channels of first planes and of surfaces: the normal, and the height over the point along it...
@@ -56,9 +57,11 @@ const WIDTH: usize = 4;
 const BEND: usize = 5;
 /// From 0, if planes around the point fit, to 1, if none does.
 const NO_PLANE_FITS: usize = 8;
-const SURFACE_CHANNELS: usize = 9;
+/// Certainty: from 0, if no plane near the point fits it, to 1. The results of cells do not overwrite it.
+const CERTAINTY: usize = 9;
+const SURFACE_CHANNELS: usize = 10;
 
-/// A plane for each pixel of a frame, as channels with the layout of the padded frame.
+/// A plane for each cell of a frame, as channels with the layout of the padded frame.
 struct Planes<const CHANNELS: usize> {
     channels: Channels<CHANNELS>,
     row_len: usize,
@@ -83,7 +86,7 @@ pub(super) type SurfaceRows<'a> = PlaneRows<'a, SURFACE_CHANNELS>;
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
     planes: Planes<FIRST_CHANNELS>,
-    /// Distance in pixels to the eight planes considered.
+    /// Distance in cells to the eight planes considered.
     shift: usize,
 }
 
@@ -228,7 +231,7 @@ impl SurfaceRows<'_> {
 impl FirstPlanes {
     /// Room for the planes of frames with this padding.
     pub(super) fn new(params: &EngineParams, padded: &PaddedFrame) -> Self {
-        Self { planes: Planes::new(padded), shift: edge_shift_px(params.reach_px()) }
+        Self { planes: Planes::new(padded), shift: params.edge_shift() }
     }
 
     /// Bytes of the channels.
@@ -263,7 +266,8 @@ impl FirstPlanes {
         }
     }
 
-    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them. The
+    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them, and how
+    /// certain they are. The
     /// distance of `mean` from a plane determines how well it fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
@@ -274,7 +278,7 @@ impl FirstPlanes {
         points: Points<S>,
         mean: Vec3<S>,
         noise: S::f32s,
-    ) -> Surface<S> {
+    ) -> (Surface<S>, S::f32s) {
         let Points { p, ray, radius, valid } = points;
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let gate = Gate::new(simd, radius * splat(simd, PLANE_REACH));
@@ -309,7 +313,9 @@ impl FirstPlanes {
         }
         let width = has_plane.select(splat(simd, NARROW_WIDTH) * noise, splat(simd, f32::INFINITY));
         let no_plane_fits = has_plane.select(self.no_plane_fits(simd, &voting, &vote), zero);
-        Surface { plane, n: count.abs(), width: Some(width), bend: Some(bend), no_plane_fits: Some(no_plane_fits) }
+        let certainty = has_plane.select(vote.total * per_total, zero);
+        let (width, bend, no_plane_fits) = (Some(width), Some(bend), Some(no_plane_fits));
+        (Surface { plane, n: count.abs(), width, bend, no_plane_fits }, certainty)
     }
 }
 
@@ -365,7 +371,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             // A single point has no residual.
             let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
             let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
-            let window_bend = bend::of_window(simd, window, p, radius, &plane);
+            let window_bend = bend::of_window(simd, (window, kernel), p, radius, &plane);
             let at = rows.index(row, u);
             rows.store_vector(NORMAL, at, plane.normal);
             rows.store::<S>(HEIGHT, at, plane.height);
@@ -380,32 +386,47 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// Finds the surfaces of some rows. If blocks are averaged, it also replaces their means by the means of points on
-/// these surfaces.
+/// What blocks on surfaces are averaged from.
+#[derive(Clone, Copy)]
+pub(super) struct Blocks<'a> {
+    pub(super) pixels: &'a Pixels,
+    /// The means of all points.
+    pub(super) means: &'a PaddedFrame,
+}
+
+/// Finds the surfaces of some rows, and the means of the blocks' points on them if there are blocks.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(
     simd: S,
     measured: &PaddedFrame,
+    blocks: Option<Blocks<'_>>,
     first_planes: &FirstPlanes,
     kernel: &Kernel,
     rows: &mut SurfaceRows<'_>,
 ) {
     for row in 0..rows.count() {
         for u in (0..measured.width).step_by(S::f32s::LEN) {
-            let here = measured.index(u, rows.first + row);
+            let place = (u, rows.first + row);
+            let here = measured.index(place.0, place.1);
             let p = measured.load(simd, here);
             let valid = valid_points(simd, p);
+            let at = rows.index(row, u);
             if !valid.any_true() {
+                if let Some(means) = &mut rows.means {
+                    means.store(at, Vec3::<S>::splat(simd, f32::NAN));
+                }
                 continue;
             }
-            let at = rows.index(row, u);
             let ray = kernel.sensor.ray(simd, p);
             let range = kernel.range(simd, ray);
             let radius = kernel.rules.radius(simd, range);
             let noise = noise(simd, &kernel.rules, range, radius);
-            let mean = rows.means.as_ref().map_or(p, |means| means.load(simd, at));
+            let mean = match blocks {
+                Some(blocks) => blocks.means.load(simd, here),
+                None => p,
+            };
             let points = Points { p, ray, radius, valid };
-            let Surface { plane, width, bend, no_plane_fits, .. } =
+            let (Surface { plane, width, bend, no_plane_fits, .. }, certainty) =
                 first_planes.find_surface(simd, measured, here, points, mean, noise);
             let (width, bend) = (width.unwrap_or(noise), bend.unwrap_or(Bend::none(simd)));
             let no_plane_fits = no_plane_fits.unwrap_or(splat(simd, 0.0));
@@ -414,8 +435,9 @@ pub(super) fn find_surfaces<S: Simd>(
             rows.store::<S>(WIDTH, at, width);
             rows.store_vector(BEND, at, Vec3::<S>::new(bend.uu, bend.uv, bend.vv));
             rows.store::<S>(NO_PLANE_FITS, at, no_plane_fits);
-            if let Some(means) = &mut rows.means {
-                let block = Block::around(simd, measured, kernel, here, p, range);
+            rows.store::<S>(CERTAINTY, at, certainty);
+            if let (Some(means), Some(blocks)) = (&mut rows.means, blocks) {
+                let block = Block::around(simd, blocks.pixels, kernel, place, p, range);
                 let per_width = (splat(simd, 1.0) - no_plane_fits).sqrt() / width;
                 let mean = block.mean_on_surface(simd, &plane, per_width);
                 means.store(at, mean.or(valid, Vec3::splat(simd, f32::NAN)));

@@ -239,5 +239,5 @@ fn smooth_vector<S: Simd, const D: usize>(
     let projection = rows.projection(false);
     let source = Source::Of(&*gathered);
     let projected = kernel.fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
-    rows.store(row, u, splat(simd, 0.0), &projected, &surface);
+    rows.store(row, u, &projected, [splat(simd, 0.0), surface.plane.curvature, surface.n]);
 }

@@ -120,7 +120,7 @@ impl GeneralGpu {
     fn layout(&self, points: usize) -> Layout {
         let outputs = Outputs { status: false, neighbours: false, ..self.outputs };
         let kind = InputKind::Points;
-        Layout { width: points, height: 1, kind, outputs, keeps_points: false, keeps_planes: false }
+        Layout { width: points, height: 1, kind, outputs, keeps_points: false, keeps_planes: false, cell: 1 }
     }
 
     /// Words of a point's result.

@@ -162,7 +162,7 @@ impl Pass {
 
     /// Returns the WGSL of this kernel.
     pub(super) fn wgsl(self, params: &EngineParams, outputs: Outputs) -> String {
-        let mut text = constants(InputKind::Points, outputs);
+        let mut text = constants(InputKind::Points, outputs, 1);
         let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
         text += shader!("../shaders/buffers.wgsl");
         text += shader!("../shaders/general/cloud.wgsl");
@@ -214,6 +214,7 @@ impl Pass {
                 text += shader!("../shaders/sensor.wgsl");
                 let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
                 let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
+                let _ = writeln!(text, "const KEEPS_RESULTS: bool = false;");
                 // Section 10 bends the surfaces of frames only.
                 let _ = writeln!(text, "const BENDS: bool = false;");
                 text += shader!("../shaders/plane.wgsl");

@@ -1,4 +1,4 @@
-// The first pass where blocks are averaged (docs/method.md, section 2).
+// The first pass where blocks are averaged, or pixels share cells (docs/method.md, sections 2 and 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn average_blocks(
@@ -8,17 +8,17 @@ fn average_blocks(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+    if is_outside(cell) {
         return;
     }
-    let at = pixel.y * batch.width + pixel.x;
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = candidate(window, WINDOW, WINDOW);
+    let at = cell_index(cell);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = middle_of(window);
     var mean = p;
-    if p.x != NO_POINT {
-        let gate = block_gate(frame, range_of(frame, ray_to(frame, p)));
+    if AVERAGES_BLOCKS && p.x != NO_POINT {
+        let gate = gate_of(block_gate(frame, range_of(frame, ray_to(frame, p))));
         mean = block_mean(window, p, gate, vec3<f32>(0.0), 0.0);
     }
     keep_point(frame, KEPT_POINT, at, p);

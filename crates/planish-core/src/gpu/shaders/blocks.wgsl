@@ -1,9 +1,18 @@
 // The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
 
+// The first valid point of the pixels in the middle of a block, which are a cell.
+fn middle_of(window: WindowOrigin) -> vec3<f32> {
+    var p = candidate(window, WINDOW, WINDOW);
+    for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
+        p = candidate(window, WINDOW + i % CELL, WINDOW + i / CELL);
+    }
+    return p;
+}
+
 // Maximum distance between a pixel's point, at this range, and the points of its block.
-fn block_gate(frame: u32, range: f32) -> Gate {
+fn block_gate(frame: u32, range: f32) -> f32 {
     let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
-    return gate_of(clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M));
+    return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
 }
 
 // The mean around p. The points count by how far they are from a plane, in units of its width: 0 in every unit for all alike.

@@ -9,6 +9,7 @@ struct Surface {
     bend: vec3<f32>,
     // From 0, if planes around the point fit, to 1, if none does.
     no_plane_fits: f32,
+    certainty: f32,
 }
 
 // The fourth power of 1/(1 + variance).
@@ -18,18 +19,17 @@ fn fit_by(variance: f32) -> f32 {
 }
 
 // The nine planes, weighed by how well they fit a point.
-fn vote(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
+fn vote(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
     var around: Around;
     for (var row = 0u; row < 3u; row++) {
         for (var column = 0u; column < 3u; column++) {
-            let x = i32(pixel.x + column * EDGE_SHIFT) - i32(EDGE_SHIFT);
-            let y = i32(pixel.y + row * EDGE_SHIFT) - i32(EDGE_SHIFT);
-            if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+            let other = vec2<i32>(cell + vec2<u32>(column, row) * EDGE_SHIFT) - i32(EDGE_SHIFT);
+            if any(other < vec2<i32>(0)) || is_outside(vec2<u32>(other)) {
                 continue;
             }
-            let at = u32(y) * batch.width + u32(x);
+            let at = cell_index(vec2<u32>(other));
             let offset = kept_at(frame, KEPT_POINT, at) - p;
             let nearness = unclamped(gate, square(offset));
             if !(nearness > 0.0) {
@@ -83,15 +83,15 @@ fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
     return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
 }
 
-fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
-    let own = pixel.y * batch.width + pixel.x;
+fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
+    let own = cell_index(cell);
     let own_normal = plane_vector(frame, FIRST_NORMAL, own);
     // Without a plane every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
-        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0);
+        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0, 0.0);
     }
-    let around = vote(frame, pixel, p, to_mean, radius, noise);
+    let around = vote(frame, cell, p, to_mean, radius, noise);
     let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
     let turn = turn_of(around, radius, noise);
     let tangents = tangents_of(found.normal);
@@ -103,7 +103,8 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     // Planes that disagree may lie further away than a point may move.
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
     let no_plane_fits = lack_of_planes(around);
-    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits);
+    let certainty = around.total / (around.total + STAY_WEIGHT);
+    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits, certainty);
     if bend_square(measured.bend) == 0.0 {
         return surface;
     }
@@ -112,7 +113,7 @@ fn surface_of(frame: u32, pixel: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ra
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
     // The other way round it is the same surface.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits);
+    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits, certainty);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -123,15 +124,18 @@ fn find_surfaces(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+    if is_outside(cell) {
         return;
     }
-    let at = pixel.y * batch.width + pixel.x;
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = candidate(window, WINDOW, WINDOW);
+    let at = cell_index(cell);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = kept_at(frame, KEPT_POINT, at);
     if p.x == NO_POINT {
+        if CELL > 1u {
+            keep_point(frame, KEPT_SURFACE_MEAN, at, p);
+        }
         return;
     }
     let ray = ray_to(frame, p);
@@ -139,18 +143,23 @@ fn find_surfaces(
     let radius = radius_at(frame, range);
     let noise = noise_at(frame, range, radius);
     var to_mean = vec3<f32>(0.0);
-    if WINDOW > 0u {
+    if AVERAGES_BLOCKS {
         to_mean = kept_at(frame, KEPT_MEAN, at) - p;
     }
-    let surface = surface_of(frame, pixel, p, to_mean, ray, radius, noise);
+    let surface = surface_of(frame, cell, p, to_mean, ray, radius, noise);
     keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
     keep_vector(frame, SURFACE_BEND, at, surface.bend);
     planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
     planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
     planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
-    if WINDOW > 0u {
-        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
-        let mean = block_mean(window, p, block_gate(frame, range), surface.normal * per_width, surface.height * per_width);
-        keep_point(frame, KEPT_MEAN, at, mean);
+    planes[plane_word(frame, SURFACE_CERTAINTY, at)] = surface.certainty;
+    if CELL == 1u {
+        return;
     }
+    var mean = p;
+    if AVERAGES_BLOCKS {
+        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
+        mean = block_mean(window, p, gate_of(block_gate(frame, range)), surface.normal * per_width, surface.height * per_width);
+    }
+    keep_point(frame, KEPT_SURFACE_MEAN, at, mean);
 }

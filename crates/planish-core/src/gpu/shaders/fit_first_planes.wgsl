@@ -1,4 +1,4 @@
-// Fits the first planes if edges are kept: sections 2 to 4 for every pixel (docs/method.md, section 10).
+// Fits the first planes if edges are kept: sections 2 to 4 for every cell (docs/method.md, section 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn fit_first_planes(
@@ -8,14 +8,14 @@ fn fit_first_planes(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    if pixel.x >= batch.width || pixel.y >= batch.height {
+    if is_outside(cell) {
         return;
     }
-    let at = pixel.y * batch.width + pixel.x;
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = centre_of(frame, pixel, window);
+    let at = cell_index(cell);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = centre_of(frame, cell, window);
     if !READS_MEANS {
         keep_point(frame, KEPT_POINT, at, p);
     }

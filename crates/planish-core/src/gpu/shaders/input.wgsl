@@ -37,5 +37,8 @@ fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
     }
     let ray_x = bitcast<f32>(input[base + u32(x)]);
     let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
-    return vec3<f32>(ray_x * z, ray_y * z, z);
+    let point = vec3<f32>(ray_x * z, ray_y * z, z);
+    // Depth in metres may be near the limit of f32.
+    let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
+    return select(vec3<f32>(NO_POINT), point, is_point);
 }

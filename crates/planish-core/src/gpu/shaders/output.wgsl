@@ -15,7 +15,7 @@ fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift:
     let row = thread / words_in_tile_row;
     let word = thread % words_in_tile_row;
     let row_words = (batch.width + in_word - 1u) / in_word;
-    let y = origin.y + row * STRIDE;
+    let y = origin.y + row * ROW_STEP;
     let at = origin.x / in_word + word;
     if row >= TILE_HEIGHT || y >= batch.height || at >= row_words {
         return;

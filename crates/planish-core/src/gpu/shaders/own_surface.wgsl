@@ -1,7 +1,7 @@
 // Loads the plane of a point, as found by the previous pass (docs/method.md, section 10).
 
-fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
-    let at = pixel.y * batch.width + pixel.x;
+fn smooth_point(frame: u32, cell: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
+    let at = cell_index(cell);
     let count = planes[plane_word(frame, FIRST_COUNT, at)];
     let n = u32(abs(count));
     if n < 3u {

@@ -9,8 +9,9 @@ struct Projected {
     depth_scale: f32,
 }
 
+// The points of cells move along the normals of their planes.
 fn is_on_ray(frame: u32) -> bool {
-    return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+    return !KEEPS_RESULTS && (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
 // Moves p onto the surface `height` away along the plane's normal; `normal` is the normal of that surface.

@@ -23,6 +23,7 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     let own_bandwidth = header(frame, BANDWIDTH);
     let bandwidth = select(radius, own_bandwidth, own_bandwidth > 0.0);
     let ridge = header(frame, RIDGE);
+    let low_ridge = min(ridge, select(LOW_RIDGE, FEWEST_RIDGE, surface.n == 6.0));
     var fit: Fit;
     var c = vec3<f32>(0.0);
     // If no plane fits, the polynomial of all neighbours replaces the first, provided that it is close to them. This is a
@@ -31,7 +32,7 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     for (var round = 0u; round < rounds; round++) {
         let of_all = BENDS && round == 1u;
         fit = fit_of(window, p, radius * radius, surface, select(surface.width, 1e18, of_all), bandwidth);
-        let solution = solve(fit.moments, select(ridge, min(ridge, LOW_RIDGE), of_all), fit.extent_squared, surface.n);
+        let solution = solve(fit.moments, select(ridge, low_ridge, of_all), fit.extent_squared, surface.n);
         var share = 1.0;
         if of_all {
             let per_noise = NARROW_WIDTH / (surface.width * fit.per_metre);

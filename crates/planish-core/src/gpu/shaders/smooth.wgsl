@@ -1,4 +1,4 @@
-// The results of a tile of pixels.
+// The results of a tile of pixels or cells.
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn smooth_frames(
@@ -8,13 +8,13 @@ fn smooth_frames(
 ) {
     let frame = group.z;
     let origin = origin_of(group);
-    let pixel = origin + local.xy * vec2<u32>(1u, STRIDE);
+    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
     load_candidates(frame, origin, thread);
-    let window = window_origin_of(frame, pixel, local.xy);
-    let p = centre_of(frame, pixel, window);
+    let window = window_origin_of(frame, cell, local.xy);
+    let p = centre_of(frame, cell, window);
     var result = no_result(STATUS_HOLE, 0u);
     if p.x != NO_POINT {
-        result = smooth_point(frame, pixel, window, p);
+        result = smooth_point(frame, cell, window, p);
     }
-    store(frame, origin, pixel, thread, result);
+    store(frame, origin, cell, thread, result);
 }

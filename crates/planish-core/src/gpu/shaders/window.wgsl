@@ -3,12 +3,10 @@
 // Offsets e = q - p in metres. NO_POINT, and any offset whose square overflows, fails the gate. The gate fades out, so that
 // nothing changes at once.
 
-const SIDE: u32 = 2u * WINDOW + 1u;
-
-// Returns the first pixel of a tile. One thread per pixel, one workgroup per tile, one layer of workgroups per frame.
-// STRIDE workgroups share a block of rows, each with rows STRIDE apart.
+// Returns the first pixel or cell of a tile. One thread for each, one workgroup per tile, one layer of workgroups per
+// frame. ROW_STEP workgroups share a block of rows, each with rows ROW_STEP apart.
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
-    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
 }
 
 // The range at the end of a ray. Beyond the clamp the radius is at its limit or fixed; the square stays finite.

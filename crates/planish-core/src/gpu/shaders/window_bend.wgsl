@@ -1,8 +1,7 @@
 // How a window bends (docs/method.md, section 10).
 
-// Half the width of the middle of a window, and the share of its pixels' spread in the window's.
+// Half the width of the middle of a window. MIDDLE_SHARE is its samples' spread over that of the window's.
 const MIDDLE: u32 = WINDOW / 2u;
-const MIDDLE_SHARE: f32 = f32(MIDDLE * (MIDDLE + 1u)) / f32(WINDOW * (WINDOW + 1u));
 
 // The sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the plane, which
 // is fitted to all of them.

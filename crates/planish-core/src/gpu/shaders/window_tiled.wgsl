@@ -1,6 +1,6 @@
 // The candidates of a tile of pixels, in workgroup memory (docs/method.md, section 2).
 //
-// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are STRIDE apart, so its windows cover the rows of
+// A workgroup smooths TILE_WIDTH columns of TILE_HEIGHT rows that are ROW_STEP apart, so its windows cover the rows of
 // the tile and WINDOW more on either side. Columns are adjacent, so loads and stores cover whole cache lines. x, y and
 // z are separate arrays, in which the threads of a row read adjacent words.
 
@@ -18,7 +18,7 @@ alias WindowOrigin = u32;
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
     let first = vec2<i32>(origin) - i32(REACH);
     for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * STRIDE));
+        let p = sample_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH * ROW_STEP));
         tile_x[i] = p.x;
         tile_y[i] = p.y;
         tile_z[i] = p.z;

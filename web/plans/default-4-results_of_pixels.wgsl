@@ -13,8 +13,9 @@ const BY_DISTANCE: u32 = 1u;
 const ON_RAY: u32 = 2u;
 const BLOCK_LINEAR: u32 = 6u;
 const BLOCK: u32 = 7u;
-const POINT_CHANNELS: u32 = 6u;
-const PLANE_CHANNELS: u32 = 21u;
+const CELL: u32 = 2u;
+const POINT_CHANNELS: u32 = 9u;
+const PLANE_CHANNELS: u32 = 22u;
 const SATURATED_DEPTH: u32 = 65535u;
 const POINTS_CHANNEL: u32 = 0u;
 const NORMALS_CHANNEL: u32 = 3u;
@@ -69,6 +70,7 @@ const MISSING_PLANE: f32 = 0.011111111;
 const TURNING_FLAT: f32 = 0.02;
 const TURNING_ROUND: f32 = 0.07;
 const LOW_RIDGE: f32 = 0.0003;
+const FEWEST_RIDGE: f32 = 0.003;
 const CLOSE_FROM: f32 = 0.3;
 const CLOSE_TO: f32 = 0.8;
 const MEAN_WIDTH: f32 = 1.5;
@@ -76,7 +78,15 @@ const ALIKE_FROM: f32 = 0.9;
 const ALIKE_TO: f32 = 0.95;
 const AROUND_FROM: f32 = 0.6;
 const AROUND_TO: f32 = 0.9;
-const LEAST_AVERAGED: f32 = 5.0;
+const LEAST_SURFACE_WEIGHT: f32 = 1e-12;
+const LEAST_CERTAINTY: f32 = 1e-6;
+const AGREEING: f32 = 0.5;
+const LEAST_MEANS: f32 = 0.1;
+const LEAST_NORMAL: f32 = 1e-15;
+const MEAN_STAY: f32 = 0.05;
+const LEAST_RAY_M: f32 = 0.0001;
+const LEAST_SIDE: f32 = 1e-6;
+const SIDE_COSINE: f32 = 0.1;
 const LEAST_SPREAD: f32 = 0.01;
 const MOST_WINDOW_BEND: f32 = 4.0;
 const BEND_DAMPING: f32 = 0.009;
@@ -92,13 +102,18 @@ const SQRT_LOG2_E: f32 = 1.2011224;
 const MAX_OFF_SURFACE: f32 = 11.54156;
 const TILE_WIDTH: u32 = 32u;
 const TILE_HEIGHT: u32 = 8u;
-const WINDOW: u32 = 2u;
+const WINDOW: u32 = 0u;
+const SIDE: u32 = 1u;
 const STRIDE: u32 = 1u;
+const ROW_STEP: u32 = 1u;
 const DEGREE: u32 = 1u;
 const EDGE_SHIFT: u32 = 0u;
 const KEEPS_EDGES: bool = false;
+const KEEPS_RESULTS: bool = false;
 const BENDS: bool = false;
 const READS_MEANS: bool = false;
+const AVERAGES_BLOCKS: bool = true;
+const SAMPLES: u32 = KEPT_MEAN;
 
 struct Batch {
     width: u32,
@@ -130,6 +145,7 @@ fn is_finite(bits: u32) -> bool {
 
 const KEPT_POINT: u32 = 0u;
 const KEPT_MEAN: u32 = 3u;
+const KEPT_SURFACE_MEAN: u32 = 6u;
 
 const FIRST_NORMAL: u32 = 0u;
 const FIRST_CENTROID: u32 = 3u;
@@ -144,44 +160,61 @@ const SURFACE_HEIGHT: u32 = 15u;
 const SURFACE_WIDTH: u32 = 16u;
 const SURFACE_BEND: u32 = 17u;
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
+const SURFACE_CERTAINTY: u32 = 21u;
 
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
-const RESULT_DEPTH: u32 = SURFACE_HEIGHT;
 const RESULT_POINT: u32 = SURFACE_BEND;
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
 const NOT_USABLE: f32 = 1e18;
 
-fn kept_at(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
-    return vec3<f32>(kept_points[at], kept_points[at + pixels], kept_points[at + 2u * pixels]);
+fn grid_size() -> vec2<u32> {
+    return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
 }
 
-fn keep_point(frame: u32, channel: u32, pixel: u32, point: vec3<f32>) {
-    let pixels = batch.width * batch.height;
-    let at = (frame * POINT_CHANNELS + channel) * pixels + pixel;
+fn cells_in_frame() -> u32 {
+    let size = grid_size();
+    return size.x * size.y;
+}
+
+fn is_outside(cell: vec2<u32>) -> bool {
+    return any(cell >= grid_size());
+}
+
+fn cell_index(cell: vec2<u32>) -> u32 {
+    return cell.y * grid_size().x + cell.x;
+}
+
+fn kept_at(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
+    return vec3<f32>(kept_points[at], kept_points[at + cells], kept_points[at + 2u * cells]);
+}
+
+fn keep_point(frame: u32, channel: u32, cell: u32, point: vec3<f32>) {
+    let cells = cells_in_frame();
+    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
     kept_points[at] = point.x;
-    kept_points[at + pixels] = point.y;
-    kept_points[at + 2u * pixels] = point.z;
+    kept_points[at + cells] = point.y;
+    kept_points[at + 2u * cells] = point.z;
 }
 
-fn plane_word(frame: u32, channel: u32, pixel: u32) -> u32 {
-    return (frame * PLANE_CHANNELS + channel) * (batch.width * batch.height) + pixel;
+fn plane_word(frame: u32, channel: u32, cell: u32) -> u32 {
+    return (frame * PLANE_CHANNELS + channel) * cells_in_frame() + cell;
 }
 
-fn plane_vector(frame: u32, channel: u32, pixel: u32) -> vec3<f32> {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
-    return vec3<f32>(planes[at], planes[at + pixels], planes[at + 2u * pixels]);
+fn plane_vector(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
+    return vec3<f32>(planes[at], planes[at + cells], planes[at + 2u * cells]);
 }
 
-fn keep_vector(frame: u32, channel: u32, pixel: u32, vector: vec3<f32>) {
-    let at = plane_word(frame, channel, pixel);
-    let pixels = batch.width * batch.height;
+fn keep_vector(frame: u32, channel: u32, cell: u32, vector: vec3<f32>) {
+    let at = plane_word(frame, channel, cell);
+    let cells = cells_in_frame();
     planes[at] = vector.x;
-    planes[at + pixels] = vector.y;
-    planes[at + 2u * pixels] = vector.z;
+    planes[at + cells] = vector.y;
+    planes[at + 2u * cells] = vector.z;
 }
 
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
@@ -192,7 +225,38 @@ fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
         return vec3<f32>(NO_POINT);
     }
-    return kept_at(frame, KEPT_POINT, u32(y) * batch.width + u32(x));
+    let base = frame * batch.input_words + HEADER_WORDS;
+    let pixel = u32(y) * batch.width + u32(x);
+    let samples = base + batch.width + batch.height;
+    if IS_RAW_DEPTH || IS_DEPTH_METRES {
+        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
+    }
+    let pixels = batch.width * batch.height;
+    let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
+    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+        return vec3<f32>(NO_POINT);
+    }
+    return bitcast<vec3<f32>>(bits);
+}
+
+fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
+    if IS_RAW_DEPTH {
+        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+    }
+    let bits = input[samples + pixel];
+    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+}
+
+fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
+    if z <= 0.0 {
+        return vec3<f32>(NO_POINT);
+    }
+    let ray_x = bitcast<f32>(input[base + u32(x)]);
+    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+    let point = vec3<f32>(ray_x * z, ray_y * z, z);
+    let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
+    return select(vec3<f32>(NO_POINT), point, is_point);
 }
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
@@ -212,13 +276,16 @@ struct WindowOrigin {
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
 }
 
-fn window_origin_of(frame: u32, pixel: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
-    let first = vec2<i32>(pixel) - i32(WINDOW * STRIDE);
-    return WindowOrigin(frame, first.x, first.y);
+fn window_origin_of(frame: u32, cell: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
+    return WindowOrigin(frame, i32(cell.x), i32(cell.y));
 }
 
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
-    return sample_at(window.frame, window.x + i32(column * STRIDE), window.y + i32(row * STRIDE));
+    return sample_at(window.frame, window.x + offset_of(column), window.y + offset_of(row));
+}
+fn offset_of(column: u32) -> i32 {
+    let from_middle = i32(column) - i32(WINDOW);
+    return sign(from_middle) * ((abs(from_middle) * i32(STRIDE) + i32(CELL) - 1) / i32(CELL));
 }
 
 struct Gate {
@@ -245,10 +312,8 @@ fn square(e: vec3<f32>) -> f32 {
     return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
 
-const SIDE: u32 = 2u * WINDOW + 1u;
-
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
-    return vec2<u32>(group.x * TILE_WIDTH, group.y / STRIDE * (STRIDE * TILE_HEIGHT) + group.y % STRIDE);
+    return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
 }
 
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
@@ -482,6 +547,38 @@ fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     return Plane(normal, dot(c, normal), c, l.y + l.z, residual, doubt, 4.0 * l.z, curvature, off_line, l.y <= line);
 }
 
+fn middle_of(window: WindowOrigin) -> vec3<f32> {
+    var p = candidate(window, WINDOW, WINDOW);
+    for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
+        p = candidate(window, WINDOW + i % CELL, WINDOW + i / CELL);
+    }
+    return p;
+}
+
+fn block_gate(frame: u32, range: f32) -> f32 {
+    let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
+    return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
+}
+
+fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    var total = 0.0;
+    for (var row = 0u; row < SIDE; row++) {
+        for (var column = 0u; column < SIDE; column++) {
+            let offset = candidate(window, column, row) - p;
+            let squared = square(offset);
+            let nearness = unclamped(gate, squared);
+            let e = select(vec3<f32>(0.0), offset, nearness > 0.0);
+            let f = dot(e, normal_per_width) - height_in_widths;
+            let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
+            let weight = clamp(nearness, 0.0, 1.0) * on_surface * on_surface;
+            sum = fma(vec3<f32>(weight), e, sum);
+            total += weight;
+        }
+    }
+    return p + sum / total;
+}
+
 struct Projected {
     point: vec3<f32>,
     normal: vec3<f32>,
@@ -490,7 +587,7 @@ struct Projected {
 }
 
 fn is_on_ray(frame: u32) -> bool {
-    return (header_bits(frame, FLAGS) & ON_RAY) != 0u;
+    return !KEEPS_RESULTS && (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }
 
 fn put_on_surface(frame: u32, p: vec3<f32>, plane_normal: vec3<f32>, height: f32, normal: vec3<f32>, radius: f32, status: u32) -> Projected {
@@ -571,7 +668,7 @@ fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift:
     let row = thread / words_in_tile_row;
     let word = thread % words_in_tile_row;
     let row_words = (batch.width + in_word - 1u) / in_word;
-    let y = origin.y + row * STRIDE;
+    let y = origin.y + row * ROW_STEP;
     let at = origin.x / in_word + word;
     if row >= TILE_HEIGHT || y >= batch.height || at >= row_words {
         return;
@@ -621,8 +718,9 @@ fn store(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, thread: u32, result: P
     }
 }
 
-const PITCH: u32 = TILE_WIDTH + 2u * WINDOW;
-const TILE_AREA: u32 = PITCH * (TILE_HEIGHT + 2u * WINDOW);
+const BEFORE: u32 = 1u;
+const PITCH: u32 = TILE_WIDTH / CELL + 3u;
+const TILE_AREA: u32 = PITCH * (TILE_HEIGHT / CELL + 3u);
 
 var<workgroup> point_x: array<f32, TILE_AREA>;
 var<workgroup> point_y: array<f32, TILE_AREA>;
@@ -630,123 +728,241 @@ var<workgroup> point_z: array<f32, TILE_AREA>;
 var<workgroup> normal_x: array<f32, TILE_AREA>;
 var<workgroup> normal_y: array<f32, TILE_AREA>;
 var<workgroup> normal_z: array<f32, TILE_AREA>;
+var<workgroup> certainties: array<f32, TILE_AREA>;
 
-struct KeptResult {
+struct CellResult {
     point: vec3<f32>,
     normal: vec3<f32>,
-}
-
-fn kept_result(frame: u32, x: i32, y: i32) -> KeptResult {
-    if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
-        return KeptResult(vec3<f32>(0.0), vec3<f32>(0.0));
-    }
-    let at = u32(y) * batch.width + u32(x);
-    return KeptResult(plane_vector(frame, RESULT_POINT, at), plane_vector(frame, RESULT_NORMAL, at));
+    certainty: f32,
 }
 
 fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
-    let first = vec2<i32>(origin) - i32(WINDOW);
+    let first = vec2<i32>(origin / CELL) - i32(BEFORE);
     for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let kept = kept_result(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH));
-        point_x[i] = kept.point.x;
-        point_y[i] = kept.point.y;
-        point_z[i] = kept.point.z;
-        normal_x[i] = kept.normal.x;
-        normal_y[i] = kept.normal.y;
-        normal_z[i] = kept.normal.z;
+        let cell = first + vec2<i32>(vec2<u32>(i % PITCH, i / PITCH));
+        var point = vec3<f32>(0.0);
+        var normal = vec3<f32>(0.0);
+        var certainty = 0.0;
+        if all(cell >= vec2<i32>(0)) && !is_outside(vec2<u32>(cell)) {
+            let at = cell_index(vec2<u32>(cell));
+            point = plane_vector(frame, RESULT_POINT, at);
+            normal = plane_vector(frame, RESULT_NORMAL, at);
+            certainty = planes[plane_word(frame, SURFACE_CERTAINTY, at)];
+        }
+        point_x[i] = point.x;
+        point_y[i] = point.y;
+        point_z[i] = point.z;
+        normal_x[i] = normal.x;
+        normal_y[i] = normal.y;
+        normal_z[i] = normal.z;
+        certainties[i] = certainty;
     }
     workgroupBarrier();
 }
 
-fn result_in_block(block: u32, column: u32, row: u32) -> KeptResult {
-    let at = block + row * PITCH + column;
+fn result_at(place: vec2<u32>) -> CellResult {
+    let at = place.y * PITCH + place.x;
     let point = vec3<f32>(point_x[at], point_y[at], point_z[at]);
-    return KeptResult(point, vec3<f32>(normal_x[at], normal_y[at], normal_z[at]));
+    return CellResult(point, vec3<f32>(normal_x[at], normal_y[at], normal_z[at]), certainties[at]);
 }
 
-const PLACES: u32 = 2u * WINDOW * (WINDOW + 1u) + 1u;
+const ALL_SHARES: f32 = 4.0;
 
-struct Around {
+struct CellsAround {
+    first: vec2<u32>,
+    from_first: vec2<u32>,
+    size: vec2<u32>,
+}
+
+fn share_of(column: u32, from_first: u32, reach: f32) -> f32 {
+    return 1.0 - abs(f32(CELL * column) - f32(from_first)) / reach;
+}
+
+fn cells_around(local: vec2<u32>) -> CellsAround {
+    let place = local % CELL;
+    return CellsAround(local / CELL, place + CELL * BEFORE, place + 3u);
+}
+
+struct Voted {
     total: f32,
-    offset: vec3<f32>,
+    certain: f32,
     normal: vec3<f32>,
     height: f32,
+    best: vec2<u32>,
 }
 
-fn surfaces_around(block: u32, own: KeptResult, width: f32) -> Around {
-    let per_width = 1.0 / width;
-    var around: Around;
-    for (var row = 0u; row < SIDE; row++) {
-        for (var column = row & 1u; column < SIDE; column += 2u) {
-            let other = result_in_block(block, column, row);
-            let offset = other.point - own.point;
+fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Voted {
+    let gate = gate_of(radius);
+    let per_noise = 1.0 / noise;
+    let length = sqrt(dot(ray, ray));
+    let towards = ray * (-1.0 / SIDE_COSINE / max(length, LEAST_RAY_M));
+    var voted: Voted;
+    var most = 0.0;
+    let start = around.size - 3u;
+    for (var row = start.y; row < 3u; row++) {
+        let down = share_of(row, around.from_first.y, 3.0);
+        for (var column = start.x; column < 3u; column++) {
+            let place = around.first + vec2<u32>(column, row);
+            let other = result_at(place);
+            let offset = other.point - p;
+            let nearness = min(unclamped(gate, square(offset)), 1.0);
+            if !(nearness > 0.0) || dot(other.normal, other.normal) == 0.0 {
+                continue;
+            }
             let height = dot(offset, other.normal);
-            let widths = height * per_width;
-            let cosine = dot(own.normal, other.normal);
-            let alike = clamp((abs(cosine) - ALIKE_FROM) / (ALIKE_TO - ALIKE_FROM), 0.0, 1.0);
-            let weight = max(fma(-widths, widths, 1.0), 0.0) * alike;
-            let signed = select(weight, -weight, cosine < 0.0);
-            around.total += weight;
-            around.height = fma(signed, height, around.height);
-            around.offset = fma(vec3<f32>(weight), offset, around.offset);
-            around.normal = fma(vec3<f32>(signed), other.normal, around.normal);
+            let from_mean = (height - dot(to_mean, other.normal)) * per_noise;
+            let root = 1.0 / fma(from_mean, from_mean, 1.0);
+            let share = down * share_of(column, around.from_first.x, 3.0);
+            let towards_side = select(dot(other.normal, towards), 1.0, length < LEAST_RAY_M);
+            let side = clamp(abs(towards_side), LEAST_SIDE, 1.0) * select(1.0, -1.0, towards_side < 0.0);
+            let fits = nearness * share * (root * root) * (root * root);
+            let certain = fits * other.certainty * side;
+            let weight = fits * (other.certainty + LEAST_CERTAINTY);
+            if weight > most {
+                most = weight;
+                voted.best = place;
+            }
+            voted.total += fits;
+            voted.certain += abs(certain);
+            voted.height = fma(certain, height, voted.height);
+            voted.normal = fma(vec3<f32>(weight * side), other.normal, voted.normal);
         }
     }
-    return around;
+    return voted;
 }
 
-fn result_on_mean(frame: u32, pixel: vec2<u32>, block: u32) -> PixelResult {
-    if pixel.x >= batch.width || pixel.y >= batch.height {
-        return no_result(STATUS_HOLE, 0u);
+struct Mean {
+    height: f32,
+    normal: vec3<f32>,
+}
+
+fn mean_around(around: CellsAround, point: vec3<f32>, own_normal: vec3<f32>, noise: f32) -> Mean {
+    let per_width = 1.0 / (noise * MEAN_WIDTH);
+    var total = 0.0;
+    var heights = 0.0;
+    var offsets = vec3<f32>(0.0);
+    var normals = STAY_WEIGHT * own_normal;
+    for (var row = 0u; row < around.size.y; row++) {
+        let down = share_of(row, around.from_first.y, 4.0);
+        for (var column = 0u; column < around.size.x; column++) {
+            let other = result_at(around.first + vec2<u32>(column, row));
+            let offset = other.point - point;
+            let height = dot(offset, other.normal);
+            let widths = height * per_width;
+            let cosine = dot(own_normal, other.normal);
+            let alike = clamp((abs(cosine) - ALIKE_FROM) / (ALIKE_TO - ALIKE_FROM), 0.0, 1.0);
+            let share = down * share_of(column, around.from_first.x, 4.0) * other.certainty;
+            let weight = max(fma(-widths, widths, 1.0), 0.0) * alike * share;
+            let signed = select(weight, -weight, cosine < 0.0);
+            total += weight;
+            heights = fma(signed, height, heights);
+            offsets = fma(vec3<f32>(weight), offset, offsets);
+            normals = fma(vec3<f32>(signed), other.normal, normals);
+        }
     }
-    let at = pixel.y * batch.width + pixel.x;
-    let p = kept_at(frame, KEPT_POINT, at);
+    let normal = normalize(normals);
+    let bend = dot(offsets, normal) - heights;
+    let all_around = clamp((total / ALL_SHARES - AROUND_FROM) / (AROUND_TO - AROUND_FROM), 0.0, 1.0);
+    return Mean(fma(0.5 * all_around, bend, heights) / (total + MEAN_STAY), normal);
+}
+
+fn offset_to_mean(frame: u32, pixel: vec2<u32>, p: vec3<f32>, gate: f32) -> vec3<f32> {
+    let place = pixel % CELL;
+    let share = 1.0 / f32((place.x + 1u) * (place.y + 1u));
+    let per_square = 1.0 / (gate * gate);
+    var sum = vec3<f32>(0.0);
+    var total = 0.0;
+    for (var i = 0u; i < CELL * CELL; i++) {
+        let after = vec2<u32>(i % CELL, i / CELL);
+        let cell = pixel / CELL + after;
+        if any(after > place) || is_outside(cell) {
+            continue;
+        }
+        let offset = kept_at(frame, KEPT_MEAN, cell_index(cell)) - p;
+        let nearness = fma(-square(offset), per_square, 1.0);
+        if nearness > 0.0 {
+            sum = fma(vec3<f32>(nearness * share), offset, sum);
+            total += nearness * share;
+        }
+    }
+    return sum / max(total, LEAST_MEANS);
+}
+
+fn step_onto(frame: u32, height: f32, normal: vec3<f32>, along: f32, ray: vec3<f32>) -> vec3<f32> {
+    return select(height * normal, along * ray, is_on_ray(frame));
+}
+
+fn unmoved(frame: u32, p: vec3<f32>, cell: u32, is_far: bool) -> PixelResult {
+    let status = u32(planes[plane_word(frame, RESULT_STATUS, cell)]);
+    let n = u32(abs(planes[plane_word(frame, FIRST_COUNT, cell)]));
+    let keeps_normal = is_far && status >= STATUS_PLANE;
+    if status >= STATUS_PLANE && !keeps_normal {
+        return no_result(STATUS_TOO_FEW, 0u);
+    }
+    var result = no_result(status, n);
+    if status < STATUS_DEGENERATE {
+        return result;
+    }
+    result.point = bitcast<vec3<u32>>(p);
+    if keeps_normal {
+        result.normal = bitcast<vec3<u32>>(plane_vector(frame, RESULT_NORMAL, cell));
+        result.curvature = bitcast<u32>(planes[plane_word(frame, FIRST_CURVATURE, cell)]);
+    }
+    return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
+}
+
+fn result_of_pixel(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, local: vec2<u32>) -> PixelResult {
+    let p = point_at(frame, i32(pixel.x), i32(pixel.y));
     if p.x == NO_POINT {
         return no_result(STATUS_HOLE, 0u);
     }
-    let n = u32(abs(planes[plane_word(frame, FIRST_COUNT, at)]));
-    let status = u32(planes[plane_word(frame, RESULT_STATUS, at)]);
-    var result = no_result(status, n);
-    if status == STATUS_DEGENERATE {
-        result.point = bitcast<vec3<u32>>(p);
-        return with_depth(frame, depth_of(frame, ray_to(frame, p)), result);
-    }
-    if status < STATUS_PLANE {
-        return result;
-    }
-    let own = result_in_block(block, WINDOW, WINDOW);
-    let width = planes[plane_word(frame, SURFACE_WIDTH, at)] * (MEAN_WIDTH / NARROW_WIDTH);
-    let around = surfaces_around(block, own, width);
-    let normal = normalize(around.normal);
-    let bend = dot(around.offset, normal) - around.height;
-    let all_around = clamp((around.total / f32(PLACES) - AROUND_FROM) / (AROUND_TO - AROUND_FROM), 0.0, 1.0);
-    let height = fma(0.5 * all_around, bend, around.height) / around.total;
+    let own_cell = cell_index(pixel / CELL);
     let ray = ray_to(frame, p);
-    let radius = radius_at(frame, range_of(frame, ray));
-    let along = along_ray(height, normal, ray, radius);
-    let moved = select(fma(vec3<f32>(height), normal, own.point), fma(vec3<f32>(along), ray, own.point), is_on_ray(frame));
-    result.curvature = bitcast<u32>(planes[plane_word(frame, FIRST_CURVATURE, at)]);
-    let depth = planes[plane_word(frame, RESULT_DEPTH, at)];
-    let limit = min(radius, MAX_ALONG * sqrt(dot(ray, ray)));
-    if f32(n) < LEAST_AVERAGED || !(square(moved - p) <= limit * limit) || !is_finite(bitcast<u32>(moved.x + moved.y + moved.z)) {
-        let is_near = square(own.point) < MAX_RANGE_M * MAX_RANGE_M;
-        result.point = bitcast<vec3<u32>>(select(p, own.point, is_near));
-        result.normal = bitcast<vec3<u32>>(own.normal);
-        return with_depth(frame, depth, result);
+    let range = range_of(frame, ray);
+    let radius = radius_at(frame, range);
+    let noise = noise_at(frame, range, radius);
+    var to_mean = vec3<f32>(0.0);
+    if AVERAGES_BLOCKS {
+        to_mean = offset_to_mean(frame, pixel, p, block_gate(frame, range));
     }
-    result.point = bitcast<vec3<u32>>(moved);
-    result.normal = bitcast<vec3<u32>>(normal * select(1.0, -1.0, dot(normal, ray) > 0.0));
-    return with_depth(frame, fma(depth_of(frame, ray), along, depth), result);
+    let around = cells_around(local);
+    let voted = vote_of(around, p, ray, to_mean, radius, noise);
+    let is_far = !(square(p) < MAX_RANGE_M * MAX_RANGE_M);
+    if is_far || !(voted.total > LEAST_SURFACE_WEIGHT) {
+        return unmoved(frame, p, own_cell, is_far);
+    }
+    let normals = voted.normal / voted.total;
+    let length = sqrt(dot(normals, normals));
+    let agreeing = min(length / AGREEING, 1.0);
+    let trust = agreeing * agreeing;
+    let own_normal = select(normals / length, result_at(voted.best).normal, length < LEAST_NORMAL);
+    let height = voted.height * trust / max(voted.certain, MIN_POSITIVE);
+    let along = along_ray(height, own_normal, ray, radius);
+    let first = step_onto(frame, height, own_normal, along, ray);
+    let best = cell_index(origin / CELL + voted.best - BEFORE);
+    let n = abs(planes[plane_word(frame, FIRST_COUNT, best)]);
+    let mean = mean_around(around, p + first, own_normal, noise);
+    let more = along_ray(mean.height * trust, mean.normal, ray, radius);
+    let second = step_onto(frame, mean.height * trust, mean.normal, more, ray);
+    let left = max(min(radius, MAX_ALONG * sqrt(dot(ray, ray))) - sqrt(dot(first, first)), 0.0);
+    let share = left / max(max(sqrt(dot(second, second)), left), MIN_POSITIVE);
+    var result = no_result(u32(planes[plane_word(frame, RESULT_STATUS, best)]), u32(n));
+    result.point = bitcast<vec3<u32>>(p + fma(vec3<f32>(share), second, first));
+    result.normal = bitcast<vec3<u32>>(mean.normal * select(1.0, -1.0, dot(mean.normal, ray) > 0.0));
+    result.curvature = bitcast<u32>(planes[plane_word(frame, FIRST_CURVATURE, best)]);
+    let depth = depth_of(frame, ray);
+    return with_depth(frame, fma(depth, fma(share, more, along), depth), result);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
-fn average_surfaces(
+fn results_of_pixels(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_id) local: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
+    let frame = group.z;
     let origin = origin_of(group);
     let pixel = origin + local.xy;
-    load_results(group.z, origin, thread);
-    store(group.z, origin, pixel, thread, result_on_mean(group.z, pixel, local.y * PITCH + local.x));
+    load_results(frame, origin, thread);
+    store(frame, origin, pixel, thread, result_of_pixel(frame, origin, pixel, local.xy));
 }
