@@ -40,7 +40,7 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Starts a comparison with the tolerances for these parameters; those of [`Agreement::default`] are for most.
+    /// Starts a comparison with the tolerances for these parameters. [`Agreement::default`] has the usual ones.
     pub fn with_params(params: impl Into<Params>) -> Self {
         let params: EngineParams = match params.into() {
             Params::Frame(params) => params.into(),

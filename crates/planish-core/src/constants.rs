@@ -61,7 +61,7 @@ pub(crate) const MISSING_PLANE: f32 = 0.1 / 9.0;
 pub(crate) const TURNING: [f32; 2] = [0.02, 0.07];
 /// The ridge is at most this if no plane fits.
 pub(crate) const LOW_RIDGE: f32 = 3e-4;
-/// The same for as many neighbours as a polynomial of degree 2 has coefficients, and would fit exactly.
+/// The limit with six neighbours: a polynomial of degree 2 has six coefficients, and would fit them exactly.
 pub(crate) const FEWEST_RIDGE: f32 = 3e-3;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
 /// and not at all from the second on.

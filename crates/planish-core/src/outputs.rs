@@ -255,8 +255,8 @@ pub struct SmoothedMut<'a> {
     pub curvature: Option<&'a mut [f32]>,
     /// The status of each pixel.
     pub status: Option<&'a mut [Status]>,
-    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. Where pixels share
-    /// surfaces, that of the surface.
+    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
+    /// surfaces, the number of neighbours of the surface.
     pub neighbours: Option<&'a mut [u32]>,
     /// Raw depth values of the smoothed surface, 0 for holes.
     pub depth: Option<&'a mut [u16]>,

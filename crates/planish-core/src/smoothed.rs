@@ -28,8 +28,8 @@ pub struct Smoothed {
     pub curvature: Option<Vec<f32>>,
     /// The status of each pixel.
     pub status: Option<Vec<Status>>,
-    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. Where pixels share
-    /// surfaces, that of the surface.
+    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
+    /// surfaces, the number of neighbours of the surface.
     pub neighbours: Option<Vec<u32>>,
 }
 

@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Edges, Engine, FrameParams, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel,
-    Smoothed, Smoother, SmootherOptions,
+    Camera, DepthFrame, Engine, FrameParams, GpuOptions, IntoFrame, OrganizedCloud, Outputs, SimdLevel, Smoothed,
+    Smoother, SmootherOptions,
 };
 use planish_tests::bits::bits;
 use planish_tests::engines::TestEngine;
@@ -188,10 +188,11 @@ fn times_are_told_when_asked_and_bytes_always() {
     // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
-    // A first plane has 13 numbers and a surface 9; the two frames have 3 each.
-    let off = open(FrameParams::default().with_edges(Edges::Off), false).buffer_bytes();
+    // Cells have 3 numbers for their points, 6 for means, 13 for first planes and 10 for surfaces, and a border of 6.
+    // Pixels have 6, half as many columns, and a border of 4.
+    let (cells, pixels) = ((80 + 12) * (60 + 12) + 16, (80 + 8) * (120 + 8) + 16);
     let mut robust = open(FrameParams::default(), false);
-    assert_eq!(robust.buffer_bytes(), off / 6 * 28);
+    assert_eq!(robust.buffer_bytes(), 4 * (32 * cells + 6 * pixels));
     robust.smooth(&depth, &mut smoothed).unwrap();
     assert!(robust.timings().is_none());
 }

@@ -81,7 +81,7 @@ impl<const N: usize> Channels<N> {
     /// # Safety
     /// The index must be within limits for which [`assert_within`](Self::assert_within) holds.
     #[inline(always)]
-    unsafe fn load_within<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
+    pub(super) unsafe fn load_within<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
         const { assert!(S::f32s::LEN <= MAX_LANES) };
         // SAFETY: every channel has `last` + MAX_LANES values, which never changes, and no vector has more lanes.
         S::f32s::from_slice(simd, unsafe { self.values[channel].get_unchecked(at..at + S::f32s::LEN) })

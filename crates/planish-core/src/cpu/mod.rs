@@ -139,7 +139,7 @@ pub(crate) struct Cpu {
     timings: FrameTimings,
 }
 
-/// What the passes compute for a frame.
+/// Results of the passes of a frame, kept from one pass to the next.
 #[expect(clippy::large_enum_variant, reason = "an engine has one")]
 enum Buffers {
     /// Every pixel has its own surface.
@@ -155,7 +155,7 @@ enum Buffers {
         pixels: Pixels,
         /// The points of the cells.
         points: PaddedFrame,
-        /// Where blocks are averaged: the means of all their points, and of those on the surface.
+        /// Means of all points of a block, and of its points on the surface, if blocks are averaged.
         means: Option<[PaddedFrame; 2]>,
         planes: (FirstPlanes, Surfaces),
     },

@@ -25,7 +25,7 @@ pub(super) struct Polynomial {
 const MAX_OFF_SURFACE: f64 = 8.0;
 /// The ridge is at most this if no plane fits.
 const LOW_RIDGE: f64 = 3e-4;
-/// The same for as many neighbours as a polynomial of degree 2 has coefficients, and would fit exactly.
+/// The limit with six neighbours: a polynomial of degree 2 has six coefficients, and would fit them exactly.
 const FEWEST_RIDGE: f64 = 3e-3;
 const FEWEST: u32 = 6;
 /// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,

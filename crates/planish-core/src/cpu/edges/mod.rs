@@ -386,7 +386,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// What blocks on surfaces are averaged from.
+/// Input for the means of blocks on surfaces.
 #[derive(Clone, Copy)]
 pub(super) struct Blocks<'a> {
     pub(super) pixels: &'a Pixels,

@@ -38,12 +38,12 @@ const PLANE: f32 = 3.0;
 /// For a pixel at the start of its cell, and at the end.
 const SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 0.5), (0, 1.0), (1, 0.5)], &[(-1, 0.25), (0, 0.75), (1, 0.75), (2, 0.25)]];
-/// The same for the surface of its point, up to three pixels.
+/// Shares for finding the surface of the pixel's point, up to three pixels.
 const FIND_SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 1.0 / 3.0), (0, 1.0), (1, 1.0 / 3.0)], &[(0, 2.0 / 3.0), (1, 2.0 / 3.0)]];
-/// What the products of the shares of rows and columns up to four pixels sum to.
+/// Sum of the products of row and column shares up to four pixels.
 const ALL_SHARES: f32 = 4.0;
-/// The same for block means, up to two pixels.
+/// Shares for averaging block means, up to two pixels.
 const MEAN_SHARES: [&[(isize, f32)]; CELL_PX] = [&[(0, 1.0)], &[(0, 0.5), (1, 0.5)]];
 
 impl SurfaceRows<'_> {
@@ -80,7 +80,7 @@ impl SurfaceRows<'_> {
     }
 }
 
-/// What the pass of pixels reads.
+/// Input of the pass of pixels.
 #[derive(Clone, Copy)]
 pub(in crate::cpu) struct Found<'a> {
     pub(in crate::cpu) pixels: &'a Pixels,
@@ -206,14 +206,11 @@ fn result_of_column<S: Simd, const SECOND: usize>(
     let height = height * trust / certain.max(splat(simd, f32::MIN_POSITIVE));
     let normal = normal.scale(one / length);
     let along = along_ray(simd, height, normal, ray, radius);
-    let step = |along: S::f32s, height: S::f32s, normal: Vec3<S>| {
-        if kernel.on_ray { ray.scale(along) } else { normal.scale(height) }
-    };
-    let first = step(along, height, normal);
+    let first = step(kernel, along, ray, height, normal);
     let mean = surfaces.mean_around(simd, around(SHARES), p.add(first), normal, noise);
     let height = mean.height * trust;
     let more = along_ray(simd, height, mean.normal, ray, radius);
-    let second = step(more, height, mean.normal);
+    let second = step(kernel, more, ray, height, mean.normal);
     let limit = radius.min(ray.dot(ray).sqrt() * splat(simd, MAX_ALONG));
     let left = (limit - first.dot(first).sqrt()).max(zero);
     let share = left / second.dot(second).sqrt().max(left).max(splat(simd, f32::MIN_POSITIVE));
@@ -249,6 +246,12 @@ fn result_of_column<S: Simd, const SECOND: usize>(
     }
 }
 
+/// Returns the way onto surfaces: a share of rays, or a height along normals.
+#[inline(always)]
+fn step<S: Simd>(kernel: &Kernel, along: S::f32s, ray: Vec3<S>, height: S::f32s, normal: Vec3<S>) -> Vec3<S> {
+    if kernel.on_ray { ray.scale(along) } else { normal.scale(height) }
+}
+
 /// Splits codes into numbers of neighbours and status.
 #[inline(always)]
 fn decode<S: Simd>(simd: S, code: S::f32s) -> (S::f32s, S::f32s) {
@@ -266,6 +269,14 @@ struct Around {
 }
 
 impl Around {
+    /// Returns the indices of the first and the last of the cells.
+    #[inline(always)]
+    fn limits(self, row_len: usize) -> (usize, usize) {
+        let index = |row: isize, column: isize| self.cell.wrapping_add_signed(row * row_len as isize + column);
+        let (rows, columns) = (self.rows, self.columns);
+        (index(rows[0].0, columns[0].0), index(rows[rows.len() - 1].0, columns[columns.len() - 1].0))
+    }
+
     /// Visits the indices of the cells, and how much they count.
     #[inline(always)]
     fn visit(self, row_len: usize, mut visit: impl FnMut(usize, f32)) {
@@ -367,31 +378,40 @@ impl Surfaces {
         let mut voted =
             Voted { total: zero, certain: zero, normal: none, height: zero, best: zero, code: zero, curvature: zero };
         let mut most = zero;
+        let (first, last) = around.limits(self.planes.row_len);
+        self.planes.channels.assert_within(first, last);
         around.visit(
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                let normal = self.planes.vector(simd, RESULT_NORMAL, at);
-                let offset = self.planes.vector(simd, RESULT_POINT, at).sub(points.p);
+                // SAFETY: between the first and the last cell, which are checked above.
+                let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
+                    #[inline(always)]
+                    |channel| unsafe { self.planes.channels.vector_within(simd, channel, at) },
+                );
+                // SAFETY: as above.
+                let [code, curvature, certainty] = [CODE, CURVATURE, CERTAINTY].map(
+                    #[inline(always)]
+                    |channel| unsafe { self.planes.channels.load_within(simd, channel, at) },
+                );
+                let offset = place.sub(points.p);
                 let (near, within) = gate.weight(simd, offset);
                 let counts: Mask<S> = within & normal.dot(normal).simd_gt(zero);
                 let height = offset.dot(normal);
                 let from_mean = (height - to_mean.dot(normal)) * per_noise;
                 let badness = from_mean.mul_add(from_mean, one);
                 let square = badness * badness;
-                let code = self.planes.load(simd, CODE, at);
                 // The product with the normal is the same whichever side it faces.
                 let side = no_direction.select(one, normal.dot(towards));
                 let side = side.abs().min(one).max(splat(simd, LEAST_SIDE)).copysign(side);
                 let fits = counts.select(near * splat(simd, share) / (square * square), zero);
-                let certainty = self.planes.load(simd, CERTAINTY, at);
                 let certain = fits * certainty * side;
                 let weight = fits * (certainty + splat(simd, LEAST_CERTAINTY));
                 let best: Mask<S> = weight.simd_gt(most);
                 most = weight.max(most);
                 voted.best = best.select(splat(simd, at as f32 - around.cell as f32), voted.best);
                 voted.code = best.select(code, voted.code);
-                voted.curvature = best.select(self.planes.load(simd, CURVATURE, at), voted.curvature);
+                voted.curvature = best.select(curvature, voted.curvature);
                 voted.total += fits;
                 voted.certain += certain.abs();
                 voted.normal = voted.normal.add_scaled(weight * side, normal);
@@ -416,19 +436,25 @@ impl Surfaces {
         let per_width = one / (noise * splat(simd, MEAN_WIDTH));
         let (mut total, mut heights, mut offsets) = (zero, zero, none);
         let mut normals = own_normal.scale(splat(simd, STAY_WEIGHT));
+        let (first, last) = around.limits(self.planes.row_len);
+        self.planes.channels.assert_within(first, last);
         around.visit(
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                let normal = self.planes.vector(simd, RESULT_NORMAL, at);
-                let offset = self.planes.vector(simd, RESULT_POINT, at).sub(point);
+                // SAFETY: between the first and the last cell, which are checked above.
+                let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
+                    #[inline(always)]
+                    |channel| unsafe { self.planes.channels.vector_within(simd, channel, at) },
+                );
+                // SAFETY: as above.
+                let certainty = unsafe { self.planes.channels.load_within(simd, CERTAINTY, at) };
+                let offset = place.sub(point);
                 let height = offset.dot(normal);
                 let widths = height * per_width;
                 let near = (-widths).mul_add(widths, splat(simd, 1.0)).max(zero);
                 let cosine = own_normal.dot(normal);
-                let weight = near
-                    * rises(simd, cosine.abs(), ALIKE)
-                    * (self.planes.load(simd, CERTAINTY, at) * splat(simd, share));
+                let weight = near * rises(simd, cosine.abs(), ALIKE) * (certainty * splat(simd, share));
                 let signed = weight.copysign(cosine);
                 total += weight;
                 heights = signed.mul_add(height, heights);

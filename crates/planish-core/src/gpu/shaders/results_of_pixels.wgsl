@@ -1,6 +1,6 @@
 // The results of pixels from the surfaces of the cells around them (docs/method.md, section 10).
 
-// What the shares of the cells around a pixel sum to.
+// Sum of the shares of the cells around a pixel.
 const ALL_SHARES: f32 = 4.0;
 
 // The cells around a pixel that count: their first column and row in the tile, and how far the pixel is from it.
