@@ -116,10 +116,10 @@ const AVERAGES_BLOCKS: bool = true;
 const SAMPLES: u32 = KEPT_MEAN;
 
 struct Batch {
-    width: u32,
-    height: u32,
-    input_words: u32,
-    output_words: u32,
+width: u32,
+height: u32,
+input_words: u32,
+output_words: u32,
 }
 
 @group(0) @binding(0) var<uniform> batch: Batch;
@@ -129,15 +129,15 @@ struct Batch {
 const NO_POINT: f32 = 4.0e18;
 
 fn header(frame: u32, field: u32) -> f32 {
-    return bitcast<f32>(input[frame * batch.input_words + field]);
+return bitcast<f32>(input[frame * batch.input_words + field]);
 }
 
 fn header_bits(frame: u32, field: u32) -> u32 {
-    return input[frame * batch.input_words + field];
+return input[frame * batch.input_words + field];
 }
 
 fn is_finite(bits: u32) -> bool {
-    return (bits & 0x7f800000u) != 0x7f800000u;
+return (bits & 0x7f800000u) != 0x7f800000u;
 }
 
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
@@ -169,102 +169,102 @@ const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 const NOT_USABLE: f32 = 1e18;
 
 fn grid_size() -> vec2<u32> {
-    return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
+return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
 }
 
 fn cells_in_frame() -> u32 {
-    let size = grid_size();
-    return size.x * size.y;
+let size = grid_size();
+return size.x * size.y;
 }
 
 fn is_outside(cell: vec2<u32>) -> bool {
-    return any(cell >= grid_size());
+return any(cell >= grid_size());
 }
 
 fn cell_index(cell: vec2<u32>) -> u32 {
-    return cell.y * grid_size().x + cell.x;
+return cell.y * grid_size().x + cell.x;
 }
 
 fn kept_at(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
-    let cells = cells_in_frame();
-    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
-    return vec3<f32>(kept_points[at], kept_points[at + cells], kept_points[at + 2u * cells]);
+let cells = cells_in_frame();
+let at = (frame * POINT_CHANNELS + channel) * cells + cell;
+return vec3<f32>(kept_points[at], kept_points[at + cells], kept_points[at + 2u * cells]);
 }
 
 fn keep_point(frame: u32, channel: u32, cell: u32, point: vec3<f32>) {
-    let cells = cells_in_frame();
-    let at = (frame * POINT_CHANNELS + channel) * cells + cell;
-    kept_points[at] = point.x;
-    kept_points[at + cells] = point.y;
-    kept_points[at + 2u * cells] = point.z;
+let cells = cells_in_frame();
+let at = (frame * POINT_CHANNELS + channel) * cells + cell;
+kept_points[at] = point.x;
+kept_points[at + cells] = point.y;
+kept_points[at + 2u * cells] = point.z;
 }
 
 fn plane_word(frame: u32, channel: u32, cell: u32) -> u32 {
-    return (frame * PLANE_CHANNELS + channel) * cells_in_frame() + cell;
+return (frame * PLANE_CHANNELS + channel) * cells_in_frame() + cell;
 }
 
 fn plane_vector(frame: u32, channel: u32, cell: u32) -> vec3<f32> {
-    let at = plane_word(frame, channel, cell);
-    let cells = cells_in_frame();
-    return vec3<f32>(planes[at], planes[at + cells], planes[at + 2u * cells]);
+let at = plane_word(frame, channel, cell);
+let cells = cells_in_frame();
+return vec3<f32>(planes[at], planes[at + cells], planes[at + 2u * cells]);
 }
 
 fn keep_vector(frame: u32, channel: u32, cell: u32, vector: vec3<f32>) {
-    let at = plane_word(frame, channel, cell);
-    let cells = cells_in_frame();
-    planes[at] = vector.x;
-    planes[at + cells] = vector.y;
-    planes[at + 2u * cells] = vector.z;
+let at = plane_word(frame, channel, cell);
+let cells = cells_in_frame();
+planes[at] = vector.x;
+planes[at + cells] = vector.y;
+planes[at + 2u * cells] = vector.z;
 }
 
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
-    return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
+return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
-    if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
-        return vec3<f32>(NO_POINT);
-    }
-    let base = frame * batch.input_words + HEADER_WORDS;
-    let pixel = u32(y) * batch.width + u32(x);
-    let samples = base + batch.width + batch.height;
-    if IS_RAW_DEPTH || IS_DEPTH_METRES {
-        return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
-    }
-    let pixels = batch.width * batch.height;
-    let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
-    if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
-        return vec3<f32>(NO_POINT);
-    }
-    return bitcast<vec3<f32>>(bits);
+if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {
+return vec3<f32>(NO_POINT);
+}
+let base = frame * batch.input_words + HEADER_WORDS;
+let pixel = u32(y) * batch.width + u32(x);
+let samples = base + batch.width + batch.height;
+if IS_RAW_DEPTH || IS_DEPTH_METRES {
+return deproject(frame, base, x, y, depth_at(frame, samples, pixel));
+}
+let pixels = batch.width * batch.height;
+let bits = vec3<u32>(input[samples + pixel], input[samples + pixels + pixel], input[samples + 2u * pixels + pixel]);
+if !(is_finite(bits.x) && is_finite(bits.y) && is_finite(bits.z)) {
+return vec3<f32>(NO_POINT);
+}
+return bitcast<vec3<f32>>(bits);
 }
 
 fn depth_at(frame: u32, samples: u32, pixel: u32) -> f32 {
-    if IS_RAW_DEPTH {
-        let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
-        return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
-    }
-    let bits = input[samples + pixel];
-    return select(0.0, bitcast<f32>(bits), is_finite(bits));
+if IS_RAW_DEPTH {
+let raw = (input[samples + (pixel >> 1u)] >> ((pixel & 1u) * 16u)) & 0xffffu;
+return select(f32(raw) * header(frame, METRES_PER_UNIT), 0.0, raw == 0u || raw == SATURATED_DEPTH);
+}
+let bits = input[samples + pixel];
+return select(0.0, bitcast<f32>(bits), is_finite(bits));
 }
 
 fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
-    if z <= 0.0 {
-        return vec3<f32>(NO_POINT);
-    }
-    let ray_x = bitcast<f32>(input[base + u32(x)]);
-    let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
-    let point = vec3<f32>(ray_x * z, ray_y * z, z);
-    let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
-    return select(vec3<f32>(NO_POINT), point, is_point);
+if z <= 0.0 {
+return vec3<f32>(NO_POINT);
+}
+let ray_x = bitcast<f32>(input[base + u32(x)]);
+let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
+let point = vec3<f32>(ray_x * z, ray_y * z, z);
+let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
+return select(vec3<f32>(NO_POINT), point, is_point);
 }
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
-    return point_at(frame, x, y);
+return point_at(frame, x, y);
 }
 
 fn centre_of(frame: u32, pixel: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
-    return candidate(window, WINDOW, WINDOW);
+return candidate(window, WINDOW, WINDOW);
 }
 
 const PITCH: u32 = TILE_WIDTH * CELL + 2u * WINDOW;
@@ -277,552 +277,552 @@ var<workgroup> tile_z: array<f32, TILE_AREA>;
 alias WindowOrigin = vec2<u32>;
 
 fn place_of(column: u32, row: u32) -> u32 {
-    return row * PITCH + column % CELL * (PITCH / CELL) + column / CELL;
+return row * PITCH + column % CELL * (PITCH / CELL) + column / CELL;
 }
 
 fn load_candidates(frame: u32, origin: vec2<u32>, thread: u32) {
-    let first = vec2<i32>(origin * CELL) - i32(WINDOW);
-    for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
-        let p = point_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH));
-        let at = place_of(i % PITCH, i / PITCH);
-        tile_x[at] = p.x;
-        tile_y[at] = p.y;
-        tile_z[at] = p.z;
-    }
-    workgroupBarrier();
+let first = vec2<i32>(origin * CELL) - i32(WINDOW);
+for (var i = thread; i < TILE_AREA; i += TILE_WIDTH * TILE_HEIGHT) {
+let p = point_at(frame, first.x + i32(i % PITCH), first.y + i32(i / PITCH));
+let at = place_of(i % PITCH, i / PITCH);
+tile_x[at] = p.x;
+tile_y[at] = p.y;
+tile_z[at] = p.z;
+}
+workgroupBarrier();
 }
 
 fn window_origin_of(frame: u32, cell: vec2<u32>, local: vec2<u32>) -> WindowOrigin {
-    return local * CELL;
+return local * CELL;
 }
 
 fn candidate(window: WindowOrigin, column: u32, row: u32) -> vec3<f32> {
-    let at = place_of(window.x + column, window.y + row);
-    return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
+let at = place_of(window.x + column, window.y + row);
+return vec3<f32>(tile_x[at], tile_y[at], tile_z[at]);
 }
 fn offset_of(column: u32) -> i32 {
-    let from_middle = i32(column) - i32(WINDOW);
-    return sign(from_middle) * ((abs(from_middle) * i32(STRIDE) + i32(CELL) - 1) / i32(CELL));
+let from_middle = i32(column) - i32(WINDOW);
+return sign(from_middle) * ((abs(from_middle) * i32(STRIDE) + i32(CELL) - 1) / i32(CELL));
 }
 
 struct Gate {
-    slope: f32,
+slope: f32,
 }
 
 fn gate_of(radius: f32) -> Gate {
-    return Gate(-GATE_FADE / (radius * radius));
+return Gate(-GATE_FADE / (radius * radius));
 }
 
 fn unclamped(gate: Gate, squared: f32) -> f32 {
-    return fma(squared, gate.slope, GATE_FADE + 0.5);
+return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
 struct Sums {
-    n: f32,
-    total: f32,
-    e: vec3<f32>,
-    x_row: vec3<f32>,
-    rest: vec3<f32>,
+n: f32,
+total: f32,
+e: vec3<f32>,
+x_row: vec3<f32>,
+rest: vec3<f32>,
 }
 
 fn square(e: vec3<f32>) -> f32 {
-    return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
+return fma(e.x, e.x, fma(e.y, e.y, e.z * e.z));
 }
 
 fn origin_of(group: vec3<u32>) -> vec2<u32> {
-    return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
+return vec2<u32>(group.x * TILE_WIDTH, group.y / ROW_STEP * (ROW_STEP * TILE_HEIGHT) + group.y % ROW_STEP);
 }
 
 fn range_of(frame: u32, ray: vec3<f32>) -> f32 {
-    if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
-        let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
-        let scaled = ray / largest;
-        return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
-    }
-    return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
+if IS_POINTS && (header_bits(frame, FLAGS) & BY_DISTANCE) != 0u {
+let largest = max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
+let scaled = ray / largest;
+return min(largest * sqrt(dot(scaled, scaled)), MAX_RANGE_M);
+}
+return min(abs(depth_of(frame, ray)), MAX_RANGE_M);
 }
 
 fn polynomial_in_range(frame: u32, field: u32, range: f32) -> f32 {
-    return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
+return fma(fma(range, header(frame, field + 2u), header(frame, field + 1u)), range, header(frame, field));
 }
 
 fn radius_at(frame: u32, range: f32) -> f32 {
-    let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
-    return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
+let radius = max(range * header(frame, RADIUS_LINEAR), polynomial_in_range(frame, RADIUS, range));
+return clamp(radius, MIN_GATE_M, MAX_RADIUS_M);
 }
 
 fn sums_of(window: WindowOrigin, p: vec3<f32>, gate: Gate) -> Sums {
-    var sums: Sums;
-    for (var row = 0u; row < SIDE; row++) {
-        for (var column = 0u; column < SIDE; column++) {
-            let offset = candidate(window, column, row) - p;
-            let squared = square(offset);
-            let nearness = unclamped(gate, squared);
-            let is_neighbour = nearness > 0.0;
-            let e = select(vec3<f32>(0.0), offset, is_neighbour);
-            let weight = clamp(nearness, 0.0, 1.0);
-            let weighted = weight * e;
-            sums.n += select(0.0, 1.0, is_neighbour);
-            sums.total += weight;
-            sums.e += weighted;
-            sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
-            sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
-        }
-    }
-    return sums;
+var sums: Sums;
+for (var row = 0u; row < SIDE; row++) {
+for (var column = 0u; column < SIDE; column++) {
+let offset = candidate(window, column, row) - p;
+let squared = square(offset);
+let nearness = unclamped(gate, squared);
+let is_neighbour = nearness > 0.0;
+let e = select(vec3<f32>(0.0), offset, is_neighbour);
+let weight = clamp(nearness, 0.0, 1.0);
+let weighted = weight * e;
+sums.n += select(0.0, 1.0, is_neighbour);
+sums.total += weight;
+sums.e += weighted;
+sums.x_row = fma(vec3<f32>(weighted.x), e, sums.x_row);
+sums.rest = fma(weighted.yyz, e.yzz, sums.rest);
+}
+}
+return sums;
 }
 
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
-    xx: f32,
-    xy: f32,
-    xz: f32,
-    yy: f32,
-    yz: f32,
-    zz: f32,
+xx: f32,
+xy: f32,
+xz: f32,
+yy: f32,
+yz: f32,
+zz: f32,
 }
 
 struct Smallest {
-    values: vec3<f32>,
-    vector: vec3<f32>,
+values: vec3<f32>,
+vector: vec3<f32>,
 }
 
 fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>(
-        dot(vec3<f32>(m.xx, m.xy, m.xz), v),
-        dot(vec3<f32>(m.xy, m.yy, m.yz), v),
-        dot(vec3<f32>(m.xz, m.yz, m.zz), v),
-    );
+return vec3<f32>(
+dot(vec3<f32>(m.xx, m.xy, m.xz), v),
+dot(vec3<f32>(m.xy, m.yy, m.yz), v),
+dot(vec3<f32>(m.xz, m.yz, m.zz), v),
+);
 }
 
 fn cos_third_acos(x: f32) -> f32 {
-    let magnitude = abs(x);
-    var p = -0.0012624911;
-    p = fma(p, magnitude, 0.0066700901);
-    p = fma(p, magnitude, -0.0170881256);
-    p = fma(p, magnitude, 0.0308918810);
-    p = fma(p, magnitude, -0.0501743046);
-    p = fma(p, magnitude, 0.0889789874);
-    p = fma(p, magnitude, -0.2145988016);
-    p = fma(p, magnitude, 1.5707963268);
-    let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
-    let angle = select(acute, 3.1415926536 - acute, x < 0.0);
-    let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
-    var c = 2.4801587e-5;
-    c = fma(c, s, -1.3888889e-3);
-    c = fma(c, s, 4.1666667e-2);
-    c = fma(c, s, -0.5);
-    return fma(c, s, 1.0);
+let magnitude = abs(x);
+var p = -0.0012624911;
+p = fma(p, magnitude, 0.0066700901);
+p = fma(p, magnitude, -0.0170881256);
+p = fma(p, magnitude, 0.0308918810);
+p = fma(p, magnitude, -0.0501743046);
+p = fma(p, magnitude, 0.0889789874);
+p = fma(p, magnitude, -0.2145988016);
+p = fma(p, magnitude, 1.5707963268);
+let acute = sqrt(max(1.0 - magnitude, 0.0)) * p;
+let angle = select(acute, 3.1415926536 - acute, x < 0.0);
+let s = (angle * (1.0 / 3.0)) * (angle * (1.0 / 3.0));
+var c = 2.4801587e-5;
+c = fma(c, s, -1.3888889e-3);
+c = fma(c, s, 4.1666667e-2);
+c = fma(c, s, -0.5);
+return fma(c, s, 1.0);
 }
 
 fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
-    return fma(a, b, -(c * d));
+return fma(a, b, -(c * d));
 }
 
 fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
-    let x = vec3<f32>(b.xx - value, b.xy, b.xz);
-    let y = vec3<f32>(b.xy, b.yy - value, b.yz);
-    let z = vec3<f32>(b.xz, b.yz, b.zz - value);
-    var longest = cross(x, y);
-    var length_squared = dot(longest, longest);
-    for (var i = 0; i < 2; i++) {
-        let other = cross(select(y, x, i == 0), z);
-        let other_squared = dot(other, other);
-        if other_squared > length_squared {
-            longest = other;
-            length_squared = other_squared;
-        }
-    }
-    if length_squared > MIN_POSITIVE {
-        return longest * (1.0 / sqrt(length_squared));
-    }
-    return vec3<f32>(0.0, 0.0, 1.0);
+let x = vec3<f32>(b.xx - value, b.xy, b.xz);
+let y = vec3<f32>(b.xy, b.yy - value, b.yz);
+let z = vec3<f32>(b.xz, b.yz, b.zz - value);
+var longest = cross(x, y);
+var length_squared = dot(longest, longest);
+for (var i = 0; i < 2; i++) {
+let other = cross(select(y, x, i == 0), z);
+let other_squared = dot(other, other);
+if other_squared > length_squared {
+longest = other;
+length_squared = other_squared;
+}
+}
+if length_squared > MIN_POSITIVE {
+return longest * (1.0 / sqrt(length_squared));
+}
+return vec3<f32>(0.0, 0.0, 1.0);
 }
 
 struct Tangents {
-    u: vec3<f32>,
-    v: vec3<f32>,
+u: vec3<f32>,
+v: vec3<f32>,
 }
 
 fn tangents_of(n: vec3<f32>) -> Tangents {
-    let sign = bitcast<f32>((bitcast<u32>(n.z) & 0x80000000u) | 0x3f800000u);
-    let a = -1.0 / (sign + n.z);
-    let b = n.x * n.y * a;
-    return Tangents(
-        vec3<f32>(fma(sign * n.x * n.x, a, 1.0), sign * b, -(sign * n.x)),
-        vec3<f32>(b, fma(n.y * n.y, a, sign), -n.y),
-    );
+let sign = bitcast<f32>((bitcast<u32>(n.z) & 0x80000000u) | 0x3f800000u);
+let a = -1.0 / (sign + n.z);
+let b = n.x * n.y * a;
+return Tangents(
+vec3<f32>(fma(sign * n.x * n.x, a, 1.0), sign * b, -(sign * n.x)),
+vec3<f32>(b, fma(n.y * n.y, a, sign), -n.y),
+);
 }
 
 fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
-    let tangents = tangents_of(axis);
-    let bu = symmetric_times(b, tangents.u);
-    let bv = symmetric_times(b, tangents.v);
-    let uu = dot(tangents.u, bu);
-    let uv = dot(tangents.u, bv);
-    let vv = dot(tangents.v, bv);
-    let half_sum = (uu + vv) * 0.5;
-    let half_difference = (uu - vv) * 0.5;
-    let spread = sqrt(fma(half_difference, half_difference, uv * uv));
-    let reach = abs(half_difference) + spread;
-    let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
-    let length_squared = dot(along, along);
-    var vector = tangents.u;
-    if length_squared > MIN_POSITIVE {
-        vector = (along.x * tangents.u + along.y * tangents.v) * (1.0 / sqrt(length_squared));
-    }
-    return Smallest(vec3<f32>(half_sum - spread, half_sum + spread, half_sum + spread), vector);
+let tangents = tangents_of(axis);
+let bu = symmetric_times(b, tangents.u);
+let bv = symmetric_times(b, tangents.v);
+let uu = dot(tangents.u, bu);
+let uv = dot(tangents.u, bv);
+let vv = dot(tangents.v, bv);
+let half_sum = (uu + vv) * 0.5;
+let half_difference = (uu - vv) * 0.5;
+let spread = sqrt(fma(half_difference, half_difference, uv * uv));
+let reach = abs(half_difference) + spread;
+let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
+let length_squared = dot(along, along);
+var vector = tangents.u;
+if length_squared > MIN_POSITIVE {
+vector = (along.x * tangents.u + along.y * tangents.v) * (1.0 / sqrt(length_squared));
+}
+return Smallest(vec3<f32>(half_sum - spread, half_sum + spread, half_sum + spread), vector);
 }
 
 fn smallest_eigenvector(m: Symmetric) -> Smallest {
-    let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
-    let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
-    let off = vec3<f32>(m.xy, m.xz, m.yz);
-    let p = sqrt((dot(d, d) + 2.0 * dot(off, off)) * (1.0 / 6.0));
-    let inverse_p = 1.0 / max(p, MIN_POSITIVE);
-    let b = Symmetric(
-        d.x * inverse_p,
-        m.xy * inverse_p,
-        m.xz * inverse_p,
-        d.y * inverse_p,
-        m.yz * inverse_p,
-        d.z * inverse_p,
-    );
-    let det = fma(
-        b.xx,
-        minor(b.yy, b.zz, b.yz, b.yz),
-        fma(b.xz, minor(b.xy, b.yz, b.yy, b.xz), -(b.xy * minor(b.xy, b.zz, b.yz, b.xz))),
-    );
-    let half_det = clamp(det * 0.5, -1.0, 1.0);
+let mean = (m.xx + m.yy + m.zz) * (1.0 / 3.0);
+let d = vec3<f32>(m.xx, m.yy, m.zz) - mean;
+let off = vec3<f32>(m.xy, m.xz, m.yz);
+let p = sqrt((dot(d, d) + 2.0 * dot(off, off)) * (1.0 / 6.0));
+let inverse_p = 1.0 / max(p, MIN_POSITIVE);
+let b = Symmetric(
+d.x * inverse_p,
+m.xy * inverse_p,
+m.xz * inverse_p,
+d.y * inverse_p,
+m.yz * inverse_p,
+d.z * inverse_p,
+);
+let det = fma(
+b.xx,
+minor(b.yy, b.zz, b.yz, b.yz),
+fma(b.xz, minor(b.xy, b.yz, b.yy, b.xz), -(b.xy * minor(b.xy, b.zz, b.yz, b.xz))),
+);
+let half_det = clamp(det * 0.5, -1.0, 1.0);
 
-    let is_line_like = half_det > LINE_LIKE;
-    let sign = select(-1.0, 1.0, is_line_like);
-    let half_alone = sign * cos_third_acos(half_det * sign);
-    let axis = null_vector(b, 2.0 * half_alone);
-    let alone = fma(p, 2.0 * half_alone, mean);
-    if is_line_like {
-        let across = across_line(b, axis);
-        return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
-    }
-    let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
-    return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
+let is_line_like = half_det > LINE_LIKE;
+let sign = select(-1.0, 1.0, is_line_like);
+let half_alone = sign * cos_third_acos(half_det * sign);
+let axis = null_vector(b, 2.0 * half_alone);
+let alone = fma(p, 2.0 * half_alone, mean);
+if is_line_like {
+let across = across_line(b, axis);
+return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
+}
+let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
+return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
-    return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
+return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));
 }
 
 fn ray_to(frame: u32, p: vec3<f32>) -> vec3<f32> {
-    if !IS_POINTS {
-        return p;
-    }
-    return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
+if !IS_POINTS {
+return p;
+}
+return clamp(p, vec3<f32>(-1e18), vec3<f32>(1e18)) - header_vec3(frame, POSITION);
 }
 
 fn depth_of(frame: u32, ray: vec3<f32>) -> f32 {
-    if !IS_POINTS {
-        return ray.z;
-    }
-    return dot(header_vec3(frame, AXIS), ray);
+if !IS_POINTS {
+return ray.z;
+}
+return dot(header_vec3(frame, AXIS), ray);
 }
 
 fn middle_of(window: WindowOrigin) -> vec3<f32> {
-    var p = candidate(window, WINDOW, WINDOW);
-    for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
-        p = candidate(window, WINDOW + i % CELL, WINDOW + i / CELL);
-    }
-    return p;
+var p = candidate(window, WINDOW, WINDOW);
+for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
+p = candidate(window, WINDOW + i % CELL, WINDOW + i / CELL);
+}
+return p;
 }
 
 fn block_gate(frame: u32, range: f32) -> f32 {
-    let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
-    return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
+let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
+return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
 }
 
 fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
-    var sum = vec3<f32>(0.0);
-    var total = 0.0;
-    for (var row = 0u; row < SIDE; row++) {
-        for (var column = 0u; column < SIDE; column++) {
-            let offset = candidate(window, column, row) - p;
-            let squared = square(offset);
-            let nearness = unclamped(gate, squared);
-            let e = select(vec3<f32>(0.0), offset, nearness > 0.0);
-            let f = dot(e, normal_per_width) - height_in_widths;
-            let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
-            let weight = clamp(nearness, 0.0, 1.0) * on_surface * on_surface;
-            sum = fma(vec3<f32>(weight), e, sum);
-            total += weight;
-        }
-    }
-    return p + sum / total;
+var sum = vec3<f32>(0.0);
+var total = 0.0;
+for (var row = 0u; row < SIDE; row++) {
+for (var column = 0u; column < SIDE; column++) {
+let offset = candidate(window, column, row) - p;
+let squared = square(offset);
+let nearness = unclamped(gate, squared);
+let e = select(vec3<f32>(0.0), offset, nearness > 0.0);
+let f = dot(e, normal_per_width) - height_in_widths;
+let on_surface = max(fma(-f, f, 1.0), MIN_BLOCK_WEIGHT);
+let weight = clamp(nearness, 0.0, 1.0) * on_surface * on_surface;
+sum = fma(vec3<f32>(weight), e, sum);
+total += weight;
+}
+}
+return p + sum / total;
 }
 
 fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
-    return vec2<f32>(fma(h.x, at.x, h.y * at.y), fma(h.y, at.x, h.z * at.y));
+return vec2<f32>(fma(h.x, at.x, h.y * at.y), fma(h.y, at.x, h.z * at.y));
 }
 
 fn place_along(frame: Tangents, x: vec3<f32>) -> vec2<f32> {
-    return vec2<f32>(dot(x, frame.u), dot(x, frame.v));
+return vec2<f32>(dot(x, frame.u), dot(x, frame.v));
 }
 
 fn bend_square(h: vec3<f32>) -> f32 {
-    return fma(h.x, h.x, fma(h.z, h.z, 2.0 * h.y * h.y));
+return fma(h.x, h.x, fma(h.z, h.z, 2.0 * h.y * h.y));
 }
 
 fn along(frame: Tangents, m: Symmetric) -> vec3<f32> {
-    let by_u = symmetric_times(m, frame.u);
-    let by_v = symmetric_times(m, frame.v);
-    return vec3<f32>(dot(frame.u, by_u), dot(frame.u, by_v), dot(frame.v, by_v));
+let by_u = symmetric_times(m, frame.u);
+let by_v = symmetric_times(m, frame.v);
+return vec3<f32>(dot(frame.u, by_u), dot(frame.u, by_v), dot(frame.v, by_v));
 }
 
 fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
-    let u = place_along(frame, to.u);
-    let v = place_along(frame, to.v);
-    let by_u = bend_times(h, u);
-    let by_v = bend_times(h, v);
-    return vec3<f32>(dot(u, by_u), dot(u, by_v), dot(v, by_v));
+let u = place_along(frame, to.u);
+let v = place_along(frame, to.v);
+let by_u = bend_times(h, u);
+let by_v = bend_times(h, v);
+return vec3<f32>(dot(u, by_u), dot(u, by_v), dot(v, by_v));
 }
 
 struct Around {
-    total: f32,
-    height: f32,
-    normal: vec3<f32>,
-    offset: vec3<f32>,
-    offsets: Symmetric,
-    slopes: Symmetric,
-    windows: f32,
-    spreads: f32,
-    fitting: f32,
-    normals: vec3<f32>,
-    count: f32,
+total: f32,
+height: f32,
+normal: vec3<f32>,
+offset: vec3<f32>,
+offsets: Symmetric,
+slopes: Symmetric,
+windows: f32,
+spreads: f32,
+fitting: f32,
+normals: vec3<f32>,
+count: f32,
 }
 
 fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Symmetric {
-    let x_row = factor * fma(vec3<f32>(x.x), y, y.x * x);
-    let rest = factor * fma(x.yyz, y.yzz, y.yyz * x.yzz);
-    return Symmetric(
-        sum.xx + x_row.x,
-        sum.xy + x_row.y,
-        sum.xz + x_row.z,
-        sum.yy + rest.x,
-        sum.yz + rest.y,
-        sum.zz + rest.z,
-    );
+let x_row = factor * fma(vec3<f32>(x.x), y, y.x * x);
+let rest = factor * fma(x.yyz, y.yzz, y.yyz * x.yzz);
+return Symmetric(
+sum.xx + x_row.x,
+sum.xy + x_row.y,
+sum.xz + x_row.z,
+sum.yy + rest.x,
+sum.yz + rest.y,
+sum.zz + rest.z,
+);
 }
 
 struct Turn {
-    per_total: f32,
-    mean_normal: vec3<f32>,
-    variance: f32,
-    certain: f32,
+per_total: f32,
+mean_normal: vec3<f32>,
+variance: f32,
+certain: f32,
 }
 
 fn turn_of(around: Around, radius: f32, noise: f32) -> Turn {
-    if !(around.total > LEAST_BEND_WEIGHT) {
-        return Turn(0.0, vec3<f32>(0.0), 0.0, 0.0);
-    }
-    let per_total = 1.0 / around.total;
-    let mean_normal = around.normal * per_total;
-    let variance = max(1.0 - dot(mean_normal, mean_normal), 0.0);
-    let turns = sqrt(variance) * radius / (noise * LEAST_TURN);
-    return Turn(per_total, mean_normal, variance, clamp(turns - 1.0, 0.0, 1.0));
+if !(around.total > LEAST_BEND_WEIGHT) {
+return Turn(0.0, vec3<f32>(0.0), 0.0, 0.0);
+}
+let per_total = 1.0 / around.total;
+let mean_normal = around.normal * per_total;
+let variance = max(1.0 - dot(mean_normal, mean_normal), 0.0);
+let turns = sqrt(variance) * radius / (noise * LEAST_TURN);
+return Turn(per_total, mean_normal, variance, clamp(turns - 1.0, 0.0, 1.0));
 }
 
 struct Measured {
-    bend: vec3<f32>,
-    centre: vec2<f32>,
-    rise: f32,
+bend: vec3<f32>,
+centre: vec2<f32>,
+rise: f32,
 }
 
 fn bend_around(around: Around, turn: Turn, frame: Tangents, radius: f32) -> Measured {
-    let per_total = turn.per_total;
-    let per_radius = 1.0 / radius;
-    let scale = per_total * per_radius;
-    let t = place_along(frame, around.offset) * scale;
-    let s = -place_along(frame, turn.mean_normal);
-    let squares = along(frame, around.offsets);
-    let places = squares * (scale * per_radius);
-    let slopes = along(frame, around.slopes) * -scale;
-    let variances = max(places.xz - t * t, vec2<f32>(0.0));
-    let a = variances.x + BEND_DAMPING;
-    let b = places.y - t.x * t.y;
-    let c = variances.y + BEND_DAMPING;
-    let p = fma(slopes.x, 0.5, -(s.x * t.x));
-    let q = slopes.y - s.x * t.y - s.y * t.x;
-    let r = fma(slopes.z, 0.5, -(s.y * t.y));
-    let bb = b * b;
-    let sum = a + c;
-    let bend = vec3<f32>(
-        (sum * c - bb) * p - b * c * q + bb * r,
-        a * c * q - b * c * p - a * b * r,
-        bb * p - a * b * q + (sum * a - bb) * r,
-    ) / (sum * (a * c - bb));
-    let square = bend_square(bend);
-    let trace = bend.x + bend.z;
-    let with_slopes = fma(bend.x, p, fma(bend.y, q, bend.z * r));
-    let of_places = dot(variances, bend.xz * bend.xz + bend.y * bend.y) + 2.0 * b * bend.y * trace;
-    let explained = with_slopes * with_slopes / max(of_places * turn.variance, MIN_POSITIVE);
-    let within = around.windows * (radius * per_total);
-    let agreed = within * trace / max(max(trace * trace, 0.5 * square), MIN_POSITIVE);
-    let size = sqrt(square);
-    let counts = turn.certain
-        * clamp((explained - BEND_EXPLAINED_FROM) / (BEND_EXPLAINED_TO - BEND_EXPLAINED_FROM), 0.0, 1.0)
-        * clamp((agreed - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
-    let limit = min(MOST_BEND / max(size, MIN_POSITIVE), 1.0);
-    let found = bend * (counts * limit * per_radius);
-    let twice = fma(found.x, squares.x, fma(found.z, squares.z, 2.0 * found.y * squares.y));
-    return Measured(found, t * radius, 0.5 * twice - 0.25 * around.spreads * (found.x + found.z));
+let per_total = turn.per_total;
+let per_radius = 1.0 / radius;
+let scale = per_total * per_radius;
+let t = place_along(frame, around.offset) * scale;
+let s = -place_along(frame, turn.mean_normal);
+let squares = along(frame, around.offsets);
+let places = squares * (scale * per_radius);
+let slopes = along(frame, around.slopes) * -scale;
+let variances = max(places.xz - t * t, vec2<f32>(0.0));
+let a = variances.x + BEND_DAMPING;
+let b = places.y - t.x * t.y;
+let c = variances.y + BEND_DAMPING;
+let p = fma(slopes.x, 0.5, -(s.x * t.x));
+let q = slopes.y - s.x * t.y - s.y * t.x;
+let r = fma(slopes.z, 0.5, -(s.y * t.y));
+let bb = b * b;
+let sum = a + c;
+let bend = vec3<f32>(
+(sum * c - bb) * p - b * c * q + bb * r,
+a * c * q - b * c * p - a * b * r,
+bb * p - a * b * q + (sum * a - bb) * r,
+) / (sum * (a * c - bb));
+let square = bend_square(bend);
+let trace = bend.x + bend.z;
+let with_slopes = fma(bend.x, p, fma(bend.y, q, bend.z * r));
+let of_places = dot(variances, bend.xz * bend.xz + bend.y * bend.y) + 2.0 * b * bend.y * trace;
+let explained = with_slopes * with_slopes / max(of_places * turn.variance, MIN_POSITIVE);
+let within = around.windows * (radius * per_total);
+let agreed = within * trace / max(max(trace * trace, 0.5 * square), MIN_POSITIVE);
+let size = sqrt(square);
+let counts = turn.certain
+* clamp((explained - BEND_EXPLAINED_FROM) / (BEND_EXPLAINED_TO - BEND_EXPLAINED_FROM), 0.0, 1.0)
+* clamp((agreed - BEND_SHARED_FROM) / (BEND_SHARED_TO - BEND_SHARED_FROM), 0.0, 1.0);
+let limit = min(MOST_BEND / max(size, MIN_POSITIVE), 1.0);
+let found = bend * (counts * limit * per_radius);
+let twice = fma(found.x, squares.x, fma(found.z, squares.z, 2.0 * found.y * squares.y));
+return Measured(found, t * radius, 0.5 * twice - 0.25 * around.spreads * (found.x + found.z));
 }
 
 struct Surface {
-    normal: vec3<f32>,
-    height: f32,
-    width: f32,
-    bend: vec3<f32>,
-    no_plane_fits: f32,
-    certainty: f32,
+normal: vec3<f32>,
+height: f32,
+width: f32,
+bend: vec3<f32>,
+no_plane_fits: f32,
+certainty: f32,
 }
 
 fn fit_by(variance: f32) -> f32 {
-    let root = 1.0 / (1.0 + variance);
-    return (root * root) * (root * root);
+let root = 1.0 / (1.0 + variance);
+return (root * root) * (root * root);
 }
 
 fn vote(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
-    let per_variance = 1.0 / (noise * noise);
-    let gate = gate_of(radius * PLANE_REACH);
-    var around: Around;
-    for (var row = 0u; row < 3u; row++) {
-        for (var column = 0u; column < 3u; column++) {
-            let other = vec2<i32>(cell + vec2<u32>(column, row) * EDGE_SHIFT) - i32(EDGE_SHIFT);
-            if any(other < vec2<i32>(0)) || is_outside(vec2<u32>(other)) {
-                continue;
-            }
-            let at = cell_index(vec2<u32>(other));
-            let offset = kept_at(frame, KEPT_POINT, at) - p;
-            let nearness = unclamped(gate, square(offset));
-            if !(nearness > 0.0) {
-                continue;
-            }
-            let variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
-            if variance >= NOT_USABLE {
-                continue;
-            }
-            let n = plane_vector(frame, FIRST_NORMAL, at);
-            let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
-            let to_plane = dot(centroid, n);
-            let from_mean = to_plane - dot(to_mean, n);
-            let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
-            let weight = fit_by(residual * per_variance) * min(nearness, 1.0);
-            around.fitting = fma(fit_by(variance * per_variance), min(nearness, 1.0), around.fitting);
-            let counts = min(nearness / NEAR_ENOUGH, 1.0);
-            around.normals = fma(vec3<f32>(counts), n, around.normals);
-            around.count += counts;
-            let weighted = weight * n;
-            around.total += weight;
-            around.height = fma(weight, to_plane, around.height);
-            around.normal += weighted;
-            around.offset = fma(vec3<f32>(weight), centroid, around.offset);
-            around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
-            around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
-            around.windows = fma(weight, planes[plane_word(frame, FIRST_BEND, at)], around.windows);
-            around.spreads = fma(weight, planes[plane_word(frame, FIRST_SPREAD, at)], around.spreads);
-        }
-    }
-    return around;
+let per_variance = 1.0 / (noise * noise);
+let gate = gate_of(radius * PLANE_REACH);
+var around: Around;
+for (var row = 0u; row < 3u; row++) {
+for (var column = 0u; column < 3u; column++) {
+let other = vec2<i32>(cell + vec2<u32>(column, row) * EDGE_SHIFT) - i32(EDGE_SHIFT);
+if any(other < vec2<i32>(0)) || is_outside(vec2<u32>(other)) {
+continue;
+}
+let at = cell_index(vec2<u32>(other));
+let offset = kept_at(frame, KEPT_POINT, at) - p;
+let nearness = unclamped(gate, square(offset));
+if !(nearness > 0.0) {
+continue;
+}
+let variance = planes[plane_word(frame, FIRST_RESIDUAL, at)];
+if variance >= NOT_USABLE {
+continue;
+}
+let n = plane_vector(frame, FIRST_NORMAL, at);
+let centroid = offset + plane_vector(frame, FIRST_CENTROID, at);
+let to_plane = dot(centroid, n);
+let from_mean = to_plane - dot(to_mean, n);
+let residual = fma(DISTANCE_WEIGHT * from_mean, from_mean, variance);
+let weight = fit_by(residual * per_variance) * min(nearness, 1.0);
+around.fitting = fma(fit_by(variance * per_variance), min(nearness, 1.0), around.fitting);
+let counts = min(nearness / NEAR_ENOUGH, 1.0);
+around.normals = fma(vec3<f32>(counts), n, around.normals);
+around.count += counts;
+let weighted = weight * n;
+around.total += weight;
+around.height = fma(weight, to_plane, around.height);
+around.normal += weighted;
+around.offset = fma(vec3<f32>(weight), centroid, around.offset);
+around.offsets = plus_products(around.offsets, weight * centroid, centroid, 0.5);
+around.slopes = plus_products(around.slopes, weighted, centroid, 1.0);
+around.windows = fma(weight, planes[plane_word(frame, FIRST_BEND, at)], around.windows);
+around.spreads = fma(weight, planes[plane_word(frame, FIRST_SPREAD, at)], around.spreads);
+}
+}
+return around;
 }
 
 fn lack_of_planes(around: Around) -> f32 {
-    let lacking = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
-    let mean = length(around.normals) / max(around.count, NEAR_ENOUGH);
-    let turning = 1.0 - mean + MISSING_PLANE * (9.0 - around.count);
-    return lacking * clamp((turning - TURNING_FLAT) / (TURNING_ROUND - TURNING_FLAT), 0.0, 1.0);
+let lacking = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
+let mean = length(around.normals) / max(around.count, NEAR_ENOUGH);
+let turning = 1.0 - mean + MISSING_PLANE * (9.0 - around.count);
+return lacking * clamp((turning - TURNING_FLAT) / (TURNING_ROUND - TURNING_FLAT), 0.0, 1.0);
 }
 
 struct Facing {
-    normal: vec3<f32>,
-    sign: f32,
+normal: vec3<f32>,
+sign: f32,
 }
 
 fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
-    let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
-    return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
+let sign = select(1.0, -1.0, dot(normal, ray) > 0.0);
+return Facing(normal * (sign / sqrt(dot(normal, normal))), sign);
 }
 
 fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
-    let own = cell_index(cell);
-    let own_normal = plane_vector(frame, FIRST_NORMAL, own);
-    if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
-        let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
-        return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0, 0.0);
-    }
-    let around = vote(frame, cell, p, to_mean, radius, noise);
-    let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
-    let turn = turn_of(around, radius, noise);
-    let tangents = tangents_of(found.normal);
-    var measured: Measured;
-    if turn.certain > 0.0 {
-        measured = bend_around(around, turn, tangents, radius);
-    }
-    let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
-    let no_plane_fits = lack_of_planes(around);
-    let certainty = around.total / (around.total + STAY_WEIGHT);
-    let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits, certainty);
-    if bend_square(measured.bend) == 0.0 {
-        return surface;
-    }
-    let tilt = bend_times(measured.bend, measured.centre);
-    let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
-    let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
-    return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits, certainty);
+let own = cell_index(cell);
+let own_normal = plane_vector(frame, FIRST_NORMAL, own);
+if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
+let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
+return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0, 0.0);
+}
+let around = vote(frame, cell, p, to_mean, radius, noise);
+let found = facing(around.normal + OWN_NORMAL_WEIGHT * own_normal, ray);
+let turn = turn_of(around, radius, noise);
+let tangents = tangents_of(found.normal);
+var measured: Measured;
+if turn.certain > 0.0 {
+measured = bend_around(around, turn, tangents, radius);
+}
+let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
+let no_plane_fits = lack_of_planes(around);
+let certainty = around.total / (around.total + STAY_WEIGHT);
+let surface = Surface(found.normal, found.sign * moved, NARROW_WIDTH * noise, vec3<f32>(0.0), no_plane_fits, certainty);
+if bend_square(measured.bend) == 0.0 {
+return surface;
+}
+let tilt = bend_times(measured.bend, measured.centre);
+let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
+let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
+return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits, certainty);
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn find_surfaces(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) thread: u32,
+@builtin(workgroup_id) group: vec3<u32>,
+@builtin(local_invocation_id) local: vec3<u32>,
+@builtin(local_invocation_index) thread: u32,
 ) {
-    let frame = group.z;
-    let origin = origin_of(group);
-    let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
-    load_candidates(frame, origin, thread);
-    if is_outside(cell) {
-        return;
-    }
-    let at = cell_index(cell);
-    let window = window_origin_of(frame, cell, local.xy);
-    let p = kept_at(frame, KEPT_POINT, at);
-    if p.x == NO_POINT {
-        if CELL > 1u {
-            keep_point(frame, KEPT_SURFACE_MEAN, at, p);
-        }
-        return;
-    }
-    let ray = ray_to(frame, p);
-    let range = range_of(frame, ray);
-    let radius = radius_at(frame, range);
-    let noise = noise_at(frame, range, radius);
-    var to_mean = vec3<f32>(0.0);
-    if AVERAGES_BLOCKS {
-        to_mean = kept_at(frame, KEPT_MEAN, at) - p;
-    }
-    let surface = surface_of(frame, cell, p, to_mean, ray, radius, noise);
-    keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
-    keep_vector(frame, SURFACE_BEND, at, surface.bend);
-    planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
-    planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
-    planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
-    planes[plane_word(frame, SURFACE_CERTAINTY, at)] = surface.certainty;
-    if CELL == 1u {
-        return;
-    }
-    var mean = p;
-    if AVERAGES_BLOCKS {
-        let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
-        mean = block_mean(window, p, gate_of(block_gate(frame, range)), surface.normal * per_width, surface.height * per_width);
-    }
-    keep_point(frame, KEPT_SURFACE_MEAN, at, mean);
+let frame = group.z;
+let origin = origin_of(group);
+let cell = origin + local.xy * vec2<u32>(1u, ROW_STEP);
+load_candidates(frame, origin, thread);
+if is_outside(cell) {
+return;
+}
+let at = cell_index(cell);
+let window = window_origin_of(frame, cell, local.xy);
+let p = kept_at(frame, KEPT_POINT, at);
+if p.x == NO_POINT {
+if CELL > 1u {
+keep_point(frame, KEPT_SURFACE_MEAN, at, p);
+}
+return;
+}
+let ray = ray_to(frame, p);
+let range = range_of(frame, ray);
+let radius = radius_at(frame, range);
+let noise = noise_at(frame, range, radius);
+var to_mean = vec3<f32>(0.0);
+if AVERAGES_BLOCKS {
+to_mean = kept_at(frame, KEPT_MEAN, at) - p;
+}
+let surface = surface_of(frame, cell, p, to_mean, ray, radius, noise);
+keep_vector(frame, SURFACE_NORMAL, at, surface.normal);
+keep_vector(frame, SURFACE_BEND, at, surface.bend);
+planes[plane_word(frame, SURFACE_HEIGHT, at)] = surface.height;
+planes[plane_word(frame, SURFACE_WIDTH, at)] = surface.width;
+planes[plane_word(frame, SURFACE_NO_PLANE_FITS, at)] = surface.no_plane_fits;
+planes[plane_word(frame, SURFACE_CERTAINTY, at)] = surface.certainty;
+if CELL == 1u {
+return;
+}
+var mean = p;
+if AVERAGES_BLOCKS {
+let per_width = sqrt(1.0 - surface.no_plane_fits) / (BLOCK_WIDTH * surface.width);
+mean = block_mean(window, p, gate_of(block_gate(frame, range)), surface.normal * per_width, surface.height * per_width);
+}
+keep_point(frame, KEPT_SURFACE_MEAN, at, mean);
 }

@@ -1,6 +1,6 @@
-//! The files of `shaders/` without their comments, which a browser need not load.
+//! The files of `shaders/` without their comments and indentation, which a browser need not load.
 
-/// Includes a shader file, without the lines that are comments.
+/// Includes a shader file, without the lines that are comments and without indentation.
 macro_rules! shader {
     ($path:literal) => {{
         const SOURCE: &[u8] = include_str!($path).as_bytes();
@@ -14,26 +14,28 @@ macro_rules! shader {
 }
 pub(super) use shader;
 
-/// Returns the index after the line that starts at an index, and whether the line is a comment.
-const fn line(source: &[u8], start: usize) -> (usize, bool) {
+/// Returns the indices of the first character of the line that starts at an index, and after the line, and whether it
+/// is a comment.
+const fn line(source: &[u8], start: usize) -> (usize, usize, bool) {
     let mut at = start;
     while at < source.len() && source[at] == b' ' {
         at += 1;
     }
+    let first = at;
     let is_comment = at + 1 < source.len() && source[at] == b'/' && source[at + 1] == b'/';
     while at < source.len() && source[at] != b'\n' {
         at += 1;
     }
-    (if at < source.len() { at + 1 } else { at }, is_comment)
+    (first, if at < source.len() { at + 1 } else { at }, is_comment)
 }
 
 /// Bytes of the lines that are no comments.
 pub(super) const fn code_len(source: &[u8]) -> usize {
     let (mut at, mut len) = (0, 0);
     while at < source.len() {
-        let (end, is_comment) = line(source, at);
+        let (first, end, is_comment) = line(source, at);
         if !is_comment {
-            len += end - at;
+            len += end - first;
         }
         at = end;
     }
@@ -45,7 +47,8 @@ pub(super) const fn code<const LEN: usize>(source: &[u8]) -> [u8; LEN] {
     let mut code = [0; LEN];
     let (mut at, mut len) = (0, 0);
     while at < source.len() {
-        let (end, is_comment) = line(source, at);
+        let (first, end, is_comment) = line(source, at);
+        at = first;
         while at < end {
             if !is_comment {
                 code[len] = source[at];
@@ -62,9 +65,9 @@ mod tests {
     use super::{code, code_len};
 
     #[test]
-    fn only_lines_of_comments_go() {
+    fn only_lines_of_comments_and_indentation_go() {
         const SOURCE: &[u8] = b"// a\nfn f() { // kept\n    // b\n    return; }\n//";
         const CODE: [u8; code_len(SOURCE)] = code(SOURCE);
-        assert_eq!(std::str::from_utf8(&CODE).unwrap(), "fn f() { // kept\n    return; }\n");
+        assert_eq!(std::str::from_utf8(&CODE).unwrap(), "fn f() { // kept\nreturn; }\n");
     }
 }

@@ -102,8 +102,8 @@ pub(in crate::cpu) fn results_of_pixels<S: Simd>(
     for row in 0..rows.count() {
         let v = rows.first + row;
         for u in (0..rows.width.div_ceil(CELL_PX)).step_by(S::f32s::LEN) {
-            let even = result_of_column::<S, 0>(simd, found, kernel, (u, v));
-            let odd = result_of_column::<S, 1>(simd, found, kernel, (u, v));
+            let even = result_of_column(simd, found, kernel, (u, v), 0);
+            let odd = result_of_column(simd, found, kernel, (u, v), 1);
             let [first, second] = PixelResults::interleave(even, odd);
             for (column, results) in [(CELL_PX * u, first), (CELL_PX * u + S::f32s::LEN, second)] {
                 if column < rows.width {
@@ -155,15 +155,18 @@ impl<S: Simd> PixelResults<S> {
 
 /// Returns the results of every second pixel of row v, one of each cell from column u of cells on: the first of its row
 /// in the cell, or the second.
-#[inline(always)]
-fn result_of_column<S: Simd, const SECOND: usize>(
+// Constants are passed on where it is inlined; for the browser one copy is smaller.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn result_of_column<S: Simd>(
     simd: S,
     found: Found<'_>,
     kernel: &Kernel,
     (u, v): (usize, usize),
+    second: usize,
 ) -> PixelResults<S> {
     let Found { pixels, cells, surfaces, .. } = found;
-    let p = pixels.load(simd, if SECOND == 0 { EVEN } else { ODD }, pixels.index(u, v));
+    let p = pixels.load(simd, if second == 0 { EVEN } else { ODD }, pixels.index(u, v));
     let valid = valid_points(simd, p);
     if !valid.any_true() {
         return PixelResults::holes(simd);
@@ -178,9 +181,9 @@ fn result_of_column<S: Simd, const SECOND: usize>(
     let around = |shares: [&'static [(isize, f32)]; CELL_PX]| Around {
         cell,
         rows: shares[v % CELL_PX],
-        columns: shares[SECOND],
+        columns: shares[second],
     };
-    let to_mean = found.offset_to_mean(simd, kernel, cell, p, range, (SECOND, v % CELL_PX));
+    let to_mean = found.offset_to_mean(simd, kernel, cell, p, range, (second, v % CELL_PX));
     let Voted { total, certain, normal, height, best, code, curvature } =
         surfaces.surface_of(simd, around(FIND_SHARES), points, to_mean, noise);
     let on_one: Mask<S> = total.simd_gt(splat(simd, LEAST_SURFACE_WEIGHT));
