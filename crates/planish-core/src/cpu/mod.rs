@@ -2,10 +2,10 @@
 //!
 //! Stages have the names of the reference, one file each, and are written once for all SIMD levels ([`SimdLevel`]). A
 //! frame is copied into a padded one ([`padded`]), and tasks take bands of rows ([`row_tasks`], [`output`]). Each
-//! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`]. If
-//! blocks are averaged or edges kept, [`blocks`] and [`edges`] run up to four passes before the fit and one after.
-//! Coordinates are in the cloud's frame; [`sensor`] supplies everything that depends on the sensor. Each pass reads
-//! only results of finished passes, so threads change no bit.
+//! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`],
+//! which [`fit`] puts together. If blocks are averaged or edges kept, [`pixels`], [`blocks`] and [`edges`] run up to
+//! four passes before it and one after. Coordinates are in the cloud's frame; [`sensor`] supplies everything that
+//! depends on the sensor. Each pass reads only results of finished passes, so threads change no bit.
 
 // A condition on constants in a loop written out is always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
@@ -15,6 +15,7 @@ mod blocks;
 mod channels;
 mod edges;
 mod eigen;
+mod fit;
 mod general;
 mod math;
 mod output;
@@ -34,7 +35,7 @@ mod window;
 
 use std::time::Duration;
 
-use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
 
 use crate::camera::Rays;
 use crate::constants::LEAST_NEIGHBOURS;
@@ -49,19 +50,17 @@ use crate::threads::Threads;
 use crate::timings::{FrameTimings, Stopwatch};
 use blocks::BlockPixels;
 use edges::{FirstPlanes, FirstRows, SurfaceRows, Surfaces};
+use fit::{FitRows, Fitting, fit_rows};
 pub use general::CloudEstimate;
 pub(crate) use general::Decided;
 pub(crate) use general::GeneralCpu;
 use output::OutputRows;
 use padded::{PaddedFrame, PaddedRows};
 use pixels::Pixels;
-use plane::{Points, Surface};
-use polynomial::{Source, Terms, Weighting};
-use project::{Projected, Projection};
-use row_tasks::{SplitRows, run_on_rows};
+use row_tasks::run_on_rows;
 use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
-use window::{Candidates, Offsets, Window};
+use window::Offsets;
 
 /// Parameters of a kernel.
 struct Kernel {
@@ -75,17 +74,6 @@ struct Kernel {
     fitting: Fitting,
     /// Whether points move along their rays.
     on_ray: bool,
-}
-
-/// How the surface is fitted over a plane.
-#[derive(Clone, Copy)]
-struct Fitting {
-    bandwidth_m: Option<f32>,
-    ridge: f32,
-    /// Whether points with too few neighbours are kept unchanged.
-    keeps_isolated: bool,
-    /// With fewer a point has too few.
-    least_neighbours: f32,
 }
 
 /// c0 + c1 z + c2 z².
@@ -354,174 +342,9 @@ struct Input<'a> {
     samples: &'a PaddedFrame,
 }
 
-/// A band of rows of the last fit.
-#[expect(clippy::large_enum_variant, reason = "the larger one is the usual one")]
-enum FitRows<'a> {
-    /// Surfaces are the planes of windows; results are written.
-    Own(OutputRows<'a>),
-    /// Surfaces have been found; results are written.
-    Kept(SurfaceRows<'a>, OutputRows<'a>),
-    /// Surfaces of cells have been found; results replace them.
-    Cells(SurfaceRows<'a>),
-}
-
-impl SplitRows for FitRows<'_> {
-    fn count(&self) -> usize {
-        match self {
-            Self::Own(out) => out.count(),
-            Self::Kept(surfaces, _) | Self::Cells(surfaces) => surfaces.count(),
-        }
-    }
-
-    fn split_at(self, rows: usize) -> (Self, Self) {
-        match self {
-            Self::Own(out) => {
-                let (before, after) = out.split_at(rows);
-                (Self::Own(before), Self::Own(after))
-            }
-            Self::Kept(surfaces, out) => {
-                let ((surfaces, surfaces_after), (out, out_after)) = (surfaces.split_at(rows), out.split_at(rows));
-                (Self::Kept(surfaces, out), Self::Kept(surfaces_after, out_after))
-            }
-            Self::Cells(surfaces) => {
-                let (before, after) = surfaces.split_at(rows);
-                (Self::Cells(before), Self::Cells(after))
-            }
-        }
-    }
-}
-
-impl<'a> FitRows<'a> {
-    /// The first row's number in the image.
-    fn first(&self) -> usize {
-        match self {
-            Self::Own(out) => out.first,
-            Self::Kept(surfaces, _) | Self::Cells(surfaces) => surfaces.first,
-        }
-    }
-
-    fn surfaces(&self) -> Option<&SurfaceRows<'a>> {
-        match self {
-            Self::Own(_) => None,
-            Self::Kept(surfaces, _) | Self::Cells(surfaces) => Some(surfaces),
-        }
-    }
-
-    fn projection(&self, on_ray: bool) -> Projection {
-        match self {
-            Self::Own(out) | Self::Kept(_, out) => out.projection(on_ray),
-            // The points of cells move along the normals of their planes.
-            Self::Cells(_) => Projection {
-                on_ray: false,
-                needs_normal: true,
-                needs_depth: false,
-                keeps_isolated: false,
-                least_neighbours: LEAST_NEIGHBOURS,
-            },
-        }
-    }
-}
-
-#[inline(always)]
-fn fit_rows<S: Simd, const D: usize>(
-    simd: S,
-    input: Input<'_>,
-    first_planes: Option<&FirstPlanes>,
-    kernel: &Kernel,
-    rows: &mut FitRows<'_>,
-) {
-    let mut terms = Terms::new(simd);
-    for row in 0..rows.count() {
-        for u in (0..input.measured.width).step_by(S::f32s::LEN) {
-            fit_vector::<S, D>(simd, kernel, input, first_planes, &mut terms, rows, (u, row));
-        }
-    }
-}
-
 /// Returns the lanes that are no holes: x * 0 is 0 only for finite x.
 #[inline(always)]
 fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     let zero = splat(simd, 0.0);
     p.scale(zero).dot(Vec3::splat(simd, 1.0)).simd_eq(zero)
-}
-
-/// Applies sections 2 to 7 and 10 to one vector of pixels. The terms are reused between vectors, to avoid clearing
-/// them.
-#[inline(always)]
-fn fit_vector<S: Simd, const D: usize>(
-    simd: S,
-    kernel: &Kernel,
-    input: Input<'_>,
-    first_planes: Option<&FirstPlanes>,
-    terms: &mut Terms<S>,
-    rows: &mut FitRows<'_>,
-    (u, row): (usize, usize),
-) {
-    let v = rows.first() + row;
-    let here = input.measured.index(u, v);
-    let p = input.measured.load(simd, here);
-    let valid = valid_points(simd, p);
-    if !valid.any_true() {
-        match rows {
-            FitRows::Own(out) | FitRows::Kept(_, out) => out.store_holes(row, u, S::f32s::LEN),
-            FitRows::Cells(surfaces) => surfaces.keep_holes(simd, (u, row)),
-        }
-        return;
-    }
-    let ray = kernel.sensor.ray(simd, p);
-    let range = kernel.range(simd, ray);
-    let radius = kernel.rules.radius(simd, range);
-    let window = Window::at(input.samples, kernel, u, v);
-    let (surface, source) = match (first_planes, rows.surfaces()) {
-        (Some(first_planes), Some(surfaces)) => {
-            let surface = surfaces.surface(simd, first_planes, (u, row), here);
-            let n = valid.select(surface.n, splat(simd, 0.0));
-            (Surface { n, ..surface }, Source::Of(window))
-        }
-        _ => {
-            let (sums, source) = terms.keep(simd, window, p, radius);
-            let plane = plane::fit(simd, ray, &sums);
-            (Surface { plane, n: sums.n, width: None, bend: None, no_plane_fits: None }, source)
-        }
-    };
-    let projection = rows.projection(kernel.on_ray);
-    let fitting = &kernel.fitting;
-    let points = Points { p, ray, radius, valid };
-    let projected = fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
-    match rows {
-        FitRows::Own(out) | FitRows::Kept(_, out) => {
-            out.store(row, u, &projected, [kernel.sensor.depth(simd, ray), surface.plane.curvature, surface.n]);
-        }
-        FitRows::Cells(surfaces) => surfaces.keep(simd, (u, row), &projected, &surface),
-    }
-}
-
-impl Fitting {
-    /// Sections 5 to 7 for points over their surfaces.
-    #[inline(always)]
-    fn fit<S: Simd, C: Candidates<S>, const D: usize>(
-        &self,
-        simd: S,
-        source: Source<C>,
-        points: Points<S>,
-        surface: &Surface<S>,
-        projection: Projection,
-        terms: &mut Terms<S>,
-    ) -> Projected<S> {
-        let Points { p, radius, .. } = points;
-        let Surface { plane, n, width, bend, no_plane_fits } = surface;
-        let Self { keeps_isolated, least_neighbours, .. } = *self;
-        let projection = Projection { keeps_isolated, least_neighbours, ..projection };
-        if D == 1 {
-            return project::project::<S, D>(simd, points, surface, None, projection);
-        }
-        let bandwidth = self.bandwidth_m.map_or(
-            radius,
-            #[inline(always)]
-            |bandwidth_m| splat(simd, bandwidth_m),
-        );
-        let weighting = Weighting { radius, bandwidth, width: *width, bend: *bend, no_plane_fits: *no_plane_fits };
-        let polynomial = polynomial::fit::<S, C, D>(simd, source, p, (plane, *n), &weighting, self.ridge, terms);
-        project::project::<S, D>(simd, points, surface, Some(&polynomial), projection)
-    }
 }
