@@ -46,8 +46,13 @@ pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) ->
 pub fn nasty_scenes() -> Vec<TestScene> {
     let nan = [f32::NAN; 3];
     let wall = |u: usize, v: usize| [0.004 * u as f32, 0.004 * v as f32, 2.0];
-    // 7 mm of noise along the ray.
-    let noisy = |p: [f32; 3], i: usize| p.map(|value| value * (1.0 + 0.0035 * (12.9 * i as f32).sin()));
+    // 7 mm of noise along the rays of a camera whose principal point is in the first row.
+    let noisy = |u: usize, v: usize| {
+        let noise = |i: f64| ((i * 12.9898).sin() * 43_758.545_3).fract();
+        let i = (u + 640 * v) as f64;
+        let z = (2.0 + 0.007 * (noise(i) + noise(i + 0.5))) as f32;
+        [(u as f32 - 320.0) / 525.0 * z, v as f32 / 525.0 * z, z]
+    };
     let scene = |name, cloud| TestScene { name, cloud };
     vec![
         scene("flat wall", grid(50, 40, wall)),
@@ -55,10 +60,10 @@ pub fn nasty_scenes() -> Vec<TestScene> {
         scene("one pixel", grid(1, 1, wall)),
         scene("one row", grid(77, 1, wall)),
         scene("one column", grid(1, 77, wall)),
-        scene("one noisy row through the sensor", grid(77, 1, |u, _| noisy([0.004 * u as f32, 0.0, 2.0], u))),
-        scene("one noisy row", grid(77, 1, |u, v| noisy([0.004 * u as f32, 0.1, 2.0], u + v))),
-        scene("one noisy column", grid(1, 77, |u, v| noisy([0.1, 0.004 * v as f32, 2.0], u + v))),
-        scene("two noisy rows", grid(78, 2, |u, v| noisy([0.004 * u as f32, 0.004 * v as f32, 2.0], u + 78 * v))),
+        scene("one noisy row, on a plane through the sensor", grid(640, 1, noisy)),
+        scene("one noisy row", grid(640, 1, |u, _| noisy(u, 40))),
+        scene("one noisy column", grid(1, 480, |_, v| noisy(360, v))),
+        scene("two noisy rows", grid(640, 2, noisy)),
         scene("smaller than the window", grid(5, 3, wall)),
         scene("checkerboard of holes", grid(41, 37, |u, v| if (u + v) % 2 == 0 { nan } else { wall(u, v) })),
         scene("lonely points", grid(60, 60, |u, v| if u % 9 == 0 && v % 9 == 0 { wall(u, v) } else { nan })),

@@ -3,7 +3,7 @@
 
 use planish::agreement::{Agreement, radii_m};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::{DepthFrame, FrameParams, Outputs};
+use planish::{Camera, DepthFrame, DepthView, FrameParams, Outputs, SimdLevel, Status};
 use planish_tests::bits::bits;
 use planish_tests::data::skip;
 use planish_tests::engines::{TestEngine, is_software, test_adapter};
@@ -88,6 +88,23 @@ fn a_depth_frame_gives_what_its_cloud_gives() {
             agreement.add(&engine.smooth(&depth, params), &engine.smooth(&cloud, params), |i| radii_m[i]);
             assert_eq!(agreement.equal_status(), 1.0, "{subject}");
             assert_eq!(agreement.position_m(1.0), 0.0, "{subject}");
+        }
+    }
+}
+
+/// Deprojected, the depth of the first pixel is beyond f32.
+#[test]
+fn depth_whose_point_is_infinite_is_a_hole() {
+    let camera = Camera::new((160, 120), [50.0; 2], [79.5, 59.5]);
+    let mut metres = vec![0.2; 160 * 120];
+    metres[0] = f32::MAX;
+    let depth = DepthView::from_metres(&metres, &camera).unwrap();
+    let engines = both_builds("depth near the limit of f32").into_iter().map(|(_, engine)| engine);
+    for engine in engines.chain([TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE]) {
+        for params in [FrameParams::paper(), FrameParams::default()] {
+            let smoothed = engine.smooth(depth, params);
+            assert_eq!(smoothed.status.unwrap()[0], Status::Hole);
+            assert!(!smoothed.points.is_finite(0) && smoothed.points.is_finite(1));
         }
     }
 }
