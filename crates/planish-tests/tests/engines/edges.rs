@@ -161,18 +161,18 @@ fn flat_surfaces_with_more_noise_than_the_model_stay_flat() {
     suite.noise.fixed_pattern_rms *= 2.0;
     suite.noise.temporal_rms *= 2.0;
     let found = evaluate(FrameParams::default(), &suite.cases(1).unwrap());
-    // Measured: 2.1 and 6.7°. Without the mean of the surfaces 4.6 and 14.5°, and 5.9 and 20.4° where planes that fit
+    // Measured: 1.9 and 5.9°. Without the mean of the surfaces 4.6 and 14.5°, and 5.9 and 20.4° where planes that fit
     // badly counted as none, even if their normals agreed.
     let [near, middle] = [0, 1].map(|k| found.ranges[k].facet_mean_deg);
-    assert!(near < 2.25 && middle < 7.1, "{near}° {middle}°");
+    assert!(near < 2.0 && middle < 6.2, "{near}° {middle}°");
 }
 
 /// The normals beside a crease differ, as on a cylinder. The crease must stay sharp.
 #[test]
 fn creases_of_any_angle_are_no_cylinders() {
     let camera = Camera::new((320, 240), [525.0; 2], [159.5, 119.5]);
-    // Measured: 10.0, 10.6 and 8.1°. As cylinders they have 13, 30 and 19°.
-    for (turn_deg, most_deg) in [(30f64, 11.0), (60.0, 11.0), (90.0, 9.2)] {
+    // Measured: 10.1, 9.7 and 6.9°. As cylinders they have 13, 30 and 19°.
+    for (turn_deg, most_deg) in [(30f64, 10.6), (60.0, 10.2), (90.0, 7.3)] {
         // Two planes that meet at 1.2 m, in a line that is not along the pixels.
         let face = |side: f64| {
             let (angle, roll) = (side * (0.5 * turn_deg).to_radians() + 0.1, 0.15f64);

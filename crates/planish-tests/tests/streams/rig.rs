@@ -111,8 +111,8 @@ fn reports(errors: PoseErrors) -> Vec<RigReport> {
 #[test]
 fn surfaces_that_several_cameras_see_are_better_for_it() {
     let [each, merged, views] = reports(PoseErrors::default())[..] else { panic!("three ways") };
-    // Measured: 0.282, 0.245 and 0.217 mm. Without bends, which merged points do not have, 0.436, 0.245 and 0.355 mm.
-    assert!(each.overlap_rmse_mm < 0.3 && views.overlap_rmse_mm < 0.24, "{each:?} {views:?}");
+    // Measured: 0.265 and 0.245 mm for each and merged. Without bends, which merged points do not have, each had 0.436.
+    assert!(each.overlap_rmse_mm < 0.28 && views.overlap_rmse_mm < 0.24, "{each:?} {views:?}");
     assert!(merged.overlap_rmse_mm < 0.25, "{merged:?}");
     assert!(merged.overlap_rmse_mm < 0.95 * each.overlap_rmse_mm, "{each:?} {merged:?}");
     assert!(views.overlap_rmse_mm < 0.9 * each.overlap_rmse_mm, "{each:?} {views:?}");
