@@ -152,7 +152,7 @@ const MAX_SIDE: usize = 15;
 pub(super) struct Offsets {
     values: [isize; MAX_SIDE],
     len: usize,
-    /// The mean square of those in the middle over that of all.
+    /// Ratio of two mean squares: of the distances in the middle, and of all.
     pub(super) middle_share: f32,
 }
 
@@ -172,7 +172,7 @@ impl Offsets {
         &self.values[..self.len]
     }
 
-    /// Returns those of the window half as wide.
+    /// Returns the distances of a window half as wide.
     #[inline(always)]
     fn middle(&self) -> &[isize] {
         let half = self.len / 2;

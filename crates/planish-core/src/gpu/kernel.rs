@@ -23,7 +23,7 @@ pub(super) enum Pass {
     Surfaces,
     /// The results, each on its own surface.
     Smooth,
-    /// The results of pixels from those of the cells around them, if pixels share cells.
+    /// Finds the results of pixels from the results of the cells around them, if pixels share cells.
     Pixels,
 }
 
@@ -252,7 +252,7 @@ impl KernelKey {
 }
 
 impl KernelKey {
-    /// Returns the mean square of the distances to the columns in the middle of a window, over that of all columns.
+    /// Returns the ratio of two mean squares of distances to columns: in the middle of a window, and in all of it.
     fn middle_share(&self) -> f32 {
         let mean_square = |half: u32| {
             let squares = (1..=half).map(|i| 2 * (i * self.stride).div_ceil(self.cell).pow(2)).sum::<u32>();

@@ -116,7 +116,7 @@ impl CellSurfaces<'_> {
         v / 2 * self.cells.width + u / 2
     }
 
-    /// Finds the surface of a point among those of the cells around it.
+    /// Finds the surface of a point among the surfaces of the cells around it.
     fn surface(&self, pixel: (usize, usize), point: &Point) -> Option<Found> {
         let mean_offset = self.mean_offset(pixel, point);
         let (mut total, mut certain, mut sum, mut height_m) = (0.0, 0.0, DVec3::ZERO, 0.0);

@@ -2,7 +2,7 @@
 //!
 //! One pass fits the first planes of all cells, or pixels. Another derives each one's surface from them, and the mean
 //! of its block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
-//! The results of cells replace their surfaces, and those of pixels follow from them ([`pixels`]).
+//! The results of cells then replace their surfaces, and the results of pixels follow from the cells ([`pixels`]).
 
 mod pixels;
 mod vote;

@@ -153,8 +153,8 @@ impl<S: Simd> PixelResults<S> {
     }
 }
 
-/// Returns the results of every second pixel of row v, one of each cell from column u of cells on: the first of its row
-/// in the cell, or the second.
+/// Returns the results of every second pixel of row v, one of each cell from column u of cells on: the one in the first
+/// column of its cell (0), or in the second (1).
 // Constants are passed on where it is inlined; for the browser one copy is smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
@@ -163,10 +163,10 @@ fn result_of_column<S: Simd>(
     found: Found<'_>,
     kernel: &Kernel,
     (u, v): (usize, usize),
-    second: usize,
+    column: usize,
 ) -> PixelResults<S> {
     let Found { pixels, cells, surfaces, .. } = found;
-    let p = pixels.load(simd, if second == 0 { EVEN } else { ODD }, pixels.index(u, v));
+    let p = pixels.load(simd, if column == 0 { EVEN } else { ODD }, pixels.index(u, v));
     let valid = valid_points(simd, p);
     if !valid.any_true() {
         return PixelResults::holes(simd);
@@ -181,9 +181,9 @@ fn result_of_column<S: Simd>(
     let around = |shares: [&'static [(isize, f32)]; CELL_PX]| Around {
         cell,
         rows: shares[v % CELL_PX],
-        columns: shares[second],
+        columns: shares[column],
     };
-    let to_mean = found.offset_to_mean(simd, kernel, cell, p, range, (second, v % CELL_PX));
+    let to_mean = found.offset_to_mean(simd, kernel, cell, p, range, (column, v % CELL_PX));
     let Voted { total, certain, normal, height, best, code, curvature } =
         surfaces.surface_of(simd, around(FIND_SHARES), points, to_mean, noise);
     let on_one: Mask<S> = total.simd_gt(splat(simd, LEAST_SURFACE_WEIGHT));
@@ -230,7 +230,7 @@ fn result_of_column<S: Simd>(
     let away: Mask<S> = normal.dot(ray).simd_gt(zero);
     let normal = normal.scale(away.select(-one, one));
     let normal = surfaces.planes.vector(simd, RESULT_NORMAL, cell).or(stays, normal);
-    let has_normal: Mask<S> = valid & (on_one | stays);
+    let has_normal: Mask<S> = valid & ((on_one & near) | stays);
     let degenerate: Mask<S> = own_status.simd_eq(splat(simd, DEGENERATE));
     let nan = Vec3::splat(simd, f32::NAN);
     let unmoved = valid & (stays | (degenerate & !has_normal));
@@ -301,7 +301,7 @@ struct Voted<S: Simd> {
     height: S::f32s,
     /// Index of the cell that counts most, relative to the point's own.
     best: S::f32s,
-    /// Of that cell.
+    /// Status and neighbours of that cell.
     code: S::f32s,
     curvature: S::f32s,
 }
@@ -361,7 +361,7 @@ impl Surfaces {
         normals
     }
 
-    /// Finds the surfaces of points among those of the cells around them.
+    /// Finds the surfaces of points among the surfaces of the cells around them.
     #[inline(always)]
     fn surface_of<S: Simd>(
         &self,
@@ -404,7 +404,8 @@ impl Surfaces {
                 let from_mean = (height - to_mean.dot(normal)) * per_noise;
                 let badness = from_mean.mul_add(from_mean, one);
                 let square = badness * badness;
-                // The product with the normal is the same whichever side it faces.
+                // Its product with the normal is the same whichever side that faces, unless that is exactly across the
+                // ray.
                 let side = no_direction.select(one, normal.dot(towards));
                 let side = side.abs().min(one).max(splat(simd, LEAST_SIDE)).copysign(side);
                 let fits = counts.select(near * splat(simd, share) / (square * square), zero);

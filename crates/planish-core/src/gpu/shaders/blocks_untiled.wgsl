@@ -1,4 +1,4 @@
-// The pixels of a cell's block straight from the frame, if those of a tile outgrow workgroup memory (docs/method.md,
+// Reads the pixels of a cell's block from the frame, if a tile of them does not fit into workgroup memory (docs/method.md,
 // section 10).
 
 // Frame, and column and row of the first pixel of a cell's block.

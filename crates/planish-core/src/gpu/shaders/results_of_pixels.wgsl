@@ -39,7 +39,7 @@ fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>
     let towards = ray * (-1.0 / SIDE_COSINE / max(length, LEAST_RAY_M));
     var voted: Voted;
     var most = 0.0;
-    // Up to three pixels away: the middle cell and both beside it, or two.
+    // Cells less than three pixels away: three along an axis, or two.
     let start = around.size - 3u;
     for (var row = start.y; row < 3u; row++) {
         let down = share_of(row, around.from_first.y, 3.0);
@@ -55,7 +55,7 @@ fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>
             let from_mean = (height - dot(to_mean, other.normal)) * per_noise;
             let root = 1.0 / fma(from_mean, from_mean, 1.0);
             let share = down * share_of(column, around.from_first.x, 3.0);
-            // The product with the normal is the same whichever side it faces.
+            // Its product with the normal is the same whichever side that faces, unless that is exactly across the ray.
             let towards_side = select(dot(other.normal, towards), 1.0, length < LEAST_RAY_M);
             let side = clamp(abs(towards_side), LEAST_SIDE, 1.0) * select(1.0, -1.0, towards_side < 0.0);
             let fits = nearness * share * (root * root) * (root * root);

@@ -1,6 +1,6 @@
 // How a window bends (docs/method.md, section 10).
 
-// Half the width of the middle of a window. MIDDLE_SHARE is its samples' spread over that of the window's.
+// Half the width of the middle of a window. MIDDLE_SHARE is the spread of its samples over the spread of all.
 const MIDDLE: u32 = WINDOW / 2u;
 
 // The sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the plane, which
