@@ -25,14 +25,16 @@ pub(super) fn of_window<S: Simd>(
     plane: &Plane<S>,
 ) -> S::f32s {
     let middle = window.middle(kernel);
+    let rows = Candidates::<S>::rows(&middle);
     let (mut total, mut height) = (splat(simd, 0.0), splat(simd, 0.0));
     middle.neighbours(
         simd,
         p,
         radius,
-        0..Candidates::<S>::rows(&middle),
+        0..rows,
+        &mut vec![(); rows * rows],
         #[inline(always)]
-        |e, weight, _| {
+        |(), e, weight, _| {
             total += weight;
             height = weight.mul_add(e.dot(plane.normal) - plane.height, height);
         },

@@ -33,11 +33,11 @@ impl BlockPixels for PaddedFrame {
     fn visit_block<S: Simd>(&self, simd: S, (u, v): (usize, usize), half: usize, mut visit: impl FnMut(Vec3<S>)) {
         let first = self.index(u, v) - half * (self.row_len + 1);
         let side = 2 * half + 1;
-        self.assert_within(first, first + 2 * half * (self.row_len + 1));
+        let part = self.part(first, first + 2 * half * (self.row_len + 1));
         for row in 0..side {
             for column in 0..side {
-                // SAFETY: checked above for the first and the last point.
-                visit(unsafe { self.load_within(simd, first + row * self.row_len + column) });
+                // SAFETY: from the first to the last of the part.
+                visit(unsafe { part.vector(simd, 0, first + row * self.row_len + column) });
             }
         }
     }

@@ -34,9 +34,8 @@ impl<const N: usize> Channels<N> {
     /// Returns the values of a channel from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
-        self.assert_within(at, at);
-        // SAFETY: checked above.
-        unsafe { self.load_within(simd, channel, at) }
+        // SAFETY: the index is the first and the last.
+        unsafe { self.part(at, at).load(simd, channel, at) }
     }
 
     /// Returns the values of three channels, from the given one on, as vectors.
@@ -44,9 +43,8 @@ impl<const N: usize> Channels<N> {
     /// One check for all three: the checks of slices would be a fifth of all instructions of a frame.
     #[inline(always)]
     pub(super) fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
-        self.assert_within(at, at);
-        // SAFETY: checked above.
-        unsafe { self.vector_within(simd, channel, at) }
+        // SAFETY: the index is the first and the last.
+        unsafe { self.part(at, at).vector(simd, channel, at) }
     }
 
     /// Returns one value of a channel.
@@ -54,36 +52,45 @@ impl<const N: usize> Channels<N> {
         self.values[channel][at]
     }
 
-    /// Panics unless vectors can be loaded from all indices from `first` to `last`.
+    /// Returns the part from which vectors are loaded at the indices from `first` to `last`. Panics unless all of these
+    /// vectors are within the channels.
     #[inline(always)]
-    pub(super) fn assert_within(&self, first: usize, last: usize) {
+    pub(super) fn part(&self, first: usize, last: usize) -> Part<'_, N> {
         assert!(first <= last && last <= self.last, "a vector is outside its channel");
+        Part { channels: self.values.each_ref().map(Vec::as_slice), first, last }
+    }
+}
+
+/// A part of channels. Unlike [`Channels`], a loop keeps it in registers.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'a, const N: usize> {
+    channels: [&'a [f32]; N],
+    first: usize,
+    last: usize,
+}
+
+impl<const N: usize> Part<'_, N> {
+    /// Returns the values of a channel from an index on.
+    ///
+    /// # Safety
+    /// The index must be one of the part's.
+    #[inline(always)]
+    pub(super) unsafe fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
+        const { assert!(S::f32s::LEN <= MAX_LANES) };
+        debug_assert!((self.first..=self.last).contains(&at));
+        // SAFETY: channels have MAX_LANES values more than indices, and no vector has more lanes.
+        S::f32s::from_slice(simd, unsafe { self.channels[channel].get_unchecked(at..at + S::f32s::LEN) })
     }
 
     /// Returns the values of three channels, from the given one on, as vectors.
     ///
     /// # Safety
-    /// The index must be within limits for which [`assert_within`](Self::assert_within) holds.
+    /// The index must be one of the part's.
     #[inline(always)]
-    pub(super) unsafe fn vector_within<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
+    pub(super) unsafe fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
         // SAFETY: the same condition.
         unsafe {
-            Vec3::new(
-                self.load_within(simd, channel, at),
-                self.load_within(simd, channel + 1, at),
-                self.load_within(simd, channel + 2, at),
-            )
+            Vec3::new(self.load(simd, channel, at), self.load(simd, channel + 1, at), self.load(simd, channel + 2, at))
         }
-    }
-
-    /// Returns the values of a channel from an index on.
-    ///
-    /// # Safety
-    /// The index must be within limits for which [`assert_within`](Self::assert_within) holds.
-    #[inline(always)]
-    pub(super) unsafe fn load_within<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
-        const { assert!(S::f32s::LEN <= MAX_LANES) };
-        // SAFETY: every channel has `last` + MAX_LANES values, which never changes, and no vector has more lanes.
-        S::f32s::from_slice(simd, unsafe { self.values[channel].get_unchecked(at..at + S::f32s::LEN) })
     }
 }

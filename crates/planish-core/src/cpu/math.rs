@@ -5,15 +5,15 @@ use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat};
 
 use super::vector::splat;
 
-/// Returns 2^x for x <= 0 with a relative error below 4e-6, which suffices for weights: it changes a point by that
-/// share of its residual. Below -126, the limit of f32, the result is at most 2^-126. NaN gives a finite number.
+/// Returns 2^-x for x >= 0 with a relative error below 4e-6, which suffices for weights: it changes a point by that
+/// share of its residual. Above 126, the limit of f32, the result is at most 2^-126. NaN gives a finite number.
 #[inline(always)]
-pub(super) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+pub(super) fn exp2_neg<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // Adding 1.5 * 2^23 rounds to whole numbers and leaves them in the low bits.
     let shift = splat(simd, 12_582_912.0);
-    let x = x.max(splat(simd, -126.0));
-    let rounded = x + shift;
-    let f = x - (rounded - shift);
+    let x = x.min(splat(simd, 126.0));
+    let rounded = shift - x;
+    let f = (shift - rounded) - x;
     // Minimax on [-1/2, 1/2].
     let p = splat(simd, 9.570_102e-3);
     let p = p.mul_add(f, splat(simd, 5.591_786e-2));

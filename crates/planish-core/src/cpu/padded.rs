@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use fearless_simd::{Simd, SimdBase};
 
-use super::channels::{Channels, MAX_LANES};
+use super::channels::{Channels, MAX_LANES, Part};
 use super::row_tasks::{SplitRows, halve};
 use super::vector::Vec3;
 use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
@@ -98,20 +98,11 @@ impl PaddedFrame {
         self.xyz.vector(simd, 0, at)
     }
 
-    /// Panics unless points can be loaded from all indices from `first` to `last`.
+    /// Returns the part from which points are loaded at the indices from `first` to `last`. Panics if these are outside
+    /// the frame.
     #[inline(always)]
-    pub(super) fn assert_within(&self, first: usize, last: usize) {
-        self.xyz.assert_within(first, last);
-    }
-
-    /// Returns the points of the pixels from an index on.
-    ///
-    /// # Safety
-    /// The index must be within limits for which [`assert_within`](Self::assert_within) holds.
-    #[inline(always)]
-    pub(super) unsafe fn load_within<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
-        // SAFETY: the same condition.
-        unsafe { self.xyz.vector_within(simd, 0, at) }
+    pub(super) fn part(&self, first: usize, last: usize) -> Part<'_, 3> {
+        self.xyz.part(first, last)
     }
 
     /// Returns the rows of the image.

@@ -135,15 +135,15 @@ impl BlockPixels for Pixels {
         // `more` to the left and `less` to the right.
         let (less, more) = (half / 2, half.div_ceil(2));
         let last = (2 * half + 1) * self.row_len;
-        self.columns.assert_within(start - more, start + last + more);
+        let part = self.columns.part(start - more, start + last + more);
         for row in (start..=start + last).step_by(self.row_len) {
             for even in row - less..=row + more {
-                // SAFETY: between the first and the last point, which are checked above.
-                visit(unsafe { self.columns.vector_within(simd, EVEN, even) });
+                // SAFETY: from the first to the last of the part.
+                visit(unsafe { part.vector(simd, EVEN, even) });
             }
             for odd in row - more..=row + less {
                 // SAFETY: as for even columns.
-                visit(unsafe { self.columns.vector_within(simd, ODD, odd) });
+                visit(unsafe { part.vector(simd, ODD, odd) });
             }
         }
     }

@@ -12,7 +12,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::bend::Bend;
 use super::eigen::tangents;
-use super::math::exp2;
+use super::math::exp2_neg;
 use super::plane::Plane;
 use super::solve::{Solution, solve};
 use super::unroll::unroll;
@@ -51,21 +51,48 @@ pub(super) struct Weighting<S: Simd> {
 /// Number of candidates whose terms are stored at once; their four values each fit the first-level cache.
 const CHUNK: usize = 64;
 
-/// Contribution of each candidate: its coordinates, and its weight (0 for candidates outside the gate).
+/// The terms of candidates, and their moments.
 ///
 /// Computing all terms first and summing them in a second loop is a third faster than one loop: with so many operations
 /// per candidate the scheduler cannot overlap two of them, and stalls on the chain of exponential and powers.
 pub(super) struct Terms<S: Simd> {
-    w: [S::f32s; CHUNK],
-    a: [S::f32s; CHUNK],
-    b: [S::f32s; CHUNK],
-    f: [S::f32s; CHUNK],
+    terms: [Term<S>; CHUNK],
+    /// The moments of the neighbours on the surface.
+    moments: Moments<S>,
+    /// The moments of all neighbours, however far they are off the plane.
+    of_all: Moments<S>,
 }
+
+/// Contribution of a candidate: its weight (0 outside the gate), and its coordinates. Before [`Terms::turn`], the
+/// coordinates are the offset from p.
+struct Term<S: Simd> {
+    w: S::f32s,
+    a: S::f32s,
+    b: S::f32s,
+    f: S::f32s,
+}
+
+impl<S: Simd> Clone for Term<S> {
+    #[inline(always)]
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<S: Simd> Copy for Term<S> {}
 
 pub(super) struct Moments<S: Simd> {
     m: [S::f32s; MAX_MOMENTS],
     t: [S::f32s; MAX_RIGHT_SIDES],
 }
+
+impl<S: Simd> Clone for Moments<S> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<S: Simd> Copy for Moments<S> {}
 
 /// Index of M_ij for i + j up to `degree`: for every i a run over j.
 #[inline(always)]
@@ -92,6 +119,12 @@ impl<S: Simd> Moments<S> {
         moments
     }
 
+    #[inline(always)]
+    fn add(&mut self, other: &Self) {
+        self.m.iter_mut().zip(other.m).for_each(|(m, other)| *m += other);
+        self.t.iter_mut().zip(other.t).for_each(|(t, other)| *t += other);
+    }
+
     /// Returns M_ij of a fit of degree D.
     #[inline(always)]
     pub(super) fn m<const D: usize>(&self, i: usize, j: usize) -> S::f32s {
@@ -116,11 +149,10 @@ pub(super) struct Polynomial<S: Simd> {
     pub(super) b_axis: Vec3<S>,
 }
 
-/// The moments, and the units that turn coefficients back into metres.
+/// The units that turn coefficients back into metres.
 struct Fit<S: Simd> {
-    moments: Moments<S>,
-    /// The moments of all neighbours, however far they are off the plane, and their sum of w f². `None` if planes fit.
-    all: Option<(Moments<S>, S::f32s)>,
+    /// If no plane fits, sum w f² of all neighbours, whose moments are [`Terms::of_all`].
+    squares_of_all: Option<S::f32s>,
     /// In-plane unit vectors.
     u: Vec3<S>,
     v: Vec3<S>,
@@ -142,18 +174,19 @@ pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
     ridge: f32,
     terms: &mut Terms<S>,
 ) -> Polynomial<S> {
-    let Fit { moments, all, u, v, metres, extent_squared } =
-        moments::<S, C, D>(simd, source, p, plane, weighting, terms);
-    let Solution { mut c, .. } = solve::<S, D>(simd, &moments, extent_squared, splat(simd, ridge), n);
-    if let (Some((moments, squares)), Some(no_plane_fits), Some(width)) =
-        (&all, weighting.no_plane_fits, weighting.width)
+    let Fit { squares_of_all, u, v, metres, extent_squared } =
+        sum_moments::<S, C, D>(simd, source, p, plane, weighting, terms);
+    let Solution { mut c, .. } = solve::<S, D>(simd, &terms.moments, extent_squared, splat(simd, ridge), n);
+    if let (Some(squares), Some(no_plane_fits), Some(width)) =
+        (squares_of_all, weighting.no_plane_fits, weighting.width)
     {
+        let moments = &terms.of_all;
         let fewest: Mask<S> = n.simd_eq(splat(simd, coefficient_count(2) as f32));
         let low_ridge = fewest.select(splat(simd, ridge.min(FEWEST_RIDGE)), splat(simd, ridge.min(LOW_RIDGE)));
         let of_all = solve::<S, D>(simd, moments, extent_squared, low_ridge, n);
         let total = moments.m::<D>(0, 0);
         let per_noise = metres * splat(simd, NARROW_WIDTH) / width;
-        let variance = (*squares - of_all.explained) * (per_noise * per_noise) / total;
+        let variance = (squares - of_all.explained) * (per_noise * per_noise) / total;
         let close = splat(simd, 1.0) - rises(simd, variance, CLOSE);
         let counts: Mask<S> = no_plane_fits.simd_gt(splat(simd, 0.0)) & total.simd_gt(splat(simd, 0.0));
         for (c, of_all) in c.iter_mut().zip(of_all.c) {
@@ -172,9 +205,9 @@ pub(super) enum Source<C> {
     Of(C),
 }
 
-/// Second pass over the candidates: accumulates the moments of degree D over the plane.
+/// Second pass over the candidates: sums the moments of degree D over the plane, as [`Terms::moments`].
 #[inline(always)]
-fn moments<S: Simd, C: Candidates<S>, const D: usize>(
+fn sum_moments<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
     source: Source<C>,
     p: Vec3<S>,
@@ -201,47 +234,54 @@ fn moments<S: Simd, C: Candidates<S>, const D: usize>(
             |bend| bend.scale(splat(simd, 0.5) / per_metre),
         ),
     };
-    let mut moments = Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-    let mut all = None;
+    let mut squares_of_all = None;
     match source {
         Source::Kept(len) => {
             terms.turn(simd, len, &frame);
-            accumulate_all::<S, D>(simd, &mut moments, terms, len);
+            sum_terms::<S, D>(simd, &terms.terms[..len], &mut terms.moments);
         }
         Source::Of(candidates) => {
-            let wide = Frame { narrowing: zero, ..frame };
-            if weighting.no_plane_fits.is_some() {
-                all = Some((Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] }, zero));
-            }
             let rows_at_once = (CHUNK / candidates.row_len()).max(1);
             let mut rows = 0..rows_at_once.min(candidates.rows());
-            while !rows.is_empty() {
-                let len = rows.len() * candidates.row_len();
-                if let Some((all, squares)) = &mut all {
-                    terms.fill::<C, true, true>(simd, candidates, &p, weighting.radius, rows.clone(), &wide);
-                    accumulate_all::<S, D>(simd, all, terms, len);
-                    terms.narrow(simd, len, narrowing, squares);
-                } else if weighting.width.is_none() {
-                    terms.fill::<C, false, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
-                } else if weighting.bend.is_none() {
-                    terms.fill::<C, true, false>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
-                } else {
-                    terms.fill::<C, true, true>(simd, candidates, &p, weighting.radius, rows.clone(), &frame);
-                }
-                accumulate_all::<S, D>(simd, &mut moments, terms, len);
+            squares_of_all = terms.sum_rows::<C, D>(simd, candidates, p, rows.clone(), weighting, &frame);
+            while rows.end < candidates.rows() {
                 rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
+                let before = [terms.moments, terms.of_all];
+                let squares = terms.sum_rows::<C, D>(simd, candidates, p, rows.clone(), weighting, &frame);
+                terms.moments.add(&before[0]);
+                if let (Some(sum), Some(squares)) = (&mut squares_of_all, squares) {
+                    *sum += squares;
+                    terms.of_all.add(&before[1]);
+                }
             }
         }
     }
     let extent_squared = plane.extent_squared.min(weighting.radius * weighting.radius) * (per_metre * per_metre);
-    Fit { moments, all, u, v, metres: splat(simd, 1.0) / per_metre, extent_squared }
+    Fit { squares_of_all, u, v, metres: splat(simd, 1.0) / per_metre, extent_squared }
+}
+
+impl<S: Simd> Term<S> {
+    /// Returns the term of a candidate at offset e with gate weight `weight`.
+    #[inline(always)]
+    fn of<const NARROW: bool, const BENT: bool>(simd: S, e: Vec3<S>, weight: S::f32s, frame: &Frame<S>) -> Self {
+        let a = e.dot(frame.a_axis);
+        let b = e.dot(frame.b_axis);
+        let f = e.z.mul_add(frame.f_axis.z, e.y.mul_add(frame.f_axis.y, e.x.mul_add(frame.f_axis.x, -frame.f_offset)));
+        let mut exponent = a.mul_add(a, b.mul_add(b, f * f));
+        let f = if BENT { f - frame.half_bend.of(a, b) } else { f };
+        if NARROW {
+            exponent += (f * f * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
+        }
+        Self { w: weight * exp2_neg(simd, exponent), a, b, f }
+    }
 }
 
 impl<S: Simd> Terms<S> {
     #[inline(always)]
     pub(super) fn new(simd: S) -> Self {
-        let zeros = [splat(simd, 0.0); CHUNK];
-        Self { w: zeros, a: zeros, b: zeros, f: zeros }
+        let zero = splat(simd, 0.0);
+        let moments = || Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
+        Self { terms: [Term { w: zero, a: zero, b: zero, f: zero }; CHUNK], moments: moments(), of_all: moments() }
     }
 
     /// Computes the terms of the candidates in the given rows.
@@ -261,17 +301,15 @@ impl<S: Simd> Terms<S> {
             #[inline(always)]
             || {
                 let p = *p;
-                let mut at = 0;
+                let terms = &mut self.terms[..rows.len() * candidates.row_len()];
                 candidates.neighbours(
                     simd,
                     p,
                     radius,
                     rows,
+                    terms,
                     #[inline(always)]
-                    |e, weight, _| {
-                        self.set::<NARROW, BENT>(simd, at, e, weight, frame);
-                        at += 1;
-                    },
+                    |term, e, weight, _| *term = Term::of::<NARROW, BENT>(simd, e, weight, frame),
                 );
             },
         );
@@ -284,49 +322,59 @@ impl<S: Simd> Terms<S> {
         simd.vectorize(
             #[inline(always)]
             || {
-                for at in 0..len.min(CHUNK) {
-                    let e = Vec3::new(self.a[at], self.b[at], self.f[at]);
-                    self.set::<false, false>(simd, at, e, self.w[at], frame);
+                for term in &mut self.terms[..len] {
+                    let Term { w, a, b, f } = *term;
+                    *term = Term::of::<false, false>(simd, Vec3::new(a, b, f), w, frame);
                 }
             },
         );
     }
 
-    /// Sets a term from a candidate at offset e with gate weight `weight`.
+    /// Sums the moments of the candidates in the given rows. Returns [`Fit::squares_of_all`].
     #[inline(always)]
-    fn set<const NARROW: bool, const BENT: bool>(
+    fn sum_rows<C: Candidates<S>, const D: usize>(
         &mut self,
         simd: S,
-        at: usize,
-        e: Vec3<S>,
-        weight: S::f32s,
+        candidates: C,
+        p: Vec3<S>,
+        rows: Range<usize>,
+        weighting: &Weighting<S>,
         frame: &Frame<S>,
-    ) {
-        let a = e.dot(frame.a_axis);
-        let b = e.dot(frame.b_axis);
-        let f = e.dot(frame.f_axis) - frame.f_offset;
-        let mut exponent = a.mul_add(a, b.mul_add(b, f * f));
-        let f = if BENT { f - frame.half_bend.of(a, b) } else { f };
-        if NARROW {
-            exponent += (f * f * frame.narrowing).min(splat(simd, MAX_OFF_SURFACE));
+    ) -> Option<S::f32s> {
+        let len = rows.len() * candidates.row_len();
+        let radius = weighting.radius;
+        let mut squares = None;
+        if weighting.no_plane_fits.is_some() {
+            let wide = Frame { narrowing: splat(simd, 0.0), ..*frame };
+            self.fill::<C, true, true>(simd, candidates, &p, radius, rows, &wide);
+            sum_terms::<S, D>(simd, &self.terms[..len], &mut self.of_all);
+            squares = Some(self.narrow(simd, len, frame.narrowing));
+        } else if weighting.width.is_none() {
+            self.fill::<C, false, false>(simd, candidates, &p, radius, rows, frame);
+        } else if weighting.bend.is_none() {
+            self.fill::<C, true, false>(simd, candidates, &p, radius, rows, frame);
+        } else {
+            self.fill::<C, true, true>(simd, candidates, &p, radius, rows, frame);
         }
-        self.w[at] = weight * exp2(simd, -exponent);
-        (self.a[at], self.b[at], self.f[at]) = (a, b, f);
+        sum_terms::<S, D>(simd, &self.terms[..len], &mut self.moments);
+        squares
     }
 
-    /// Lowers the weights of the first `len` terms that are off the surface, and adds sum w f² with the weights before.
+    /// Lowers the weights of the first `len` terms that are off the surface. Returns sum w f² with the weights before.
     #[inline(never)]
-    fn narrow(&mut self, simd: S, len: usize, narrowing: S::f32s, squares: &mut S::f32s) {
+    fn narrow(&mut self, simd: S, len: usize, narrowing: S::f32s) -> S::f32s {
         simd.vectorize(
             #[inline(always)]
             || {
-                for at in 0..len.min(CHUNK) {
-                    let squared = self.f[at] * self.f[at];
-                    *squares = self.w[at].mul_add(squared, *squares);
-                    self.w[at] *= exp2(simd, -(squared * narrowing).min(splat(simd, MAX_OFF_SURFACE)));
+                let mut squares = splat(simd, 0.0);
+                for Term { w, f, .. } in &mut self.terms[..len] {
+                    let squared = *f * *f;
+                    squares = w.mul_add(squared, squares);
+                    *w *= exp2_neg(simd, (squared * narrowing).min(splat(simd, MAX_OFF_SURFACE)));
                 }
+                squares
             },
-        );
+        )
     }
 
     /// First pass: computes the sums over the candidates, and keeps the candidates for the second pass if they fit.
@@ -342,59 +390,94 @@ impl<S: Simd> Terms<S> {
         if len > CHUNK {
             return (candidates.sums(simd, p, radius), Source::Of(candidates));
         }
-        let mut sums = Sums::zero(simd);
-        let mut at = 0;
-        candidates.neighbours(
-            simd,
-            p,
-            radius,
-            0..candidates.rows(),
-            #[inline(always)]
-            |e, weight, count| {
-                sums.add(e, weight, count);
-                (self.w[at], self.a[at], self.b[at], self.f[at]) = (weight, e.x, e.y, e.z);
-                at += 1;
-            },
-        );
+        let n = self.gather(simd, candidates, &p, radius);
+        // In a loop of its own: the sums and the gate together need too many registers.
+        let mut sums = Sums { n, ..Sums::zero(simd) };
+        for &Term { w, a, b, f } in &self.terms[..len] {
+            sums.add(Vec3::new(a, b, f), w, splat(simd, 0.0));
+        }
         (sums, Source::Kept(len))
+    }
+
+    /// Sets terms to the gate weights and offsets of the candidates, and returns the number of neighbours. Not inlined,
+    /// as [`fill`](Self::fill).
+    #[inline(never)]
+    fn gather<C: Candidates<S>>(&mut self, simd: S, candidates: C, p: &Vec3<S>, radius: S::f32s) -> S::f32s {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let (p, rows) = (*p, 0..candidates.rows());
+                let mut n = splat(simd, 0.0);
+                candidates.neighbours(
+                    simd,
+                    p,
+                    radius,
+                    rows,
+                    &mut self.terms[..candidates.rows() * candidates.row_len()],
+                    #[inline(always)]
+                    |term, e, weight, count| {
+                        n += count;
+                        *term = Term { w: weight, a: e.x, b: e.y, f: e.z };
+                    },
+                );
+                n
+            },
+        )
     }
 }
 
-/// Adds the first `len` terms to the moments, in groups of rows that fit the registers. Not inlined: several callers
-/// share it.
+/// Returns whether the vector registers are 32, as in AVX-512 and NEON, and not 16.
+const fn has_32_registers<S: Simd>() -> bool {
+    <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(target_arch = "aarch64")
+}
+
+/// Sums the moments of terms, in groups that fit the registers. With 16 registers, degree 3 takes 85 instructions per
+/// term; in two groups it took 140, since registers were spilled. Not inlined: several callers share it.
 #[inline(never)]
-fn accumulate_all<S: Simd, const D: usize>(simd: S, moments: &mut Moments<S>, terms: &Terms<S>, len: usize) {
+fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], moments: &mut Moments<S>) {
     simd.vectorize(
         #[inline(always)]
         || {
-            if D == 3 {
-                accumulate::<S, D, 0, 2, 0, 1>(moments, terms, len);
-                accumulate::<S, D, 2, 7, 1, 7>(moments, terms, len);
+            if const { has_32_registers::<S>() } {
+                if D == 3 {
+                    sum_group::<S, D, 0b11, 0b1>(simd, terms, moments);
+                    sum_group::<S, D, 0b1111100, 0b1110>(simd, terms, moments);
+                } else {
+                    sum_group::<S, D, 0b11111, 0b111>(simd, terms, moments);
+                }
             } else {
-                accumulate::<S, D, 0, 7, 0, 7>(moments, terms, len);
+                sum_group::<S, D, 0b1, 0b1>(simd, terms, moments);
+                if D == 3 {
+                    sum_group::<S, D, 0b10, 0b10>(simd, terms, moments);
+                    sum_group::<S, D, 0b100, 0b1100>(simd, terms, moments);
+                    sum_group::<S, D, 0b1111000, 0>(simd, terms, moments);
+                } else {
+                    sum_group::<S, D, 0b11110, 0b110>(simd, terms, moments);
+                }
             }
         },
     );
 }
 
-/// Adds the first `len` terms to the moments M_ij with M0 <= i < M1 and T_ij with T0 <= i < T1.
+/// Sums the moments M_ij and T_ij whose bit i of M and T is set. The bits of T are consecutive.
 #[inline(always)]
-fn accumulate<S: Simd, const D: usize, const M0: usize, const M1: usize, const T0: usize, const T1: usize>(
+fn sum_group<S: Simd, const D: usize, const M: u32, const T: u32>(
+    simd: S,
+    terms: &[Term<S>],
     moments: &mut Moments<S>,
-    terms: &Terms<S>,
-    len: usize,
 ) {
-    // Local copies keep the sums in registers throughout the loop.
-    let (mut m, mut t) = (moments.m, moments.t);
-    let (w, a, b, f) = (&terms.w[..len], &terms.a[..len], &terms.b[..len], &terms.f[..len]);
-    for k in 0..len {
-        let (w, a, b, f) = (w[k], a[k], b[k], f[k]);
+    let zero = splat(simd, 0.0);
+    let (mut m, mut t) = ([zero; MAX_MOMENTS], [zero; MAX_RIGHT_SIDES]);
+    for &Term { w, a, b, f } in terms {
         let (a2, b2) = (a * a, b * b);
         let (wa, wa2, b3, b4) = (w * a, w * a2, b2 * b, b2 * b2);
         let b_powers = [b, b, b2, b3, b4, b4 * b, b3 * b3];
-        let wa_powers = [w, wa, wa2, wa * a2, wa2 * a2, wa * a2 * a2, wa2 * a2 * a2];
+        let wa3 = wa * a2;
+        let wa4 = wa3 * a;
+        let wa_powers = [w, wa, wa2, wa3, wa4, wa4 * a, wa4 * a2];
+        let mut wf = wa_powers[T.trailing_zeros() as usize % 7] * f;
         unroll!(I in 7 {
-            if M0 <= I && I < M1 && I <= 2 * D {
+            if M & (1 << I) != 0 && I <= 2 * D {
                 m[place(2 * D, I, 0)] += wa_powers[I];
                 unroll!(J in 7 {
                     if J > 0 && I + J <= 2 * D {
@@ -402,16 +485,25 @@ fn accumulate<S: Simd, const D: usize, const M0: usize, const M1: usize, const T
                     }
                 });
             }
-            if T0 <= I && I < T1 && I <= D {
-                let wf = wa_powers[I] * f;
+            if T & (1 << I) != 0 && I <= D {
                 t[place(D, I, 0)] += wf;
                 unroll!(J in 7 {
                     if J > 0 && I + J <= D {
                         t[place(D, I, J)] = wf.mul_add(b_powers[J], t[place(D, I, J)]);
                     }
                 });
+                wf *= a;
             }
         });
     }
-    (moments.m, moments.t) = (m, t);
+    unroll!(I in 7 {
+        unroll!(J in 7 {
+            if M & (1 << I) != 0 && I + J <= 2 * D {
+                moments.m[place(2 * D, I, J)] = m[place(2 * D, I, J)];
+            }
+            if T & (1 << I) != 0 && I + J <= D {
+                moments.t[place(D, I, J)] = t[place(D, I, J)];
+            }
+        });
+    });
 }

@@ -4,7 +4,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::{DMat3, DVec3};
 
 use super::eigen::{Symmetric, smallest_eigenvector, tangents};
-use super::math::{cos_third_acos, exp2};
+use super::math::{cos_third_acos, exp2_neg};
 use super::polynomial::Moments;
 use super::solve::solve;
 use super::vector::{Vec3, splat};
@@ -33,15 +33,15 @@ fn exp2_keeps_its_error() {
         for i in 0..=252_000 {
             let x = -f64::from(i) * 5e-4;
             let x = f64::from(x as f32);
-            let found = f64::from(exp2(simd, lanes(simd, x))[0]);
+            let found = f64::from(exp2_neg(simd, lanes(simd, -x))[0]);
             worst = worst.max((found / x.exp2() - 1.0).abs());
         }
         assert!(worst < 4e-6, "{level}: {worst:e}");
         for x in [-127.0, -1e3, -1e30, f64::NEG_INFINITY] {
-            let found = exp2(simd, lanes(simd, x))[0];
+            let found = exp2_neg(simd, lanes(simd, -x))[0];
             assert!((0.0..=1.2e-38).contains(&found), "{level}: 2^{x} = {found:e}");
         }
-        assert!(exp2(simd, lanes(simd, f64::NAN))[0].is_finite(), "{level}");
+        assert!(exp2_neg(simd, lanes(simd, f64::NAN))[0].is_finite(), "{level}");
     }
     at_every_level!(test);
 }

@@ -74,15 +74,18 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Returns the number of candidates in a row.
     fn row_len(&self) -> usize;
 
-    /// Visits the candidates of some rows in order: their offsets from p (zero outside the gate), gate weights, and the
-    /// number of neighbours they stand for.
-    fn neighbours(
+    /// Visits the candidates of some rows in order, each with its slot: their offsets from p (zero outside the gate),
+    /// gate weights, and the number of neighbours they stand for.
+    ///
+    /// A count by the visitor would be checked against the length of its array in every round.
+    fn neighbours<T>(
         &self,
         simd: S,
         p: Vec3<S>,
         radius: S::f32s,
         rows: Range<usize>,
-        visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
+        slots: &mut [T],
+        visit: impl FnMut(&mut T, Vec3<S>, S::f32s, S::f32s),
     );
 
     /// First pass: the sums over the neighbours.
@@ -99,9 +102,10 @@ pub(super) trait Candidates<S: Simd>: Copy {
             simd,
             p,
             radius,
-            rows,
+            rows.clone(),
+            &mut vec![(); rows.len() * self.row_len()],
             #[inline(always)]
-            |e, weight, count| sums.add(e, weight, count),
+            |(), e, weight, count| sums.add(e, weight, count),
         );
         sums
     }
@@ -192,27 +196,28 @@ impl<S: Simd> Candidates<S> for Window<'_> {
     }
 
     #[inline(always)]
-    fn neighbours(
+    fn neighbours<T>(
         &self,
         simd: S,
         p: Vec3<S>,
         radius: S::f32s,
         rows: Range<usize>,
-        mut visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
+        slots: &mut [T],
+        mut visit: impl FnMut(&mut T, Vec3<S>, S::f32s, S::f32s),
     ) {
         let gate = Gate::new(simd, radius);
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let row_len = self.samples.row_len as isize;
         let [.., reach] = *self.offsets else { return };
         let reach = reach as usize * (self.samples.row_len + 1);
-        self.samples.assert_within(self.centre - reach, self.centre + reach);
-        for row in &self.offsets[rows] {
+        let part = self.samples.part(self.centre - reach, self.centre + reach);
+        for (row, slots) in self.offsets[rows].iter().zip(slots.chunks_exact_mut(self.offsets.len())) {
             let start = self.centre.wrapping_add_signed(row * row_len);
-            for column in self.offsets {
-                // SAFETY: checked above for the first and the last candidate.
-                let q = unsafe { self.samples.load_within(simd, start.wrapping_add_signed(*column)) };
+            for (column, slot) in self.offsets.iter().zip(slots) {
+                // SAFETY: from the first to the last of the part.
+                let q = unsafe { part.vector(simd, 0, start.wrapping_add_signed(*column)) };
                 let (e, weight, near) = gate.apply(simd, q.sub(p));
-                visit(e, weight, near.select(one, zero));
+                visit(slot, e, weight, near.select(one, zero));
             }
         }
     }

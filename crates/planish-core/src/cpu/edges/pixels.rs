@@ -382,20 +382,20 @@ impl Surfaces {
             Voted { total: zero, certain: zero, normal: none, height: zero, best: zero, code: zero, curvature: zero };
         let mut most = zero;
         let (first, last) = around.limits(self.planes.row_len);
-        self.planes.channels.assert_within(first, last);
+        let cells = self.planes.channels.part(first, last);
         around.visit(
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: between the first and the last cell, which are checked above.
+                // SAFETY: from the first to the last of the part.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
-                    |channel| unsafe { self.planes.channels.vector_within(simd, channel, at) },
+                    |channel| unsafe { cells.vector(simd, channel, at) },
                 );
                 // SAFETY: as above.
                 let [code, curvature, certainty] = [CODE, CURVATURE, CERTAINTY].map(
                     #[inline(always)]
-                    |channel| unsafe { self.planes.channels.load_within(simd, channel, at) },
+                    |channel| unsafe { cells.load(simd, channel, at) },
                 );
                 let offset = place.sub(points.p);
                 let (near, within) = gate.weight(simd, offset);
@@ -441,18 +441,18 @@ impl Surfaces {
         let (mut total, mut heights, mut offsets) = (zero, zero, none);
         let mut normals = own_normal.scale(splat(simd, STAY_WEIGHT));
         let (first, last) = around.limits(self.planes.row_len);
-        self.planes.channels.assert_within(first, last);
+        let cells = self.planes.channels.part(first, last);
         around.visit(
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: between the first and the last cell, which are checked above.
+                // SAFETY: from the first to the last of the part.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
-                    |channel| unsafe { self.planes.channels.vector_within(simd, channel, at) },
+                    |channel| unsafe { cells.vector(simd, channel, at) },
                 );
                 // SAFETY: as above.
-                let certainty = unsafe { self.planes.channels.load_within(simd, CERTAINTY, at) };
+                let certainty = unsafe { cells.load(simd, CERTAINTY, at) };
                 let offset = place.sub(point);
                 let height = offset.dot(normal);
                 let widths = height * per_width;

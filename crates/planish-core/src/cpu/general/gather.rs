@@ -217,31 +217,33 @@ impl<S: Simd> Candidates<S> for &Gathered {
     }
 
     #[inline(always)]
-    fn neighbours(
+    fn neighbours<T>(
         &self,
         simd: S,
         p: Vec3<S>,
         radius: S::f32s,
         rows: Range<usize>,
-        mut visit: impl FnMut(Vec3<S>, S::f32s, S::f32s),
+        slots: &mut [T],
+        mut visit: impl FnMut(&mut T, Vec3<S>, S::f32s, S::f32s),
     ) {
         let Gathered { whole, others, .. } = self;
         let wholly = rows.start.min(whole.len)..rows.end.min(whole.len);
         let positions = whole.x[wholly.clone()].iter().zip(&whole.y[wholly.clone()]).zip(&whole.z[wholly.clone()]);
-        for (((&x, &y), &z), &count) in positions.zip(&whole.counts[wholly]) {
+        let (wholly_slots, slots) = slots.split_at_mut(wholly.len());
+        for ((((&x, &y), &z), &count), slot) in positions.zip(&whole.counts[wholly]).zip(wholly_slots) {
             let q = Vec3::<S>::new(splat(simd, x), splat(simd, y), splat(simd, z));
             let count = splat(simd, count);
-            visit(q.sub(p), count, count);
+            visit(slot, q.sub(p), count, count);
         }
         let gate = Gate::new(simd, radius);
         let zero = splat(simd, 0.0);
         let rows = rows.start.saturating_sub(whole.len)..rows.end.saturating_sub(whole.len);
         let positions = others.x[rows.clone()].iter().zip(&others.y[rows.clone()]).zip(&others.z[rows.clone()]);
-        for (((&x, &y), &z), &count) in positions.zip(&others.counts[rows]) {
+        for ((((&x, &y), &z), &count), slot) in positions.zip(&others.counts[rows]).zip(slots) {
             let q = Vec3::new(splat(simd, x), splat(simd, y), splat(simd, z));
             let (e, weight, near) = gate.apply(simd, q.sub(p));
             let count = splat(simd, count);
-            visit(e, weight * count, near.select(count, zero));
+            visit(slot, e, weight * count, near.select(count, zero));
         }
     }
 
