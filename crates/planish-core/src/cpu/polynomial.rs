@@ -243,16 +243,16 @@ fn sum_moments<S: Simd, C: Candidates<S>, const D: usize>(
         Source::Of(candidates) => {
             let rows_at_once = (CHUNK / candidates.row_len()).max(1);
             let mut rows = 0..rows_at_once.min(candidates.rows());
-            squares_of_all = terms.sum_rows::<C, D>(simd, candidates, p, rows.clone(), weighting, &frame);
-            while rows.end < candidates.rows() {
-                rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
-                let before = [terms.moments, terms.of_all];
+            while !rows.is_empty() {
+                let before = (rows.start > 0).then_some([terms.moments, terms.of_all]);
                 let squares = terms.sum_rows::<C, D>(simd, candidates, p, rows.clone(), weighting, &frame);
-                terms.moments.add(&before[0]);
-                if let (Some(sum), Some(squares)) = (&mut squares_of_all, squares) {
-                    *sum += squares;
-                    terms.of_all.add(&before[1]);
+                if let Some([moments, of_all]) = before {
+                    terms.moments.add(&moments);
+                    terms.of_all.add(&of_all);
                 }
+                squares_of_all =
+                    squares_of_all.zip(squares).map_or(squares, |(before, squares)| Some(before + squares));
+                rows = rows.end..(rows.end + rows_at_once).min(candidates.rows());
             }
         }
     }
@@ -387,7 +387,8 @@ impl<S: Simd> Terms<S> {
         radius: S::f32s,
     ) -> (Sums<S>, Source<C>) {
         let len = candidates.rows() * candidates.row_len();
-        if len > CHUNK {
+        // A web page without this path is smaller.
+        if len > CHUNK || cfg!(target_family = "wasm") {
             return (candidates.sums(simd, p, radius), Source::Of(candidates));
         }
         let n = self.gather(simd, candidates, &p, radius);
@@ -426,9 +427,10 @@ impl<S: Simd> Terms<S> {
     }
 }
 
-/// Returns whether the vector registers are 32, as in AVX-512 and NEON, and not 16.
-const fn has_32_registers<S: Simd>() -> bool {
-    <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(target_arch = "aarch64")
+/// Returns whether moments are summed in few groups: with the 32 registers of AVX-512 and NEON, and for less code in a web
+/// page.
+const fn in_few_groups<S: Simd>() -> bool {
+    <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(any(target_arch = "aarch64", target_family = "wasm"))
 }
 
 /// Sums the moments of terms, in groups that fit the registers. With 16 registers, degree 3 takes 85 instructions per
@@ -438,7 +440,7 @@ fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], moments: &mut 
     simd.vectorize(
         #[inline(always)]
         || {
-            if const { has_32_registers::<S>() } {
+            if const { in_few_groups::<S>() } {
                 if D == 3 {
                     sum_group::<S, D, 0b11, 0b1>(simd, terms, moments);
                     sum_group::<S, D, 0b1111100, 0b1110>(simd, terms, moments);
