@@ -392,7 +392,7 @@ impl<S: Simd> Terms<S> {
             return (candidates.sums(simd, p, radius), Source::Of(candidates));
         }
         let n = self.gather(simd, candidates, &p, radius);
-        // In a loop of its own: the sums and the gate together need too many registers.
+        // A second loop: the sums and the gate together need too many registers.
         let mut sums = Sums { n, ..Sums::zero(simd) };
         for &Term { w, a, b, f } in &self.terms[..len] {
             sums.add(Vec3::new(a, b, f), w, splat(simd, 0.0));
@@ -427,8 +427,8 @@ impl<S: Simd> Terms<S> {
     }
 }
 
-/// Returns whether moments are summed in few groups: with the 32 registers of AVX-512 and NEON, and for less code in a web
-/// page.
+/// Returns whether moments are summed in few groups: with the 32 registers of AVX-512 and NEON, and for less code in a
+/// web page.
 const fn in_few_groups<S: Simd>() -> bool {
     <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(any(target_arch = "aarch64", target_family = "wasm"))
 }

@@ -74,8 +74,8 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Returns the number of candidates in a row.
     fn row_len(&self) -> usize;
 
-    /// Visits the candidates of some rows in order, each with its slot: their offsets from p (zero outside the gate),
-    /// gate weights, and the number of neighbours they stand for.
+    /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate), its
+    /// gate weight, and as how many neighbours it counts.
     ///
     /// A count by the visitor would be checked against the length of its array in every round.
     fn neighbours<T>(
