@@ -17,6 +17,7 @@ mod record;
 mod rig;
 mod scaleup;
 mod section;
+mod simd;
 mod speedup;
 mod timing;
 
@@ -34,7 +35,7 @@ use record::Origin;
 pub use rig::{RigBenchOptions, run as run_rig};
 use section::Section;
 
-/// An experiment of the 2011 report.
+/// An experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Experiment {
     /// Times of a frame, and how many times faster than the serial method that is.
@@ -47,10 +48,12 @@ pub enum Experiment {
     Profile,
     /// A frame raw and smoothed, and its largest plane before and after.
     Quality,
+    /// Time per frame by instruction set and preset.
+    Simd,
 }
 
 impl Experiment {
-    /// All of them, in the report's order.
+    /// Those of the 2011 report, in its order.
     pub const ALL: [Self; 5] = [Self::Speedup, Self::Connectivity, Self::Scaleup, Self::Profile, Self::Quality];
 
     fn run(self, bench: &Bench<'_>) -> Result<Section> {
@@ -60,6 +63,7 @@ impl Experiment {
             Self::Scaleup => scaleup::run(bench),
             Self::Profile => profile::run(bench),
             Self::Quality => quality::run(bench),
+            Self::Simd => simd::run(bench),
         }
     }
 }

@@ -31,7 +31,9 @@ pub enum BenchCommand {
     Profile(ExperimentArgs),
     /// Raw and smoothed frame, and its largest plane before and after
     Quality(ExperimentArgs),
-    /// All five experiments
+    /// Time per frame by instruction set of the CPU and by preset, on one thread
+    Simd(ExperimentArgs),
+    /// All experiments of the 2011 report
     All(ExperimentArgs),
 }
 
@@ -45,7 +47,7 @@ pub struct ExperimentArgs {
     pub input: Vec<PathBuf>,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Fewer and shorter measurements: about a minute for all five on two cores
+    /// Fewer and shorter measurements: about a minute for `all` on two cores
     #[arg(long)]
     pub quick: bool,
     /// Folder for JSON, Markdown and plots of each experiment

@@ -25,6 +25,7 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         BenchCommand::Scaleup(args) => (args, &[Experiment::Scaleup][..]),
         BenchCommand::Profile(args) => (args, &[Experiment::Profile][..]),
         BenchCommand::Quality(args) => (args, &[Experiment::Quality][..]),
+        BenchCommand::Simd(args) => (args, &[Experiment::Simd][..]),
         BenchCommand::All(args) => (args, &Experiment::ALL[..]),
     };
     let options = Options {

@@ -36,7 +36,7 @@ impl BlockPixels for PaddedFrame {
         let part = self.part(first, first + 2 * half * (self.row_len + 1));
         for row in 0..side {
             for column in 0..side {
-                // SAFETY: from the first to the last of the part.
+                // SAFETY: the part is from the first to the last point of the block.
                 visit(unsafe { part.vector(simd, 0, first + row * self.row_len + column) });
             }
         }

@@ -78,7 +78,7 @@ impl<const N: usize> Part<'_, N> {
     pub(super) unsafe fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
         const { assert!(S::f32s::LEN <= MAX_LANES) };
         debug_assert!((self.first..=self.last).contains(&at));
-        // SAFETY: channels have MAX_LANES values more than indices, and no vector has more lanes.
+        // SAFETY: channels have MAX_LANES values from every index on, and no vector has more lanes.
         S::f32s::from_slice(simd, unsafe { self.channels[channel].get_unchecked(at..at + S::f32s::LEN) })
     }
 

@@ -20,7 +20,7 @@ pub(super) struct Fitting {
     pub(super) ridge: f32,
     /// Whether points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
-    /// With fewer a point has too few.
+    /// The least number of neighbours of a point that is smoothed.
     pub(super) least_neighbours: f32,
 }
 

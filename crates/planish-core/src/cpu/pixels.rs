@@ -138,7 +138,7 @@ impl BlockPixels for Pixels {
         let part = self.columns.part(start - more, start + last + more);
         for row in (start..=start + last).step_by(self.row_len) {
             for even in row - less..=row + more {
-                // SAFETY: from the first to the last of the part.
+                // SAFETY: columns are at most `more` away from a row, and the part has as many on either side.
                 visit(unsafe { part.vector(simd, EVEN, even) });
             }
             for odd in row - more..=row + less {

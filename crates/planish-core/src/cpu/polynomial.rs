@@ -57,7 +57,7 @@ const CHUNK: usize = 64;
 /// per candidate the scheduler cannot overlap two of them, and stalls on the chain of exponential and powers.
 pub(super) struct Terms<S: Simd> {
     terms: [Term<S>; CHUNK],
-    /// The moments of the neighbours on the surface.
+    /// The moments of the neighbours; of those on the surface if edges are kept.
     moments: Moments<S>,
     /// The moments of all neighbours, however far they are off the plane.
     of_all: Moments<S>,
@@ -149,9 +149,9 @@ pub(super) struct Polynomial<S: Simd> {
     pub(super) b_axis: Vec3<S>,
 }
 
-/// The units that turn coefficients back into metres.
+/// The frame of a fit, whose moments are in [`Terms`].
 struct Fit<S: Simd> {
-    /// If no plane fits, sum w f² of all neighbours, whose moments are [`Terms::of_all`].
+    /// Sum w f² of all neighbours, whose moments are [`Terms::of_all`]; `None` if planes fit everywhere.
     squares_of_all: Option<S::f32s>,
     /// In-plane unit vectors.
     u: Vec3<S>,
@@ -205,7 +205,8 @@ pub(super) enum Source<C> {
     Of(C),
 }
 
-/// Second pass over the candidates: sums the moments of degree D over the plane, as [`Terms::moments`].
+/// Second pass over the candidates: sums the moments of degree D over the plane, as [`Terms::moments`] and
+/// [`Terms::of_all`].
 #[inline(always)]
 fn sum_moments<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
@@ -244,11 +245,11 @@ fn sum_moments<S: Simd, C: Candidates<S>, const D: usize>(
             let rows_at_once = (CHUNK / candidates.row_len()).max(1);
             let mut rows = 0..rows_at_once.min(candidates.rows());
             while !rows.is_empty() {
-                let before = (rows.start > 0).then_some([terms.moments, terms.of_all]);
+                let before = (rows.start > 0).then_some((terms.moments, squares_of_all.map(|_| terms.of_all)));
                 let squares = terms.sum_rows::<C, D>(simd, candidates, p, rows.clone(), weighting, &frame);
-                if let Some([moments, of_all]) = before {
+                if let Some((moments, of_all)) = before {
                     terms.moments.add(&moments);
-                    terms.of_all.add(&of_all);
+                    of_all.iter().for_each(|of_all| terms.of_all.add(of_all));
                 }
                 squares_of_all =
                     squares_of_all.zip(squares).map_or(squares, |(before, squares)| Some(before + squares));
@@ -454,7 +455,8 @@ fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], moments: &mut 
                     sum_group::<S, D, 0b100, 0b1100>(simd, terms, moments);
                     sum_group::<S, D, 0b1111000, 0>(simd, terms, moments);
                 } else {
-                    sum_group::<S, D, 0b11110, 0b110>(simd, terms, moments);
+                    sum_group::<S, D, 0b10, 0b10>(simd, terms, moments);
+                    sum_group::<S, D, 0b11100, 0b100>(simd, terms, moments);
                 }
             }
         },

@@ -77,7 +77,7 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate), its
     /// gate weight, and as how many neighbours it counts.
     ///
-    /// A count by the visitor would be checked against the length of its array in every round.
+    /// `slots` has as many elements as there are candidates. An index of the visitor's own would be checked for each.
     fn neighbours<T>(
         &self,
         simd: S,
@@ -211,10 +211,11 @@ impl<S: Simd> Candidates<S> for Window<'_> {
         let [.., reach] = *self.offsets else { return };
         let reach = reach as usize * (self.samples.row_len + 1);
         let part = self.samples.part(self.centre - reach, self.centre + reach);
+        debug_assert_eq!(slots.len(), rows.len() * self.offsets.len());
         for (row, slots) in self.offsets[rows].iter().zip(slots.chunks_exact_mut(self.offsets.len())) {
             let start = self.centre.wrapping_add_signed(row * row_len);
             for (column, slot) in self.offsets.iter().zip(slots) {
-                // SAFETY: from the first to the last of the part.
+                // SAFETY: no column or row is farther than the last, which bounds the part.
                 let q = unsafe { part.vector(simd, 0, start.wrapping_add_signed(*column)) };
                 let (e, weight, near) = gate.apply(simd, q.sub(p));
                 visit(slot, e, weight, near.select(one, zero));

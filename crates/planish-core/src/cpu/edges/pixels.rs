@@ -387,7 +387,7 @@ impl Surfaces {
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: from the first to the last of the part.
+                // SAFETY: the part is from the first to the last cell around.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
                     |channel| unsafe { cells.vector(simd, channel, at) },
@@ -446,7 +446,7 @@ impl Surfaces {
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: from the first to the last of the part.
+                // SAFETY: the part is from the first to the last cell around.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
                     |channel| unsafe { cells.vector(simd, channel, at) },
