@@ -22,7 +22,7 @@ import tempfile
 import zlib
 
 TOLERANCE = 0.03
-# With another compiler than that of the file.
+# If the file was written with another compiler.
 WIDE_TOLERANCE = 0.15
 PRESETS = ("light", "default", "strong", "paper")
 # The function that starts the kernel of a stage.

@@ -53,7 +53,7 @@ pub enum Experiment {
 }
 
 impl Experiment {
-    /// Those of the 2011 report, in its order.
+    /// All experiments of the 2011 report, in its order.
     pub const ALL: [Self; 5] = [Self::Speedup, Self::Connectivity, Self::Scaleup, Self::Profile, Self::Quality];
 
     fn run(self, bench: &Bench<'_>) -> Result<Section> {

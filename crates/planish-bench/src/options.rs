@@ -9,7 +9,7 @@ use planish::Engine;
 pub struct Options {
     /// The engines; if empty or containing `Auto`, all of this machine except software GPUs.
     pub engines: Vec<Engine>,
-    /// Fewer and shorter measurements: those of the 2011 report in about a minute on two cores.
+    /// Fewer and shorter measurements: the 2011 report's experiments take about a minute on two cores.
     pub quick: bool,
     /// Folder for each experiment's JSON, Markdown and plots.
     pub out: Option<PathBuf>,
