@@ -77,7 +77,7 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate), its
     /// gate weight, and as how many neighbours it counts.
     ///
-    /// `slots` has one element for each candidate. With slots, no index has to be checked against the length of an array.
+    /// `slots` has one element for each candidate. With slots, no index has to be checked against an array's length.
     fn neighbours<T>(
         &self,
         simd: S,
