@@ -18,6 +18,7 @@ mod eigen;
 mod fit;
 mod general;
 mod math;
+mod moments;
 mod output;
 mod padded;
 mod pixels;

@@ -1,10 +1,9 @@
-//! The weighted polynomial over the plane (docs/method.md, section 5): the moments of the normal equations.
+//! The weighted polynomial over the plane (docs/method.md, section 5).
 //!
 //! The weight is g 2^-(a² + b² + f²), with the gate g, and narrower across the surface if edges are kept. a and b are
 //! the in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). The reference
-//! divides a and b by h; this unit saves a multiplication, and the ridge is converted. Moments: M_ij = sum w a^i b^j
-//! for i + j <= 2 D, and T_ij = sum w f a^i b^j for i + j <= D. They are sums of outer products of the powers of a and
-//! b: one fused multiply-add each, and plain additions for j = 0.
+//! divides a and b by h; this unit saves a multiplication, and the ridge is converted. [`moments`](super::moments) sums
+//! the normal equations.
 
 use std::ops::Range;
 
@@ -13,16 +12,12 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use super::bend::Bend;
 use super::eigen::tangents;
 use super::math::exp2_neg;
+use super::moments::{Moments, Term, sum_terms};
 use super::plane::Plane;
 use super::solve::{Solution, solve};
-use super::unroll::unroll;
 use super::vector::{Mask, Vec3, rises, splat};
 use super::window::{Candidates, Sums};
 use crate::constants::{CLOSE, FEWEST_RIDGE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E, coefficient_count};
-
-/// Number of moments for degree 3, the most.
-const MAX_MOMENTS: usize = 28;
-const MAX_RIGHT_SIDES: usize = 10;
 
 /// The frame of a fit. a = e·a_axis, b = e·b_axis, f = e·f_axis - f_offset.
 struct Frame<S: Simd> {
@@ -61,81 +56,6 @@ pub(super) struct Terms<S: Simd> {
     moments: Moments<S>,
     /// The moments of all neighbours, however far they are off the plane.
     of_all: Moments<S>,
-}
-
-/// Contribution of a candidate: its weight (0 outside the gate), and its coordinates. Before [`Terms::turn`], the
-/// coordinates are the offset from p.
-struct Term<S: Simd> {
-    w: S::f32s,
-    a: S::f32s,
-    b: S::f32s,
-    f: S::f32s,
-}
-
-impl<S: Simd> Clone for Term<S> {
-    #[inline(always)]
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<S: Simd> Copy for Term<S> {}
-
-pub(super) struct Moments<S: Simd> {
-    m: [S::f32s; MAX_MOMENTS],
-    t: [S::f32s; MAX_RIGHT_SIDES],
-}
-
-impl<S: Simd> Clone for Moments<S> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<S: Simd> Copy for Moments<S> {}
-
-/// Index of M_ij for i + j up to `degree`: for every i a run over j.
-#[inline(always)]
-const fn place(degree: usize, i: usize, j: usize) -> usize {
-    i * (2 * degree + 3 - i) / 2 + j
-}
-
-impl<S: Simd> Moments<S> {
-    /// Creates moments from M_ij and T_ij.
-    #[cfg(test)]
-    pub(super) fn from_fn<const D: usize>(
-        simd: S,
-        m: impl Fn(usize, usize) -> S::f32s,
-        t: impl Fn(usize, usize) -> S::f32s,
-    ) -> Self {
-        let zero = splat(simd, 0.0);
-        let mut moments = Self { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-        for (i, j) in (0..=2 * D).flat_map(|i| (0..=2 * D - i).map(move |j| (i, j))) {
-            moments.m[place(2 * D, i, j)] = m(i, j);
-            if i + j <= D {
-                moments.t[place(D, i, j)] = t(i, j);
-            }
-        }
-        moments
-    }
-
-    #[inline(always)]
-    fn add(&mut self, other: &Self) {
-        self.m.iter_mut().zip(other.m).for_each(|(m, other)| *m += other);
-        self.t.iter_mut().zip(other.t).for_each(|(t, other)| *t += other);
-    }
-
-    /// Returns M_ij of a fit of degree D.
-    #[inline(always)]
-    pub(super) fn m<const D: usize>(&self, i: usize, j: usize) -> S::f32s {
-        self.m[place(2 * D, i, j)]
-    }
-
-    /// Returns T_ij of a fit of degree D.
-    #[inline(always)]
-    pub(super) fn t<const D: usize>(&self, i: usize, j: usize) -> S::f32s {
-        self.t[place(D, i, j)]
-    }
 }
 
 /// The polynomial over a plane.
@@ -281,8 +201,8 @@ impl<S: Simd> Terms<S> {
     #[inline(always)]
     pub(super) fn new(simd: S) -> Self {
         let zero = splat(simd, 0.0);
-        let moments = || Moments { m: [zero; MAX_MOMENTS], t: [zero; MAX_RIGHT_SIDES] };
-        Self { terms: [Term { w: zero, a: zero, b: zero, f: zero }; CHUNK], moments: moments(), of_all: moments() }
+        let none = Moments::zero(simd);
+        Self { terms: [Term { w: zero, a: zero, b: zero, f: zero }; CHUNK], moments: none, of_all: none }
     }
 
     /// Computes the terms of the candidates in the given rows.
@@ -426,88 +346,4 @@ impl<S: Simd> Terms<S> {
             },
         )
     }
-}
-
-/// Returns whether moments are summed in few groups: with the 32 registers of AVX-512 and NEON, and for less code in a
-/// web page.
-const fn in_few_groups<S: Simd>() -> bool {
-    <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(any(target_arch = "aarch64", target_family = "wasm"))
-}
-
-/// Sums the moments of terms, in groups that fit the registers. With 16 registers, degree 3 takes 85 instructions per
-/// term; in two groups it took 140, since registers were spilled. Not inlined: several callers share it.
-#[inline(never)]
-fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], moments: &mut Moments<S>) {
-    simd.vectorize(
-        #[inline(always)]
-        || {
-            if const { in_few_groups::<S>() } {
-                if D == 3 {
-                    sum_group::<S, D, 0b11, 0b1>(simd, terms, moments);
-                    sum_group::<S, D, 0b1111100, 0b1110>(simd, terms, moments);
-                } else {
-                    sum_group::<S, D, 0b11111, 0b111>(simd, terms, moments);
-                }
-            } else {
-                sum_group::<S, D, 0b1, 0b1>(simd, terms, moments);
-                if D == 3 {
-                    sum_group::<S, D, 0b10, 0b10>(simd, terms, moments);
-                    sum_group::<S, D, 0b100, 0b1100>(simd, terms, moments);
-                    sum_group::<S, D, 0b1111000, 0>(simd, terms, moments);
-                } else {
-                    sum_group::<S, D, 0b10, 0b10>(simd, terms, moments);
-                    sum_group::<S, D, 0b11100, 0b100>(simd, terms, moments);
-                }
-            }
-        },
-    );
-}
-
-/// Sums the moments M_ij and T_ij whose bit i of M and T is set. The bits of T are consecutive.
-#[inline(always)]
-fn sum_group<S: Simd, const D: usize, const M: u32, const T: u32>(
-    simd: S,
-    terms: &[Term<S>],
-    moments: &mut Moments<S>,
-) {
-    let zero = splat(simd, 0.0);
-    let (mut m, mut t) = ([zero; MAX_MOMENTS], [zero; MAX_RIGHT_SIDES]);
-    for &Term { w, a, b, f } in terms {
-        let (a2, b2) = (a * a, b * b);
-        let (wa, wa2, b3, b4) = (w * a, w * a2, b2 * b, b2 * b2);
-        let b_powers = [b, b, b2, b3, b4, b4 * b, b3 * b3];
-        let wa3 = wa * a2;
-        let wa4 = wa3 * a;
-        let wa_powers = [w, wa, wa2, wa3, wa4, wa4 * a, wa4 * a2];
-        let mut wf = wa_powers[T.trailing_zeros() as usize % 7] * f;
-        unroll!(I in 7 {
-            if M & (1 << I) != 0 && I <= 2 * D {
-                m[place(2 * D, I, 0)] += wa_powers[I];
-                unroll!(J in 7 {
-                    if J > 0 && I + J <= 2 * D {
-                        m[place(2 * D, I, J)] = wa_powers[I].mul_add(b_powers[J], m[place(2 * D, I, J)]);
-                    }
-                });
-            }
-            if T & (1 << I) != 0 && I <= D {
-                t[place(D, I, 0)] += wf;
-                unroll!(J in 7 {
-                    if J > 0 && I + J <= D {
-                        t[place(D, I, J)] = wf.mul_add(b_powers[J], t[place(D, I, J)]);
-                    }
-                });
-                wf *= a;
-            }
-        });
-    }
-    unroll!(I in 7 {
-        unroll!(J in 7 {
-            if M & (1 << I) != 0 && I + J <= 2 * D {
-                moments.m[place(2 * D, I, J)] = m[place(2 * D, I, J)];
-            }
-            if T & (1 << I) != 0 && I + J <= D {
-                moments.t[place(D, I, J)] = t[place(D, I, J)];
-            }
-        });
-    });
 }

@@ -5,7 +5,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
-use super::polynomial::Moments;
+use super::moments::Moments;
 use super::unroll::unroll;
 use super::vector::{Mask, splat};
 use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};

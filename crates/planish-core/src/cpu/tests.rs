@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 
 use super::eigen::{Symmetric, smallest_eigenvector, tangents};
 use super::math::{cos_third_acos, exp2_neg};
-use super::polynomial::Moments;
+use super::moments::Moments;
 use super::solve::solve;
 use super::vector::{Vec3, splat};
 use crate::simd_level::SimdLevel;
