@@ -3,7 +3,7 @@
 //! Both tests visit the points leaf by leaf of a [`PointIndex`]: the leaves around one are gathered once for its 16
 //! points, whose distances to all that was gathered are computed in vectors, whatever the machine has.
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 
 use crate::error::ParamError;
@@ -38,7 +38,7 @@ pub fn statistical_outliers(
     let mut means_m = vec![0.0f32; LEAF * index.leaves()];
     means_m.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, means_m)| {
         let mut search = Search::new(&index);
-        dispatch!(level, simd => { let _ = simd; search.mean_distances(LEAVES_PER_TASK * task, neighbours, means_m) });
+        dispatch!(level, simd => search.mean_distances(simd, LEAVES_PER_TASK * task, neighbours, means_m));
     });
     let mean_of = |i: usize| index.place(i).map(|place| f64::from(means_m[place]));
     let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
@@ -67,7 +67,7 @@ pub fn radius_outliers(points: &PointsView<'_>, radius_m: f32, least: usize) -> 
     is_outlier.par_chunks_mut(LEAF * LEAVES_PER_TASK).enumerate().for_each(|(task, is_outlier)| {
         let mut search = Search::new(&index);
         let first = LEAVES_PER_TASK * task;
-        dispatch!(level, simd => { let _ = simd; search.are_alone(first, radius_m, least, is_outlier) });
+        dispatch!(level, simd => search.are_alone(simd, first, radius_m, least, is_outlier));
     });
     Ok((0..points.len()).into_par_iter().map(|i| index.place(i).is_some_and(|place| is_outlier[place])).collect())
 }
@@ -109,23 +109,20 @@ impl<'a> Search<'a> {
 
     /// Gathers the leaves that come nearer to a box than `reach_m`; whether these are all there are.
     #[inline(always)]
-    fn gather(&mut self, bounds: &Bounds, reach_m: f32) -> bool {
+    fn gather<S: Simd>(&mut self, simd: S, bounds: &Bounds, reach_m: f32) -> bool {
         let Self { index, positions, counts, .. } = self;
         positions.iter_mut().for_each(Vec::clear);
         counts.clear();
-        let wanted = Bounds { low: bounds.low.map(|value| value - reach_m), high: bounds.high.map(|v| v + reach_m) };
+        let wanted = bounds.grown(reach_m);
         let mut leaves = 0;
-        index.for_each_leaf(
-            |bounds| bounds.overlaps(&wanted),
-            |leaf, _| {
-                let places = LEAF * leaf..LEAF * (leaf + 1);
-                for (values, all) in positions.iter_mut().zip(&index.positions) {
-                    values.extend_from_slice(&all[places.clone()]);
-                }
-                counts.extend_from_slice(&index.counts[places]);
-                leaves += 1;
-            },
-        );
+        index.for_each_leaf(simd, &wanted, |leaf, _| {
+            let places = LEAF * leaf..LEAF * (leaf + 1);
+            for (values, all) in positions.iter_mut().zip(&index.positions) {
+                values.extend_from_slice(&all[places.clone()]);
+            }
+            counts.extend_from_slice(&index.counts[places]);
+            leaves += 1;
+        });
         self.has_repeated = self.counts.iter().any(|count| *count > 1.0);
         leaves == index.leaves()
     }
@@ -160,7 +157,7 @@ impl<'a> Search<'a> {
 
     /// Computes the mean distance from each point of some leaves to its `neighbours` nearest points.
     #[inline(always)]
-    fn mean_distances(&mut self, first_leaf: usize, neighbours: usize, means_m: &mut [f32]) {
+    fn mean_distances<S: Simd>(&mut self, simd: S, first_leaf: usize, neighbours: usize, means_m: &mut [f32]) {
         // The reach of the previous leaf, which is next to this one.
         let mut reach_m = 0.0;
         for (leaf, means_m) in (first_leaf..).zip(means_m.chunks_mut(LEAF)) {
@@ -170,7 +167,7 @@ impl<'a> Search<'a> {
             let mut largest_m = 0.0f32;
             for (places, bounds) in self.groups(leaf, reach_m) {
                 let mut reach_m = reach_m;
-                let mut has_all = self.gather(&bounds, reach_m);
+                let mut has_all = self.gather(simd, &bounds, reach_m);
                 for place in places {
                     let farthest_m = loop {
                         match self.mean_of_nearest(place, neighbours, if has_all { f32::INFINITY } else { reach_m }) {
@@ -180,7 +177,7 @@ impl<'a> Search<'a> {
                             }
                             None => {
                                 reach_m *= 1.5;
-                                has_all = self.gather(&bounds, reach_m);
+                                has_all = self.gather(simd, &bounds, reach_m);
                             }
                         }
                     };
@@ -254,14 +251,14 @@ impl<'a> Search<'a> {
 
     /// Computes whether each point of some leaves has fewer than `least` others within the radius.
     #[inline(always)]
-    fn are_alone(&mut self, first_leaf: usize, radius_m: f32, least: usize, is_outlier: &mut [bool]) {
+    fn are_alone<S: Simd>(&mut self, simd: S, first_leaf: usize, radius_m: f32, least: usize, is_outlier: &mut [bool]) {
         let most = radius_m * radius_m;
         for (leaf, is_outlier) in (first_leaf..).zip(is_outlier.chunks_mut(LEAF)) {
             if self.have_company(leaf, most, least) {
                 continue;
             }
             for (places, bounds) in self.groups(leaf, radius_m) {
-                self.gather(&bounds, radius_m);
+                self.gather(simd, &bounds, radius_m);
                 for place in places {
                     self.measure(self.index.point(place));
                     let within = self.squares.iter().zip(&self.counts);

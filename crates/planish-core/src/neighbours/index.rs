@@ -1,74 +1,31 @@
 //! The points of an unorganized cloud in an order that keeps neighbours together, and a tree of boxes over them.
 //!
-//! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the
-//! next level. The tree has no pointers: the indices of a node's children follow from its index. Boxes are the bounds
-//! of their points, so a stray point or an uneven density is not costly elsewhere. Points at the same position become
-//! one with a count, and their result is computed once.
+//! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the next
+//! level. Boxes are the bounds of their points, so a stray point or an uneven density is not costly elsewhere. Points at
+//! the same position become one with a count, and their result is computed once.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use fearless_simd::{Level, Simd};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::middle;
+use super::boxes::{Bounds, BoxTree};
+use super::curve::{Curve, KEYS_AT_ONCE};
 use crate::frame::PointsView;
 use crate::threads::ONE_THREAD;
 
 /// Points in a leaf: the lanes of the widest vector.
 pub(crate) const LEAF: usize = 16;
-/// Nodes under a node.
-const CHILDREN: usize = 8;
-/// Enough for 2^28 points.
-const MAX_LEVELS: usize = 10;
-/// The curve visits 2^16 cells along each axis; points of a crowded cell are sorted along a finer curve.
-const CURVE_BITS: u32 = 16;
 /// More points than this in a cell of the curve are sorted once more.
 const CROWDED: usize = 4 * LEAF;
 /// Points handled by a task.
 const TASK: usize = 1 << 14;
+/// The key of a point that is a hole: beyond the end of the curve.
+const NO_KEY: u64 = u64::MAX;
 /// The place of a point that is a hole.
 const HOLE: u32 = u32::MAX;
-
-/// A box: the least and the largest coordinates.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Bounds {
-    pub(crate) low: [f32; 3],
-    pub(crate) high: [f32; 3],
-}
-
-impl Bounds {
-    /// Of no point.
-    pub(crate) const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
-
-    /// Returns the box of both.
-    pub(crate) fn union(self, other: Self) -> Self {
-        let of = |pick: fn(f32, f32) -> f32, [a, b]: [[f32; 3]; 2]| std::array::from_fn(|axis| pick(a[axis], b[axis]));
-        // If one operand is NaN, min and max return the other.
-        Self { low: of(f32::min, [self.low, other.low]), high: of(f32::max, [self.high, other.high]) }
-    }
-
-    pub(crate) fn of_point(point: [f32; 3]) -> Self {
-        Self { low: point, high: point }
-    }
-
-    /// Returns the box that is larger by this on every side.
-    pub(crate) fn grown(self, by: f32) -> Self {
-        Self { low: self.low.map(|value| value - by), high: self.high.map(|value| value + by) }
-    }
-
-    /// Returns true if they touch.
-    #[inline(always)]
-    pub(crate) fn overlaps(&self, other: &Self) -> bool {
-        (0..3).all(|axis| self.low[axis] <= other.high[axis] && other.low[axis] <= self.high[axis])
-    }
-
-    /// The square of a point's distance from it.
-    pub(crate) fn distance_squared(&self, point: [f32; 3]) -> f32 {
-        let outside = |axis: usize| (self.low[axis] - point[axis]).max(point[axis] - self.high[axis]).max(0.0).powi(2);
-        outside(0) + outside(1) + outside(2)
-    }
-}
 
 /// The points of a leaf together.
 #[derive(Debug, Clone, Copy)]
@@ -89,8 +46,8 @@ pub(crate) struct PointIndex {
     pub(crate) counts: Vec<f32>,
     /// The place of each point of the cloud among the positions.
     places: Vec<AtomicU32>,
-    /// The boxes of leaves, of nodes over them, and so on, up to eight nodes or fewer.
-    levels: Vec<Vec<Bounds>>,
+    /// The boxes of leaves and of nodes over them.
+    boxes: BoxTree,
     moments: Vec<LeafMoments>,
     /// Extent of the points, as defined by [`extent_m`](super::extent_m).
     extent_m: f64,
@@ -103,14 +60,23 @@ impl PointIndex {
     pub(crate) fn fill(&mut self, view: &PointsView<'_>) {
         let mut raw = [(); 3].map(|()| vec![0.0; view.len()]);
         copy(view, &mut raw);
-        let curve = Curve::of(&raw);
-        self.extent_m = view.extent_m().unwrap_or(curve.extent_m);
+        let (curve, extent_m) = Curve::of(&raw);
+        let level = Level::new();
+        self.extent_m = view.extent_m().unwrap_or(extent_m);
         let at = |i: u32| point_of(&raw, i as usize);
-        self.keys.clear();
-        self.keys.par_extend((0..view.len() as u32).into_par_iter().filter_map(|i| {
-            let point = at(i);
-            point.iter().all(|value| value.is_finite()).then(|| (curve.key(point), i))
-        }));
+        self.keys.resize(view.len(), Default::default());
+        self.keys.par_chunks_mut(KEYS_AT_ONCE).enumerate().for_each(|(chunk, keys)| {
+            let first = KEYS_AT_ONCE * chunk;
+            let mut points = [[0.0; KEYS_AT_ONCE]; 3];
+            for (values, raw) in points.iter_mut().zip(&raw) {
+                values[..keys.len()].copy_from_slice(&raw[first..first + keys.len()]);
+            }
+            for (k, (key, of_curve)) in keys.iter_mut().zip(curve.keys(level, &points)).enumerate() {
+                let is_point = points[0][k].is_finite() & points[1][k].is_finite() & points[2][k].is_finite();
+                *key = (if is_point { of_curve } else { NO_KEY }, (first + k) as u32);
+            }
+        });
+        self.keys.retain(|&(key, _)| key != NO_KEY);
         // -0 and 0 are one place.
         let bits = |i: u32| {
             let [x, y, z] = at(i);
@@ -160,13 +126,8 @@ impl PointIndex {
             let points = (LEAF * leaf..LEAF * (leaf + 1)).map(|place| Bounds::of_point(self.point(place)));
             points.fold(Bounds::EMPTY, Bounds::union)
         };
-        let mut levels: Vec<Vec<Bounds>> = vec![(0..self.leaves()).into_par_iter().map(leaf).collect()];
-        while let Some(below) = levels.last().filter(|below| below.len() > CHILDREN) {
-            let node = |children: &[Bounds]| children.iter().copied().fold(Bounds::EMPTY, Bounds::union);
-            let above = below.par_chunks(CHILDREN).map(node).collect();
-            levels.push(above);
-        }
-        self.levels = levels;
+        let leaves: Vec<Bounds> = (0..self.leaves()).into_par_iter().map(leaf).collect();
+        self.boxes = BoxTree::over(&leaves);
         self.moments.clear();
         let Self { positions, counts, len, moments, .. } = self;
         let leaves = (0..len.div_ceil(LEAF)).into_par_iter();
@@ -207,7 +168,7 @@ impl PointIndex {
 
     /// Returns the box around the points of a leaf.
     pub(crate) fn leaf_bounds(&self, leaf: usize) -> Bounds {
-        self.levels[0][leaf]
+        self.boxes.get(0, leaf)
     }
 
     /// Returns the number of leaves.
@@ -227,54 +188,27 @@ impl PointIndex {
         (place != HOLE).then_some(place as usize)
     }
 
-    /// Visits, in ascending order, leaves whose box and all enclosing nodes are `wanted`.
+    /// Visits, in ascending order, leaves whose boxes touch a box.
     #[inline(always)]
-    pub(crate) fn for_each_leaf(&self, mut wanted: impl FnMut(&Bounds) -> bool, mut visit: impl FnMut(usize, &Bounds)) {
-        let Some(top) = self.levels.len().checked_sub(1) else { return };
-        let mut level = top;
-        let mut next = [0; MAX_LEVELS];
-        let mut end = [0; MAX_LEVELS];
-        end[top] = self.levels[top].len();
-        loop {
-            if next[level] == end[level] {
-                if level == top {
-                    return;
-                }
-                level += 1;
-                continue;
-            }
-            let node = next[level];
-            next[level] += 1;
-            let bounds = &self.levels[level][node];
-            if !wanted(bounds) {
-                continue;
-            }
-            if level == 0 {
-                visit(node, bounds);
-            } else {
-                level -= 1;
-                next[level] = CHILDREN * node;
-                end[level] = (CHILDREN * (node + 1)).min(self.levels[level].len());
-            }
-        }
+    pub(crate) fn for_each_leaf<S: Simd>(&self, simd: S, bounds: &Bounds, visit: impl FnMut(usize, &Bounds)) {
+        self.boxes.for_each_leaf(simd, bounds, visit);
     }
 
     /// Returns the squared distances from a point to the positions, and their places, nearest first: computed on
     /// demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
-        if let Some(top) = self.levels.len().checked_sub(1) {
-            nearest.push_nodes(top, 0..self.levels[top].len());
+        if let Some(top) = self.boxes.levels().checked_sub(1) {
+            nearest.push_nodes(top, self.boxes.children(top, 0));
         }
         nearest
     }
 
     /// Bytes of its buffers.
     pub(crate) fn bytes(&self) -> usize {
-        let boxes: usize = self.levels.iter().map(Vec::capacity).sum();
         let values: usize = self.positions.iter().map(Vec::capacity).sum();
         4 * (values + self.counts.capacity() + self.places.capacity())
-            + boxes * size_of::<Bounds>()
+            + self.boxes.bytes()
             + self.moments.capacity() * size_of::<LeafMoments>()
             + self.keys.capacity() * size_of::<(u64, u32)>()
     }
@@ -309,7 +243,7 @@ pub(crate) struct Nearest<'a> {
 impl Nearest<'_> {
     fn push_nodes(&mut self, level: usize, nodes: Range<usize>) {
         for node in nodes {
-            let square = self.index.levels[level][node].distance_squared(self.point);
+            let square = self.index.boxes.get(level, node).distance_squared(self.point);
             self.queue.push(std::cmp::Reverse((square.to_bits(), level as u32 + 1, node as u32)));
         }
     }
@@ -333,8 +267,7 @@ impl Iterator for Nearest<'_> {
                 }
                 _ => {
                     let below = level as usize - 2;
-                    let end = (CHILDREN * (number + 1)).min(self.index.levels[below].len());
-                    self.push_nodes(below, CHILDREN * number..end);
+                    self.push_nodes(below, self.index.boxes.children(below, number));
                 }
             }
         }
@@ -358,9 +291,17 @@ fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
         return;
     }
     let extent = (0..3).map(|axis| bounds.high[axis] - bounds.low[axis]).fold(0.0, f32::max);
-    let cells_per_metre = ((1u32 << CURVE_BITS) as f32 / extent).min(f32::MAX);
-    let curve = Curve { low: bounds.low, cells_per_metre, extent_m: 0.0 };
-    cell.iter_mut().for_each(|(key, i)| *key = curve.key(at(*i)));
+    let curve = Curve::over(bounds.low, extent);
+    let level = Level::new();
+    for chunk in cell.chunks_mut(KEYS_AT_ONCE) {
+        let mut points = [[0.0; KEYS_AT_ONCE]; 3];
+        for (k, &(_, i)) in chunk.iter().enumerate() {
+            for (values, value) in points.iter_mut().zip(at(i)) {
+                values[k] = value;
+            }
+        }
+        chunk.iter_mut().zip(curve.keys(level, &points)).for_each(|((key, _), of_curve)| *key = of_curve);
+    }
     // Equal keys stay in the order of coordinates that they are in.
     if ONE_THREAD {
         cell.sort_by_key(|&(key, _)| key)
@@ -385,63 +326,6 @@ fn copy(view: &PointsView<'_>, to: &mut [Vec<f32>; 3]) {
     let [x, y, z] = to;
     let tasks = x.par_chunks_mut(TASK).zip(y.par_chunks_mut(TASK)).zip(z.par_chunks_mut(TASK));
     tasks.enumerate().for_each(|(task, ((x, y), z))| view.copy_to(TASK * task..TASK * task + x.len(), x, y, z));
-}
-
-/// A Hilbert curve through the box of most points.
-struct Curve {
-    low: [f32; 3],
-    cells_per_metre: f32,
-    extent_m: f64,
-}
-
-impl Curve {
-    /// Covers all points except strays: the middle of a sample, and its width again on either side. Points outside are
-    /// moved to the border, which affects only the order.
-    fn of(raw: &[Vec<f32>; 3]) -> Self {
-        let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
-        let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
-        let range = middle.map(|[low, high]| [low - 0.5 * (high - low), high + 0.5 * (high - low)]);
-        let extent = range.iter().map(|[low, high]| high - low).fold(f64::from(f32::MIN_POSITIVE), f64::max);
-        let cells_per_metre = (f64::from(1u32 << CURVE_BITS) / extent).min(f64::from(f32::MAX)) as f32;
-        Self { low: range.map(|[low, _]| low as f32), cells_per_metre, extent_m }
-    }
-
-    /// Returns the position of a point's cell along the curve: Skilling's transposition ("Programming the Hilbert
-    /// curve", 2004).
-    fn key(&self, point: [f32; 3]) -> u64 {
-        let largest = (1u32 << CURVE_BITS) - 1;
-        // The cast saturates.
-        let mut cell: [u32; 3] =
-            std::array::from_fn(|axis| (((point[axis] - self.low[axis]) * self.cells_per_metre) as u32).min(largest));
-        // Without branches, since half of them would be mispredicted.
-        for bit in (1..CURVE_BITS).rev() {
-            let below = (1 << bit) - 1;
-            for axis in 0..3 {
-                let inverts = ((cell[axis] >> bit) & 1).wrapping_neg();
-                let exchanged = (cell[0] ^ cell[axis]) & below & !inverts;
-                cell[0] ^= exchanged ^ (below & inverts);
-                cell[axis] ^= exchanged;
-            }
-        }
-        cell[1] ^= cell[0];
-        cell[2] ^= cell[1];
-        // Each bit is the parity of those over it.
-        let mut flips = cell[2] >> 1;
-        for shift in [1, 2, 4, 8] {
-            flips ^= flips >> shift;
-        }
-        let [x, y, z] = cell;
-        (spread(x ^ flips) << 2) | (spread(y ^ flips) << 1) | spread(z ^ flips)
-    }
-}
-
-/// Returns the low 16 bits, each after two zeros.
-fn spread(value: u32) -> u64 {
-    let value = u64::from(value & 0xffff);
-    let value = (value | (value << 16)) & 0xff00_00ff;
-    let value = (value | (value << 8)) & 0x00f0_0f00_f00f;
-    let value = (value | (value << 4)) & 0x0c30_c30c_30c3;
-    (value | (value << 2)) & 0x2492_4924_9249
 }
 
 #[cfg(test)]

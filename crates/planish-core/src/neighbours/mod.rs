@@ -1,5 +1,7 @@
 //! Neighbours in unorganized clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
 
+mod boxes;
+mod curve;
 pub mod halo;
 mod index;
 
@@ -9,7 +11,8 @@ mod search;
 #[cfg(feature = "reference")]
 use glam::DVec3;
 
-pub(crate) use index::{Bounds, LEAF, LeafMoments, PointIndex};
+pub(crate) use boxes::Bounds;
+pub(crate) use index::{LEAF, LeafMoments, PointIndex};
 #[cfg(feature = "kd-tree")]
 pub use search::NeighbourSearch;
 

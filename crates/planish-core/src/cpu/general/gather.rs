@@ -1,4 +1,4 @@
-//! The candidates of a vector of points: everything within reach of one of them.
+//! The candidates of a vector of points: everything within reach of one of them, and some points near that.
 
 use std::ops::Range;
 
@@ -10,6 +10,8 @@ use crate::neighbours::{Bounds, LEAF, LeafMoments, PointIndex};
 
 /// Leaves that reach beyond this squared distance are never summed as a whole: their moments may exceed f32.
 const LARGEST_SQUARE: f32 = 1e24;
+/// The numbers of lanes.
+const LANES: [u32; LEAF] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
 /// Candidates copied together.
 #[derive(Default)]
@@ -18,7 +20,7 @@ pub(super) struct Gathered {
     whole: Copied,
     /// The sums over the leaves.
     moments: Vec<LeafMoments>,
-    /// All other leaves within reach of at least one lane.
+    /// Points of all other leaves within reach of at least one lane, if they are in the box around what lanes reach.
     others: Copied,
 }
 
@@ -44,8 +46,10 @@ pub(super) struct Reach<S: Simd> {
 }
 
 impl Gathered {
-    /// Gathers every position within reach of its lane's point p, for some lane.
-    #[inline(always)]
+    /// Gathers every position within reach of its lane's point p, for some lane, and others near them.
+    // One copy in the Web module, which counts every byte.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub(super) fn fill<S: Simd>(&mut self, simd: S, index: &PointIndex, p: Vec3<S>, reach: Reach<S>) {
         let Self { whole, moments, others } = self;
         (whole.len, others.len) = (0, 0);
@@ -56,16 +60,19 @@ impl Gathered {
         // Lanes that reach nothing have no say.
         let idle: Mask<S> = reach.outer.simd_ne(reach.outer);
         index.for_each_leaf(
-            #[inline(always)]
-            |bounds| bounds.overlaps(&around) && is_reached(simd, bounds, p, outer_squared),
+            simd,
+            &around,
             #[inline(always)]
             |leaf, bounds| {
+                if !is_reached(simd, bounds, p, outer_squared) {
+                    return;
+                }
                 let inside: Mask<S> = farthest_squared(simd, bounds, p).simd_le(inner_squared);
                 if (inside | idle).all_true() {
                     whole.push_leaf(index, leaf);
                     moments.push(*index.moments(leaf));
                 } else {
-                    others.push_reached(simd, index, leaf, p, outer_squared);
+                    others.push_inside(simd, index, leaf, &around);
                 }
             },
         );
@@ -75,15 +82,22 @@ impl Gathered {
         self.whole.len + self.others.len
     }
 
-    /// The squares of the distances of all candidates, and their places.
+    /// Returns the squares of the distances of all candidates, in a buffer.
     #[inline(always)]
-    pub(super) fn for_each_square<S: Simd>(&self, simd: S, p: Vec3<S>, mut visit: impl FnMut(S::f32s, usize)) {
-        self.for_each_offset(
-            simd,
-            p,
-            #[inline(always)]
-            |offset, place| visit(offset.length_squared(), place),
-        );
+    pub(super) fn squares<'a, S: Simd>(&self, simd: S, p: Vec3<S>, buffer: &'a mut Vec<S::f32s>) -> &'a [S::f32s] {
+        if buffer.len() < self.len() {
+            buffer.resize(2 * self.len(), splat(simd, 0.0));
+        }
+        let squares = &mut buffer[..self.len()];
+        let (of_whole, of_others) = squares.split_at_mut(self.whole.len);
+        for (Copied { x, y, z, len, .. }, squares) in [(&self.whole, of_whole), (&self.others, of_others)] {
+            let positions = x[..*len].iter().zip(&y[..*len]).zip(&z[..*len]);
+            for (((&x, &y), &z), square) in positions.zip(squares) {
+                let q = Vec3::<S>::new(splat(simd, x), splat(simd, y), splat(simd, z));
+                *square = q.sub(p).length_squared();
+            }
+        }
+        squares
     }
 
     /// The offsets of all candidates from p, and their places.
@@ -128,25 +142,33 @@ impl Copied {
         self.len += from.len();
     }
 
-    /// Copies those points of a leaf that are within reach of some lane.
+    /// Copies those points of a leaf that are in a box.
     #[inline(always)]
-    fn push_reached<S: Simd>(&mut self, simd: S, index: &PointIndex, leaf: usize, p: Vec3<S>, reach_squared: S::f32s) {
+    fn push_inside<S: Simd>(&mut self, simd: S, index: &PointIndex, leaf: usize, bounds: &Bounds) {
         self.reserve();
-        let at = self.len..self.len + LEAF;
-        let (x, y, z) = (&mut self.x[at.clone()], &mut self.y[at.clone()], &mut self.z[at.clone()]);
-        let (counts, places) = (&mut self.counts[at.clone()], &mut self.places[at]);
-        let mut taken = 0;
-        for place in LEAF * leaf..LEAF * (leaf + 1) {
-            let [q_x, q_y, q_z] = index.point(place);
-            let e = Vec3::<S>::new(splat(simd, q_x), splat(simd, q_y), splat(simd, q_z)).sub(p);
-            let near: Mask<S> = e.length_squared().simd_le(reach_squared);
-            // Written always and kept if it is near: without a branch.
-            (x[taken], y[taken], z[taken]) = (q_x, q_y, q_z);
-            (counts[taken], places[taken]) = (index.counts[place], place as u32);
-            taken += usize::from(near.any_true());
+        let Bounds { low, high } = bounds;
+        for place in (LEAF * leaf..LEAF * (leaf + 1)).step_by(S::f32s::LEN) {
+            let Vec3 { x, y, z } = load(simd, index, place);
+            let inside = is_between(simd, x, low[0], high[0])
+                & is_between(simd, y, low[1], high[1])
+                & is_between(simd, z, low[2], high[2]);
+            let counts = S::f32s::from_slice(simd, &index.counts[place..place + S::f32s::LEN]);
+            let places = S::u32s::from_slice(simd, &LANES[..S::f32s::LEN]) + S::u32s::splat(simd, place as u32);
+            let at = self.len..self.len + S::f32s::LEN;
+            x.compress(inside).store_slice(&mut self.x[at.clone()]);
+            y.compress(inside).store_slice(&mut self.y[at.clone()]);
+            z.compress(inside).store_slice(&mut self.z[at.clone()]);
+            counts.compress(inside).store_slice(&mut self.counts[at.clone()]);
+            places.compress(inside).store_slice(&mut self.places[at]);
+            self.len += inside.to_bitmask().count_ones() as usize;
         }
-        self.len += taken;
     }
+}
+
+/// Returns the mask of values from `low` to `high`; false for NaN.
+#[inline(always)]
+fn is_between<S: Simd>(simd: S, values: S::f32s, low: f32, high: f32) -> Mask<S> {
+    values.simd_ge(splat(simd, low)) & values.simd_le(splat(simd, high))
 }
 
 /// Returns true if a box is within reach of some lane's point.

@@ -81,7 +81,7 @@ impl HeldOut {
     /// Returns the other points after a first pass around the held-out ones.
     fn smooth_others(&self, FirstPass { neighbours, reach_m }: FirstPass) -> Result<PointIndex, FrameError> {
         let held_out: Vec<_> = (self.others / LEAF..self.index.leaves()).collect();
-        let near = leaves_around(&self.index, &held_out, &|_| reach_m);
+        let near = leaves_around(self.kernels.level, &self.index, &held_out, &|_| reach_m);
         let smoothed = self.kernels.smooth(&self.index, Way { edges: Edges::Off, neighbours }, &near);
         let mut points: Vec<_> = (0..self.others).map(|place| self.index.point(place)).collect();
         for (leaf, smoothed) in near.iter().zip(&smoothed) {

@@ -77,11 +77,12 @@ fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>,
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let (mut total, mut sum) = (zero, zero);
     let slope = -one / (radius * radius).max(splat(simd, f32::MIN_POSITIVE));
-    gathered.for_each_square(
+    gathered.for_each_offset(
         simd,
         p,
         #[inline(always)]
-        |square, place| {
+        |offset, place| {
+            let square = offset.length_squared();
             // The point itself does not count.
             let other: Mask<S> = square.simd_gt(zero);
             let weight = other.select(square.mul_add(slope, one).max(zero), zero);

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use fearless_simd::Level;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::first_planes::{FirstPlane, FirstPlaneRows, FirstPlanes};
@@ -65,7 +65,7 @@ impl Kernels {
         let mut first_planes = None;
         if way.edges == Edges::Robust {
             let widest_m = |leaf: usize| radii[LEAF * leaf..LEAF * (leaf + 1)].iter().copied().fold(0.0, f32::max);
-            let mut fitted = leaves_around(index, leaves, &|leaf| PLANES_REACH * widest_m(leaf));
+            let mut fitted = leaves_around(level, index, leaves, &|leaf| PLANES_REACH * widest_m(leaf));
             fitted.retain(|leaf| leaf % ONE_LEAF_IN == 0 && leaves.binary_search(leaf).is_err());
             put(&mut radii, &fitted, of_leaves(&fitted, radii_of));
             fitted.extend(leaves);
@@ -94,11 +94,16 @@ impl Kernels {
 }
 
 /// Returns the leaves within reach of some leaves, which differs from leaf to leaf.
-pub(super) fn leaves_around(index: &PointIndex, leaves: &[usize], reach_m: &dyn Fn(usize) -> f32) -> Vec<usize> {
+pub(super) fn leaves_around(
+    level: Level,
+    index: &PointIndex,
+    leaves: &[usize],
+    reach_m: &dyn Fn(usize) -> f32,
+) -> Vec<usize> {
     let mut is_near = vec![false; index.leaves()];
     for &leaf in leaves {
         let around = index.leaf_bounds(leaf).grown(reach_m(leaf));
-        index.for_each_leaf(|bounds| bounds.overlaps(&around), |leaf, _| is_near[leaf] = true);
+        dispatch!(level, simd => index.for_each_leaf(simd, &around, |leaf, _| is_near[leaf] = true));
     }
     (0..index.leaves()).filter(|&leaf| is_near[leaf]).collect()
 }

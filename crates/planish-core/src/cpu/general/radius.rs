@@ -8,7 +8,7 @@ use super::gather::{Gathered, Reach, load};
 use crate::neighbours::{LEAF, PointIndex};
 
 /// The first reach that is tried, in radii of the points before.
-const FIRST_REACH: f32 = 1.25;
+const FIRST_REACH: f32 = 1.2;
 /// Factor between successive trial radii.
 const NEXT_REACH: f32 = 1.5;
 /// Number of trial radii for all lanes together.
@@ -68,7 +68,8 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
         let mut missing = valid;
         for _ in 0..TRIES {
             gathered.fill(simd, index, p, Reach { outer: missing.select(reach, nan), inner: zero });
-            radius = missing.select(radii_within(simd, &gathered, p, reach, density, &mut squares), radius);
+            let guess = splat(simd, near_m).min(reach);
+            radius = missing.select(radii_within(simd, &gathered, p, [guess, reach], density, &mut squares), radius);
             missing &= radius.simd_ne(radius);
             if !missing.any_true() {
                 break;
@@ -86,7 +87,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
                     reaches[lane] = reach;
                     let outer = S::f32s::from_slice(simd, &reaches[..S::f32s::LEN]);
                     gathered.fill(simd, index, p, Reach { outer, inner: zero });
-                    let alone = radii_within(simd, &gathered, p, splat(simd, reach), density, &mut squares);
+                    let alone = radii_within(simd, &gathered, p, [splat(simd, reach); 2], density, &mut squares);
                     let radius_m = alone.as_slice()[lane];
                     lanes[lane] = if radius_m.is_nan() { density.largest_m } else { radius_m };
                 }
@@ -123,40 +124,41 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     density.largest_m
 }
 
-/// Returns the radii of lanes whose candidates within `reach` are enough; NaN for the others.
+/// Returns the radii of lanes whose candidates within `reach` are enough; NaN for the others. `guess` is where the
+/// search starts, and at most `reach`.
 ///
-/// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. Starting from a large
-/// radius, Newton's method reaches the solution without overshooting, and stops there.
+/// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. From a radius that is
+/// too large, Newton's method reaches the solution without overshooting, and stops there; from one that is too small,
+/// its first step leads to one that is too large.
 #[inline(always)]
 fn radii_within<S: Simd>(
     simd: S,
     gathered: &Gathered,
     p: Vec3<S>,
-    reach: S::f32s,
+    [guess, reach]: [S::f32s; 2],
     density: Density,
-    squares: &mut Vec<S::f32s>,
+    buffer: &mut Vec<S::f32s>,
 ) -> S::f32s {
-    squares.clear();
-    squares.reserve(gathered.len());
-    gathered.for_each_square(
-        simd,
-        p,
-        #[inline(always)]
-        |square, _| squares.push(square),
-    );
+    let squares = gathered.squares(simd, p, buffer);
     let half = splat(simd, density.half);
-    let limit = reach * reach;
-    let (mut n, mut sum) = within(simd, squares, limit);
-    let enough: Mask<S> = ((n - half) * limit).simd_ge(sum);
-    let mut limit = limit;
+    let furthest = reach * reach;
+    let (mut n, mut sum) = within(simd, squares, guess * guess);
+    let mut enough: Mask<S> = n.simd_gt(half) & (sum / (n - half)).simd_le(furthest);
+    if !enough.all_true() {
+        // No step leads from the guess to a radius within reach: start from the reach.
+        let (all, total) = within(simd, squares, furthest);
+        (n, sum) = (enough.select(n, all), enough.select(sum, total));
+        enough |= ((all - half) * furthest).simd_ge(total);
+    }
+    let mut limit = furthest;
     for _ in 0..MOST_STEPS {
         limit = sum / (n - half);
-        let (fewer, less) = within(simd, squares, limit);
-        let same: Mask<S> = fewer.simd_eq(n);
+        let (other, of_other) = within(simd, squares, limit);
+        let same: Mask<S> = other.simd_eq(n);
         if (same | !enough).all_true() {
             break;
         }
-        (n, sum) = (enough.select(fewer, n), enough.select(less, sum));
+        (n, sum) = (enough.select(other, n), enough.select(of_other, sum));
     }
     enough.select(limit.sqrt(), splat(simd, f32::NAN))
 }
@@ -165,11 +167,20 @@ fn radii_within<S: Simd>(
 #[inline(always)]
 fn within<S: Simd>(simd: S, squares: &[S::f32s], limit: S::f32s) -> (S::f32s, S::f32s) {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    let (mut n, mut sum) = (zero, zero);
-    for &square in squares {
+    // Two sums each, since an addition takes longer than the rest for a candidate.
+    let (mut n, mut sum) = ([zero; 2], [zero; 2]);
+    let pairs = squares.chunks_exact(2);
+    for (&square, k) in pairs.remainder().iter().zip([0]) {
         let near: Mask<S> = square.simd_lt(limit);
-        n += near.select(one, zero);
-        sum += near.select(square, zero);
+        n[k] += near.select(one, zero);
+        sum[k] += near.select(square, zero);
     }
-    (n, sum)
+    for pair in pairs {
+        for k in [0, 1] {
+            let near: Mask<S> = pair[k].simd_lt(limit);
+            n[k] += near.select(one, zero);
+            sum[k] += near.select(pair[k], zero);
+        }
+    }
+    (n[0] + n[1], sum[0] + sum[1])
 }

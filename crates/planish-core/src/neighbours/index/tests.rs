@@ -1,3 +1,5 @@
+use fearless_simd::{Level, dispatch};
+
 use super::*;
 
 fn index_of(points: &[[f32; 3]]) -> PointIndex {
@@ -9,17 +11,6 @@ fn index_of(points: &[[f32; 3]]) -> PointIndex {
 fn scattered(count: usize) -> Vec<[f32; 3]> {
     let mut random = crate::neighbours::tests::Random(7);
     (0..count).map(|_| [random.next(), random.next(), 0.1 * random.next()]).collect()
-}
-
-#[test]
-fn the_curve_visits_every_cell_and_takes_single_steps() {
-    let curve = Curve { low: [0.0; 3], cells_per_metre: 1.0, extent_m: 0.0 };
-    let mut cells: Vec<[i32; 3]> = (0..16 * 16 * 16).map(|i| [i % 16, i / 16 % 16, i / 256]).collect();
-    cells.sort_by_key(|cell| curve.key(cell.map(|value| value as f32)));
-    for pair in cells.windows(2) {
-        let steps: i32 = (0..3).map(|axis| (pair[0][axis] - pair[1][axis]).abs()).sum();
-        assert_eq!(steps, 1, "{pair:?}");
-    }
 }
 
 #[test]
@@ -52,7 +43,7 @@ fn leaves_in_a_box_are_all_found_in_order() {
     let index = index_of(&points);
     let wanted = Bounds { low: [0.2, 0.3, 0.0], high: [0.35, 0.5, 0.06] };
     let mut found = Vec::new();
-    index.for_each_leaf(|bounds| bounds.overlaps(&wanted), |leaf, _| found.push(leaf));
+    dispatch!(Level::new(), simd => index.for_each_leaf(simd, &wanted, |leaf, _| found.push(leaf)));
     assert!(found.is_sorted());
     let within = |point: [f32; 3]| wanted.distance_squared(point) == 0.0;
     for place in 0..index.len() {
