@@ -16,8 +16,10 @@ use crate::smoothing_engine::{Immediate, SmoothingEngine};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
-    /// A real GPU if there is one, otherwise the CPU. [`Smoother::engine`] returns the choice.
+    /// A real GPU if there is one, otherwise the CPU. For a single frame it is the CPU, unless the frame is large: see
+    /// [`Session::with_single_frame`]. [`Smoother::engine`] returns the choice.
     ///
+    /// [`Session::with_single_frame`]: crate::Session::with_single_frame
     /// [`Smoother::engine`]: crate::Smoother::engine
     #[default]
     Auto,
@@ -99,6 +101,11 @@ pub enum ChoiceReason {
     NoRealGpu(Vec<GpuAdapter>),
     /// There is a GPU, but it did not open.
     GpuFailed(GpuAdapter, String),
+    /// A single frame or cloud of this many points is smoothed before a GPU would be open.
+    SingleFrame {
+        /// Pixels of the frame, or points of the cloud.
+        points: usize,
+    },
 }
 
 impl std::fmt::Display for ChoiceReason {
@@ -112,6 +119,7 @@ impl std::fmt::Display for ChoiceReason {
                 _ => f.write_str("none of the adapters is a GPU"),
             },
             Self::GpuFailed(adapter, error) => write!(f, "{} did not open: {error}", adapter.name),
+            Self::SingleFrame { points } => write!(f, "a single frame of {points} points is done before a GPU is open"),
         }?;
         write!(f, "; the CPU has {}", SimdLevel::best().name())
     }
@@ -131,6 +139,8 @@ pub struct SmootherOptions {
     pub simd: Option<SimdLevel>,
     /// How to open the GPU engine.
     pub gpu: GpuOptions,
+    /// Points of the only frame or cloud to be smoothed; `None` if there may be more.
+    pub(crate) only_points: Option<usize>,
 }
 
 impl SmootherOptions {
@@ -197,6 +207,11 @@ pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     }
 }
 
+/// Returns true if two cores smooth a frame or cloud in less than about 0.3 s, which opening a GPU takes.
+fn is_few(points: usize, is_grid: bool) -> bool {
+    points <= if is_grid { 6_000_000 } else { 500_000 }
+}
+
 /// An open engine, its kind, and the reason for the choice of `Auto`.
 pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>);
 
@@ -209,7 +224,11 @@ pub(crate) fn open(
     if options.engine != Engine::Auto {
         return Ok((open_named(options.engine, params, options, grid)?, options.engine, None));
     }
-    let (mut engine, mut reason) = auto_choice(&gpu_adapters());
+    let (mut engine, mut reason) = match options.only_points {
+        // Not even the adapters are listed, which takes a tenth of a second.
+        Some(points) if is_few(points, grid.is_some()) => (Engine::Cpu, ChoiceReason::SingleFrame { points }),
+        _ => auto_choice(&gpu_adapters()),
+    };
     if let ChoiceReason::RealGpu(adapter) = &reason {
         let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..options.gpu.clone() };
         match open_named(engine, params, &options.clone().with_gpu(gpu), grid) {
@@ -291,6 +310,21 @@ mod tests {
         assert_eq!(engine, Engine::Cpu);
         assert!(!cfg!(feature = "gpu") || reason.to_string().contains("llvmpipe"), "{reason}");
         assert_eq!(auto_choice(&[]).0, Engine::Cpu);
+    }
+
+    #[test]
+    fn auto_takes_the_cpu_for_a_single_frame_unless_it_is_large() {
+        let params = EngineParams::from(crate::params::FrameParams::paper());
+        let reason = |only_points| {
+            let options = SmootherOptions { only_points, ..SmootherOptions::default() };
+            open(params, &options, Some((64, 48))).unwrap().2.unwrap()
+        };
+        assert_eq!(reason(Some(3072)), ChoiceReason::SingleFrame { points: 3072 });
+        assert!(reason(Some(3072)).to_string().starts_with("a single frame of 3072 points"));
+        for not_few in [None, Some(10_000_000)] {
+            assert!(!matches!(reason(not_few), ChoiceReason::SingleFrame { .. }), "{not_few:?}");
+        }
+        assert!(is_few(500_000, false) && !is_few(500_001, false));
     }
 
     #[test]

@@ -120,8 +120,8 @@ fn interruptible(session: &mut Session, frame: Frame<'_>, out: SmoothedMut<'_>) 
 #[pymethods]
 impl PySmoother {
     #[new]
-    fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
-        let session = Session::new(from_dict(settings)?).map_err(to_py)?;
+    fn new(settings: &Bound<'_, PyDict>, is_single: bool) -> PyResult<Self> {
+        let session = Session::new(from_dict(settings)?).map_err(to_py)?.with_single_frame(is_single);
         Ok(Self(Mutex::new(State { session, status: Vec::new() })))
     }
 

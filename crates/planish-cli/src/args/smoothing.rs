@@ -81,7 +81,8 @@ pub enum ProjectArg {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineArg {
-    /// A real GPU if there is one, otherwise the CPU
+    /// A real GPU if there is one, otherwise the CPU; the CPU for a single file that it smooths before a GPU would be
+    /// open
     Auto,
     /// CPU in f32, with SIMD and threads
     Cpu,

@@ -50,7 +50,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     let settings = args.smoothing.settings_with(&args.gpus)?;
     let mut worker = Worker {
         args,
-        session: Session::new(settings.clone())?.with_kept_sensor(true),
+        session: Session::new(settings.clone())?
+            .with_kept_sensor(true)
+            .with_single_frame(!args.input.is_dir() && args.repeat == 1),
         settings,
         pose: args.pose.pose()?,
         beside: 1,

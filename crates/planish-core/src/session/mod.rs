@@ -82,6 +82,7 @@ pub struct Session {
     /// The parameters of the first pass during it.
     is_first: Option<CloudParams>,
     is_live: bool,
+    is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
     keeps_window: bool,
     keeps_sensor: bool,
@@ -150,6 +151,7 @@ impl Session {
             before_even: Smoothed::default(),
             is_first: None,
             is_live: false,
+            is_single: false,
             keeps_window: false,
             keeps_sensor: false,
             estimates_clouds: true,
@@ -183,6 +185,12 @@ impl Session {
     /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
     pub fn with_live(self, is_live: bool) -> Self {
         Self { is_live, ..self }
+    }
+
+    /// Sets whether there is only one frame or cloud. [`Engine::Auto`] then takes the CPU unless it has more than six
+    /// million pixels or half a million points, since opening a GPU takes longer than smoothing it.
+    pub fn with_single_frame(self, is_single: bool) -> Self {
+        Self { is_single, ..self }
     }
 
     /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a
@@ -332,6 +340,7 @@ impl Session {
         let engine_params = self.with_window(engine_params, params, frame, &geometry);
         let mut options = self.options.clone();
         options.engine = self.engine_for(frame.grid().is_none());
+        options.only_points = self.is_single.then(|| frame.shape().0 * frame.shape().1);
         let uses_fleet = in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
         if let (false, Some(device)) = (uses_fleet, self.devices.get(self.device)) {
             options = device.options(&options);
@@ -442,7 +451,7 @@ impl Session {
 /// As [`Session::new`] and [`Session::smooth`].
 pub fn smooth<'a>(frame: impl IntoFrame<'a>, settings: &Settings) -> Result<Smoothed, Error> {
     let mut smoothed = Smoothed::default();
-    Session::new(settings.clone())?.smooth(frame, &mut smoothed)?;
+    Session::new(settings.clone())?.with_single_frame(true).smooth(frame, &mut smoothed)?;
     Ok(smoothed)
 }
 

@@ -355,15 +355,15 @@ impl Settings {
     /// Returns options with these settings in place of theirs.
     pub fn override_options(&self, options: SmootherOptions) -> SmootherOptions {
         let gpu = match &self.adapter {
-            Some(adapter) => GpuOptions { adapter: Some(adapter.clone()), ..options.gpu },
-            None => options.gpu,
+            Some(adapter) => GpuOptions { adapter: Some(adapter.clone()), ..options.gpu.clone() },
+            None => options.gpu.clone(),
         };
         SmootherOptions {
             engine: self.engine.unwrap_or(options.engine),
             outputs: self.outputs.unwrap_or(options.outputs),
             threads: self.threads.or(options.threads),
-            simd: options.simd,
             gpu,
+            ..options
         }
     }
 

@@ -83,7 +83,7 @@ class Settings(TypedDict, total=False):
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None
-    """The engine [default: auto, a real GPU if available, otherwise the CPU]."""
+    """The engine [default: auto, a real GPU if available, otherwise the CPU; `planish.smooth` takes the CPU unless the frame is large]."""
     adapter: str | int | None
     """The GPU by index or part of its name; needs engine="gpu"."""
     devices: str | None

@@ -72,6 +72,9 @@ class Smoother:
     True
     """
 
+    # Whether one frame only is smoothed, for which no GPU is opened.
+    _is_single = False
+
     def __init__(
         self,
         camera: Camera | None = None,
@@ -88,7 +91,7 @@ class Smoother:
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
         # A separate pool: shared threads do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        self._engine = Engine({"threads": own_threads, **self._settings})
+        self._engine = Engine({"threads": own_threads, **self._settings}, self._is_single)
         # Settings without effect on points without a grid, reported once.
         self._unused = self._engine.unused_by_clouds()
         # The kind of each frame in flight, and its points if they are float64.
@@ -280,6 +283,10 @@ class Smoother:
         return f"Smoother({', '.join(texts)})"
 
 
+class _SingleFrame(Smoother):
+    _is_single = True
+
+
 def smooth(
     frame: Any,
     camera: Camera | None = None,
@@ -289,6 +296,9 @@ def smooth(
     **settings: Unpack[Settings],
 ) -> Smoothed:
     """Smooth one frame. For many frames open a `Smoother`, which keeps its engine and buffers.
+
+    ``engine="auto"`` takes the CPU here, unless the frame is large (over six million pixels, or half a million points of a cloud): opening a
+    GPU takes longer than smoothing a frame.
 
     Parameters
     ----------
@@ -318,7 +328,7 @@ def smooth(
     >>> bool(np.std(result.points[:, 2]) < 0.5 * np.std(points[:, 2]))
     True
     """
-    with Smoother(camera, outputs=outputs, **settings) as smoother:
+    with _SingleFrame(camera, outputs=outputs, **settings) as smoother:
         return smoother.smooth(frame, pose=pose)
 
 
