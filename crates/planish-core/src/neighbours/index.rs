@@ -1,8 +1,8 @@
 //! The points of an unorganized cloud in an order that keeps neighbours together, and a tree of boxes over them.
 //!
-//! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the next
-//! level. Boxes are the bounds of their points, so a stray point or an uneven density is not costly elsewhere. Points at
-//! the same position become one with a count, and their result is computed once.
+//! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the
+//! next level. Boxes are the bounds of their points, so a stray point or an uneven density is not costly elsewhere.
+//! Points at the same position become one with a count, and their result is computed once.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
