@@ -367,7 +367,12 @@ impl Bench<'_> {
     }
 
     fn batches(&self) -> Result<Vec<BatchRow>> {
-        let mut smoother = self.open(FrameParams::paper(), |options| {
+        let [paper, default] = [("paper", FrameParams::paper()), ("default", FrameParams::default())];
+        Ok([self.batches_of(paper)?, self.batches_of(default)?].concat())
+    }
+
+    fn batches_of(&self, (setting, params): (&'static str, FrameParams)) -> Result<Vec<BatchRow>> {
+        let mut smoother = self.open(params, |options| {
             options.gpu.transfer = Transfer::Staged;
             options.gpu.timestamps = true;
         })?;
@@ -379,7 +384,7 @@ impl Bench<'_> {
                 Ok(smoother.timings().map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
             };
             let kernel_us = self.spread(&mut one)?.median;
-            Ok(BatchRow { frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
+            Ok(BatchRow { setting, frames: count, kernel_us, kernel_us_a_frame: kernel_us / count as f64 })
         };
         [1, 2, 6, 16, 64].into_iter().map(row).collect()
     }

@@ -59,8 +59,9 @@ pub(super) struct FleetRow {
     pub(super) shares: Vec<u64>,
 }
 
-#[derive(Serialize)]
+#[derive(Clone, Serialize)]
 pub(super) struct BatchRow {
+    pub(super) setting: &'static str,
     pub(super) frames: usize,
     pub(super) kernel_us: f64,
     pub(super) kernel_us_a_frame: f64,
@@ -99,9 +100,9 @@ pub(super) fn print_text(report: &Report) {
         crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
     print_fleets(&report.fleets);
-    crate::outln!("\n| batch | kernel, µs | kernel per frame, µs |\n|---|---|---|");
-    for BatchRow { frames, kernel_us, kernel_us_a_frame } in &report.batches {
-        crate::outln!("| {frames} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
+    crate::outln!("\n| batch | setting | kernel, µs | kernel per frame, µs |\n|---|---|---|---|");
+    for BatchRow { setting, frames, kernel_us, kernel_us_a_frame } in &report.batches {
+        crate::outln!("| {frames} | {setting} | {kernel_us:.0} | {kernel_us_a_frame:.1} |");
     }
 }
 

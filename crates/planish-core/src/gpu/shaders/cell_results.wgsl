@@ -1,18 +1,13 @@
-// The results of the cells around a tile of pixels, in workgroup memory (docs/method.md, section 10). x, y and z are separate
-// arrays.
+// The results of the cells around a tile of pixels, in workgroup memory (docs/method.md, section 10).
 
 // Cells around a pixel that count: one before its own and two after it.
 const BEFORE: u32 = 1u;
 const PITCH: u32 = TILE_WIDTH / CELL + 3u;
 const TILE_AREA: u32 = PITCH * (TILE_HEIGHT / CELL + 3u);
 
-var<workgroup> point_x: array<f32, TILE_AREA>;
-var<workgroup> point_y: array<f32, TILE_AREA>;
-var<workgroup> point_z: array<f32, TILE_AREA>;
-var<workgroup> normal_x: array<f32, TILE_AREA>;
-var<workgroup> normal_y: array<f32, TILE_AREA>;
-var<workgroup> normal_z: array<f32, TILE_AREA>;
-var<workgroup> certainties: array<f32, TILE_AREA>;
+// Points with certainties, and normals.
+var<workgroup> result_points: array<vec4<f32>, TILE_AREA>;
+var<workgroup> result_normals: array<vec3<f32>, TILE_AREA>;
 
 struct CellResult {
     point: vec3<f32>,
@@ -34,13 +29,8 @@ fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
             normal = plane_vector(frame, RESULT_NORMAL, at);
             certainty = planes[plane_word(frame, SURFACE_CERTAINTY, at)];
         }
-        point_x[i] = point.x;
-        point_y[i] = point.y;
-        point_z[i] = point.z;
-        normal_x[i] = normal.x;
-        normal_y[i] = normal.y;
-        normal_z[i] = normal.z;
-        certainties[i] = certainty;
+        result_points[i] = vec4<f32>(point, certainty);
+        result_normals[i] = normal;
     }
     workgroupBarrier();
 }
@@ -48,6 +38,6 @@ fn load_results(frame: u32, origin: vec2<u32>, thread: u32) {
 // Returns a result by its place in the tile.
 fn result_at(place: vec2<u32>) -> CellResult {
     let at = place.y * PITCH + place.x;
-    let point = vec3<f32>(point_x[at], point_y[at], point_z[at]);
-    return CellResult(point, vec3<f32>(normal_x[at], normal_y[at], normal_z[at]), certainties[at]);
+    let point = result_points[at];
+    return CellResult(point.xyz, result_normals[at], point.w);
 }
