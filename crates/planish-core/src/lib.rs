@@ -49,6 +49,7 @@ mod smoothed;
 mod smoother;
 mod smoothing_engine;
 mod status;
+mod temporal;
 #[cfg(test)]
 mod testing;
 mod threads;
@@ -88,6 +89,7 @@ pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;
 pub use status::Status;
+pub use temporal::{TemporalFilter, TemporalParams};
 pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};
 #[cfg(feature = "wgpu-interop")]
@@ -112,6 +114,8 @@ pub mod internal {
     pub use crate::neighbours::halo::{self, NeededHalo, OWN_SHARE};
     pub use crate::neighbours::middle;
     pub use crate::pose::RigidTransform;
+    #[cfg(feature = "reference")]
+    pub use crate::reference::temporal::TemporalReference;
     pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery};
     pub use crate::smoothed::named_fields;
     pub use crate::threads::Threads;

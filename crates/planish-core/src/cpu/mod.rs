@@ -25,13 +25,13 @@ mod pixels;
 mod plane;
 mod polynomial;
 mod project;
-mod row_tasks;
+pub(crate) mod row_tasks;
 mod sensor;
 mod solve;
 #[cfg(test)]
 mod tests;
 mod unroll;
-mod vector;
+pub(crate) mod vector;
 mod window;
 
 use std::time::Duration;

@@ -7,11 +7,11 @@
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 /// The mask that belongs to the f32 vector of a SIMD level.
-pub(super) type Mask<S> = <<S as Simd>::f32s as SimdBase<S>>::Mask;
+pub(crate) type Mask<S> = <<S as Simd>::f32s as SimdBase<S>>::Mask;
 
 /// Copies one value to every lane.
 #[inline(always)]
-pub(super) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
+pub(crate) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
     S::f32s::splat(simd, value)
 }
 
@@ -50,7 +50,7 @@ impl<S: Simd> Vec3<S> {
     }
 
     #[inline(always)]
-    pub(super) fn splat(simd: S, value: f32) -> Self {
+    pub(crate) fn splat(simd: S, value: f32) -> Self {
         let value = splat(simd, value);
         Self::new(value, value, value)
     }

@@ -16,6 +16,7 @@ mod polynomial;
 mod project;
 mod radius;
 mod solve;
+pub(crate) mod temporal;
 mod window;
 
 use std::sync::Arc;

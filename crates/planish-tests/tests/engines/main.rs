@@ -10,3 +10,4 @@ mod gpu_engine;
 mod gpu_parity;
 mod poses;
 mod reference;
+mod temporal;

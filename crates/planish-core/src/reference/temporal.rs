@@ -1,0 +1,230 @@
+//! Section 16: a mean of each pixel over the frames of a video, in f64.
+
+use crate::sensor::SensorModel;
+use crate::temporal::{Domain, TemporalParams};
+
+/// Width of tiles in pixels.
+const TILE: usize = 16;
+
+/// What is known of a pixel.
+#[derive(Clone, Copy)]
+struct Pixel {
+    /// q.
+    mean: f64,
+    /// n.
+    frames: f64,
+    /// b.
+    bias: f64,
+    /// V.
+    variance: f64,
+    /// a.
+    idle: u32,
+    is_carried: bool,
+}
+
+/// What is known of a tile.
+#[derive(Clone, Copy)]
+struct Tile {
+    bias: f64,
+    variance: f64,
+    weight: f64,
+}
+
+/// The measurement of a pixel in the current frame.
+#[derive(Clone, Copy, Default)]
+struct Measured {
+    /// o; `None` for a hole.
+    value: Option<f64>,
+    /// e, if the pixel was known and is no hole.
+    change: Option<f64>,
+    is_candidate: bool,
+}
+
+/// The filter of section 16.
+pub struct TemporalReference {
+    params: TemporalParams,
+    sensor: SensorModel,
+    shape: (usize, usize),
+    pixels: Vec<Pixel>,
+    tiles: Vec<Tile>,
+}
+
+impl TemporalReference {
+    /// Creates a filter for the frames of a sensor.
+    pub fn new(params: TemporalParams, sensor: SensorModel) -> Self {
+        Self { params, sensor, shape: (0, 0), pixels: Vec::new(), tiles: Vec::new() }
+    }
+
+    /// Smooths the depth of the next frame in place.
+    pub fn smooth(&mut self, width: usize, height: usize, depth_m: &mut [f64]) {
+        if self.shape != (width, height) {
+            self.shape = (width, height);
+            let pixel = Pixel { mean: 0.0, frames: 0.0, bias: 0.0, variance: 0.5, idle: 0, is_carried: false };
+            self.pixels = vec![pixel; width * height];
+            let tile = Tile { bias: 0.0, variance: 0.04, weight: 1.0 };
+            self.tiles = vec![tile; width.div_ceil(TILE) * height.div_ceil(TILE)];
+        }
+        let measured: Vec<Measured> = (0..depth_m.len()).map(|i| self.measure(i, depth_m[i])).collect();
+        self.update_tiles(&measured);
+        let calm: Vec<bool> = (0..depth_m.len()).map(|i| self.update(i, &measured, &mut depth_m[i])).collect();
+        for (i, value) in depth_m.iter_mut().enumerate() {
+            self.hold(i, &measured, &calm, value);
+        }
+    }
+
+    /// Returns how many frames a pixel of the last frame is the mean of; 0 for a hole.
+    pub fn frames(&self, i: usize) -> f64 {
+        let pixel = &self.pixels[i];
+        if pixel.idle == 0 || pixel.is_carried { pixel.frames } else { 0.0 }
+    }
+
+    /// Returns true if the value of a pixel of the last frame was carried over.
+    pub fn is_carried(&self, i: usize) -> bool {
+        self.pixels[i].is_carried
+    }
+
+    /// The quantity with constant noise, and its standard deviation.
+    fn value(&self, depth_m: f64) -> (f64, f64) {
+        let sigma_m = self.sensor.sigma_m(depth_m);
+        let (value, sigma) = match Domain::of(&self.sensor) {
+            Domain::InverseDepth => (1.0 / depth_m, sigma_m / (depth_m * depth_m)),
+            Domain::Depth => (depth_m, sigma_m),
+        };
+        (value, sigma.max(1e-6 * value))
+    }
+
+    fn depth_m(&self, value: f64) -> f64 {
+        match Domain::of(&self.sensor) {
+            Domain::InverseDepth => 1.0 / value,
+            Domain::Depth => value,
+        }
+    }
+
+    /// Equations (16.1) and (16.3).
+    fn measure(&self, i: usize, depth_m: f64) -> Measured {
+        if !(depth_m > 0.0 && depth_m.is_finite()) {
+            return Measured::default();
+        }
+        let pixel = &self.pixels[i];
+        let (value, sigma) = self.value(depth_m);
+        if pixel.frames == 0.0 {
+            return Measured { value: Some(value), ..Measured::default() };
+        }
+        let change = (value - pixel.mean) / (sigma * (1.0 + 1.0 / pixel.frames.max(1.0)).sqrt());
+        let is_candidate = change.abs() > 4.0 * pixel.variance.sqrt().max(0.7);
+        Measured { value: Some(value), change: Some(change), is_candidate }
+    }
+
+    /// Equation (16.5).
+    fn update_tiles(&mut self, measured: &[Measured]) {
+        let (width, height) = self.shape;
+        let across = width.div_ceil(TILE);
+        for (number, tile) in self.tiles.iter_mut().enumerate() {
+            let (left, top) = (number % across * TILE, number / across * TILE);
+            let pixels = (top..(top + TILE).min(height))
+                .flat_map(|v| (left..(left + TILE).min(width)).map(move |u| &measured[v * width + u]));
+            let changes: Vec<f64> = pixels
+                .filter(|measured| !measured.is_candidate)
+                .filter_map(|measured| measured.change)
+                .map(|change| change.clamp(-4.0, 4.0))
+                .collect();
+            if changes.len() <= 64 {
+                (tile.bias, tile.weight) = (0.0, 1.0);
+                continue;
+            }
+            let mean = changes.iter().sum::<f64>() / changes.len() as f64;
+            let deviation = tile.variance.sqrt();
+            let from_bias = (mean - tile.bias).abs().min(3.0 * deviation);
+            tile.bias += (mean - tile.bias) / 4.0;
+            tile.weight = 1.0 / (1.0 + (mean / (3.0 * deviation)).powi(4) + (tile.bias / (1.5 * deviation)).powi(4));
+            let learnt = 0.875 * from_bias.powi(2) - tile.variance;
+            tile.variance = (tile.variance + learnt / 16.0).clamp(0.0025, 1.0);
+        }
+    }
+
+    /// Equations (16.2) to (16.6); returns whether the pixel is calm.
+    fn update(&mut self, i: usize, measured: &[Measured], depth_m: &mut f64) -> bool {
+        let (width, _) = self.shape;
+        let tile_weight = self.tiles[i / width / TILE * width.div_ceil(TILE) + i % width / TILE].weight;
+        let changes: Vec<f64> =
+            self.around(i, 2).filter_map(|k| measured[k].change).map(|change| change.clamp(-8.0, 8.0)).collect();
+        let mean_change = changes.iter().sum::<f64>() / changes.len().max(1) as f64;
+        let Measured { value, change, is_candidate } = measured[i];
+        let sign_of = |k: usize| measured[k].change.filter(|_| measured[k].is_candidate).map_or(0.0, f64::signum);
+        let sign_sum: f64 = self.around(i, 1).map(sign_of).sum();
+        let old = self.pixels[i];
+        let waits = is_candidate && sign_of(i) * sign_sum < 3.0 && old.idle == 0 && old.frames >= 3.0;
+        let mut new = Pixel { is_carried: waits, ..old };
+        let deviation = old.variance.sqrt();
+        let is_calm = match (value, change) {
+            (Some(value), Some(change)) if !is_candidate => {
+                let from_bias = (mean_change - old.bias).abs().min(3.0 * deviation);
+                new.bias = old.bias + (mean_change - old.bias) / 4.0;
+                let around = (mean_change / (2.5 * deviation)).powi(4) + (new.bias / (1.2 * deviation)).powi(4);
+                let own = (change / (6.0 * deviation.max(0.7))).powi(4);
+                let weight = tile_weight / ((1.0 + around) * (1.0 + own));
+                let most = f64::from(self.params.frames);
+                new.frames = (old.frames * weight + 1.0).min(most);
+                new.mean = old.mean + (value - old.mean) / new.frames;
+                let learnt = 0.875 * from_bias.powi(2) - old.variance;
+                new.variance = (old.variance + old.frames / (16.0 * most) * learnt).clamp(0.04, 2.25);
+                new.idle = 0;
+                *depth_m = self.depth_m(new.mean);
+                mean_change.abs() < 3.0 * deviation
+            }
+            (Some(value), _) if !waits => {
+                (new.mean, new.frames, new.bias, new.idle) = (value, 1.0, 0.0, 0);
+                if is_candidate {
+                    new.variance = old.variance.min(0.5);
+                }
+                false
+            }
+            _ => {
+                new.idle = old.idle + 1;
+                if new.idle > 8 {
+                    (new.frames, new.idle) = (0.0, 0);
+                }
+                *depth_m = if waits { self.depth_m(old.mean) } else { f64::NAN };
+                false
+            }
+        };
+        self.pixels[i] = new.rounded();
+        is_calm
+    }
+
+    /// Equation (16.7).
+    fn hold(&mut self, i: usize, measured: &[Measured], calm: &[bool], depth_m: &mut f64) {
+        let pixel = self.pixels[i];
+        let is_recent = (1..=self.params.hold_frames).contains(&pixel.idle);
+        if measured[i].value.is_some() || !is_recent || pixel.frames < 4.0 {
+            return;
+        }
+        let is_calm = self.around(i, 2).filter(|&k| calm[k]).count() >= 13;
+        if is_calm && !self.around(i, 2).any(|k| measured[k].is_candidate) {
+            *depth_m = self.depth_m(pixel.mean);
+            self.pixels[i].is_carried = true;
+        }
+    }
+
+    /// Returns the pixels up to `reach` columns and rows from pixel `i`, itself included.
+    fn around(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = self.shape;
+        let (u, v) = (i % width, i / width);
+        let columns = u.saturating_sub(reach)..(u + reach + 1).min(width);
+        let rows = v.saturating_sub(reach)..(v + reach + 1).min(height);
+        rows.flat_map(move |v| columns.clone().map(move |u| v * width + u))
+    }
+}
+
+impl Pixel {
+    /// As it is stored: 12 bytes.
+    fn rounded(self) -> Self {
+        let round = |value: f64, steps: f64| (value * steps + 0.5).floor() / steps;
+        Self {
+            frames: round(self.frames, 2048.0),
+            bias: round(self.bias + 8.0, 2048.0) - 8.0,
+            variance: round(self.variance, 16384.0),
+            ..self
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! The filter over the frames of one stream.
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use super::rows::{ChangeRow, MARGIN, RowBuffers, Rule, UpdateRow, measure_changes, update};
+use super::state::State;
+use super::tiles::{TILE, Tile};
+use super::{Domain, TemporalParams};
+use crate::error::{FrameError, ParamError};
+use crate::sensor::SensorModel;
+
+/// Frames that a hole must have had for its value to be carried on, and calm pixels of 5x5 around it.
+const FRAMES_TO_HOLD: f32 = 4.0;
+const CALM_TO_HOLD: f32 = 13.0;
+
+/// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
+///
+/// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Where the scene changes, fewer frames count,
+/// so that moving things leave no trails. A filter belongs to one camera at rest and one shape of frames; another shape
+/// starts again. Smooth every frame in space first: the test for changes relies on it.
+///
+/// ```
+/// use planish::{SensorModel, TemporalFilter, TemporalParams};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1)?;
+/// for frame in 0..20 {
+///     let mut depth_m = vec![2.0 + if frame % 2 == 0 { 0.003 } else { -0.003 }; 64 * 48];
+///     filter.smooth(64, 48, &mut depth_m)?;
+///     assert!(frame < 10 || (depth_m[1000] - 2.0).abs() < 0.0008);
+/// }
+/// assert!(filter.frames(1000) > 10.0 && !filter.is_carried(1000));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct TemporalFilter {
+    params: TemporalParams,
+    rule: Rule,
+    level: Level,
+    shape: (usize, usize),
+    /// Pixels of a row of planes: a multiple of a tile's.
+    pitch: usize,
+    state: State,
+    tiles: Vec<Tile>,
+    planes: Planes,
+}
+
+/// Intermediate results, row by row of `pitch` pixels.
+#[derive(Debug, Default)]
+struct Planes {
+    depth_m: Vec<f32>,
+    changes: Vec<f32>,
+    /// These have [`MARGIN`] rows of zeros on either side.
+    sums: Vec<f32>,
+    counts: Vec<f32>,
+    signs: Vec<f32>,
+    calm: Vec<f32>,
+    tiles: Vec<[f32; 2]>,
+    /// One for each row of tiles.
+    buffers: Vec<RowBuffers>,
+}
+
+impl TemporalFilter {
+    /// Creates a filter for the frames of a sensor.
+    ///
+    /// # Errors
+    /// If a parameter is outside its range.
+    pub fn new(params: TemporalParams, sensor: SensorModel) -> Result<Self, ParamError> {
+        params.validate()?;
+        sensor.validate()?;
+        let rule = Rule { domain: Domain::of(&sensor), sigma: sensor.sigma, most_frames: params.frames };
+        let (state, tiles, planes) = Default::default();
+        Ok(Self { params, rule, level: Level::new(), shape: (0, 0), pitch: 0, state, tiles, planes })
+    }
+
+    /// Smooths the depth of the next frame: metres along the optical axis, row by row. Values that are not positive and
+    /// finite are holes, which become NaN. Uses the threads of the pool that it is called in.
+    ///
+    /// # Errors
+    /// If there are not `width` x `height` values.
+    pub fn smooth(&mut self, width: usize, height: usize, depth_m: &mut [f32]) -> Result<(), FrameError> {
+        let expected = width * height;
+        if depth_m.len() != expected {
+            return Err(FrameError::LengthMismatch { what: "the depth".to_owned(), len: depth_m.len(), expected });
+        }
+        if depth_m.is_empty() {
+            return Ok(());
+        }
+        if self.shape != (width, height) {
+            self.start(width, height);
+        }
+        let pitch = self.pitch;
+        let rows = self.planes.depth_m.par_chunks_mut(pitch).zip(depth_m.par_chunks(width));
+        rows.for_each(|(row, from)| row[..width].copy_from_slice(from));
+        self.measure_changes();
+        for (tile, &[sum, count]) in self.tiles.iter_mut().zip(&self.planes.tiles) {
+            tile.update(sum, count);
+        }
+        self.update();
+        if self.params.hold_frames > 0 {
+            self.hold();
+        }
+        let rows = depth_m.par_chunks_mut(width).zip(self.planes.depth_m.par_chunks(pitch));
+        rows.for_each(|(row, from)| row.copy_from_slice(&from[..width]));
+        Ok(())
+    }
+
+    /// Forgets all frames, as after a gap in time or a jump of the camera.
+    pub fn reset(&mut self) {
+        self.shape = (0, 0);
+    }
+
+    /// Returns how many frames pixel `i` of the last frame is the mean of, 1 to [`TemporalParams::frames`]; 0 for a
+    /// hole.
+    ///
+    /// # Panics
+    /// If there is no such pixel.
+    pub fn frames(&self, i: usize) -> f32 {
+        self.state.frames(self.place(i))
+    }
+
+    /// Returns true if the value of pixel `i` was not measured in the last frame, or was not believed, and was carried
+    /// over from the frame before.
+    ///
+    /// # Panics
+    /// If there is no such pixel.
+    pub fn is_carried(&self, i: usize) -> bool {
+        self.state.is_carried(self.place(i))
+    }
+
+    fn place(&self, i: usize) -> usize {
+        let (width, height) = self.shape;
+        assert!(i < width * height, "pixel {i} of {width} x {height}");
+        i / width * self.pitch + i % width
+    }
+
+    /// Starts again with frames of a shape.
+    fn start(&mut self, width: usize, height: usize) {
+        self.shape = (width, height);
+        self.pitch = width.next_multiple_of(TILE);
+        let len = self.pitch * height;
+        self.state.reset(len);
+        let tiles = self.pitch / TILE * height.div_ceil(TILE);
+        self.tiles = vec![Tile::default(); tiles];
+        let with_margin = vec![0.0; len + 2 * MARGIN * self.pitch];
+        self.planes = Planes {
+            depth_m: vec![f32::NAN; len],
+            changes: vec![0.0; len],
+            sums: with_margin.clone(),
+            counts: with_margin.clone(),
+            signs: with_margin,
+            calm: vec![0.0; len],
+            tiles: vec![[0.0; 2]; tiles],
+            buffers: vec![RowBuffers::of_pitch(self.pitch); height.div_ceil(TILE)],
+        };
+    }
+
+    fn measure_changes(&mut self) {
+        let Self { rule, level, pitch, state, planes, .. } = self;
+        let (rule, level, pitch) = (*rule, *level, *pitch);
+        let band = TILE * pitch;
+        let inner = MARGIN * pitch..planes.sums.len() - MARGIN * pitch;
+        let inputs = planes.depth_m.par_chunks(band).zip(state.mean.par_chunks(band));
+        let inputs = inputs.zip(state.frames_variance.par_chunks(band)).zip(state.bias_idle.par_chunks(band));
+        let sums =
+            planes.sums[inner.clone()].par_chunks_mut(band).zip(planes.counts[inner.clone()].par_chunks_mut(band));
+        let outputs = sums.zip(planes.signs[inner].par_chunks_mut(band)).zip(planes.changes.par_chunks_mut(band));
+        let outputs = outputs.zip(planes.tiles.par_chunks_mut(pitch / TILE)).zip(&mut planes.buffers);
+        inputs.zip(outputs).for_each(|(inputs, (outputs, buffers))| {
+            let (((depth_m, mean), frames_variance), bias_idle) = inputs;
+            let ((((sums, counts), signs), changes), tiles) = outputs;
+            tiles.fill([0.0; 2]);
+            for start in (0..depth_m.len()).step_by(pitch) {
+                let at = start..start + pitch;
+                let row = ChangeRow {
+                    depth_m: &depth_m[at.clone()],
+                    mean: &mean[at.clone()],
+                    frames_variance: &frames_variance[at.clone()],
+                    bias_idle: &bias_idle[at.clone()],
+                    changes: &mut changes[at.clone()],
+                    sums: &mut sums[at.clone()],
+                    counts: &mut counts[at.clone()],
+                    signs: &mut signs[at],
+                    tiles,
+                };
+                dispatch!(level, simd => measure_changes(simd, rule, row, buffers));
+            }
+        });
+    }
+
+    fn update(&mut self) {
+        let Self { rule, level, pitch, state, tiles, planes, .. } = self;
+        let (rule, level, pitch) = (*rule, *level, *pitch);
+        let Planes { depth_m, changes, sums, counts, signs, calm, .. } = planes;
+        let outputs = depth_m.par_chunks_mut(pitch).zip(state.mean.par_chunks_mut(pitch));
+        let outputs = outputs.zip(state.frames_variance.par_chunks_mut(pitch));
+        let outputs = outputs.zip(state.bias_idle.par_chunks_mut(pitch)).zip(calm.par_chunks_mut(pitch));
+        outputs.enumerate().for_each(|(v, ((((depth_m, mean), frames_variance), bias_idle), calm))| {
+            // Row v of a plane with a margin has the number v + MARGIN.
+            let row = UpdateRow {
+                depth_m,
+                mean,
+                frames_variance,
+                bias_idle,
+                changes: row_of(changes, pitch, v),
+                sums: std::array::from_fn(|k| row_of(sums, pitch, v + k)),
+                counts: std::array::from_fn(|k| row_of(counts, pitch, v + k)),
+                signs: std::array::from_fn(|k| row_of(signs, pitch, v + 1 + k)),
+                tiles: &tiles[v / TILE * (pitch / TILE)..],
+                calm,
+            };
+            dispatch!(level, simd => update(simd, rule, row));
+        });
+    }
+
+    /// Carries on the values of holes that were seen a short time ago, in calm surroundings.
+    fn hold(&mut self) {
+        let Self { params, rule, shape: (width, height), pitch, state, planes, .. } = self;
+        let (width, height, pitch) = (*width, *height, *pitch);
+        for v in 0..height {
+            for u in 0..width {
+                let at = v * pitch + u;
+                let is_recent = (1..=params.hold_frames).contains(&state.idle(at));
+                let is_hole = planes.depth_m[at].is_nan();
+                if !is_hole || !is_recent || state.remembered_frames(at) < FRAMES_TO_HOLD {
+                    continue;
+                }
+                let rows = v.saturating_sub(2)..(v + 3).min(height);
+                let columns = u.saturating_sub(2)..(u + 3).min(width);
+                let calm = rows.flat_map(|row| &planes.calm[row * pitch + columns.start..row * pitch + columns.end]);
+                if calm.sum::<f32>() >= CALM_TO_HOLD {
+                    planes.depth_m[at] = match rule.domain {
+                        Domain::InverseDepth => 1.0 / state.mean[at],
+                        Domain::Depth => state.mean[at],
+                    };
+                    state.set_carried(at);
+                }
+            }
+        }
+    }
+}
+
+/// Returns a row of a plane.
+fn row_of(plane: &[f32], pitch: usize, number: usize) -> &[f32] {
+    &plane[pitch * number..pitch * (number + 1)]
+}

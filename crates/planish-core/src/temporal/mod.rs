@@ -1,0 +1,28 @@
+//! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth over the frames of
+//! a video, which gives way where the scene changes.
+
+mod filter;
+mod params;
+mod rows;
+mod state;
+mod tiles;
+
+pub use filter::TemporalFilter;
+pub use params::TemporalParams;
+
+/// Whether the noise of a sensor is constant in inverse depth or in depth: which of them is averaged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Domain {
+    /// Triangulating sensors.
+    InverseDepth,
+    /// Sensors of time of flight.
+    Depth,
+}
+
+impl Domain {
+    /// By what dominates the noise at 2 m.
+    pub(crate) fn of(sensor: &crate::SensorModel) -> Self {
+        let [c0, c1, c2] = sensor.sigma;
+        if 4.0 * c2 > c0 + 2.0 * c1 { Self::InverseDepth } else { Self::Depth }
+    }
+}

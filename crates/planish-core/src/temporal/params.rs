@@ -1,0 +1,60 @@
+//! Settings of the filter over time.
+
+use crate::error::ParamError;
+
+/// How long frames are averaged, and whether holes are bridged.
+///
+/// ```
+/// use planish::TemporalParams;
+///
+/// let params = TemporalParams::STEADY.with_frames(8.0).with_hold_frames(2);
+/// assert!(params.validate().is_ok());
+/// assert!(TemporalParams::STEADY.with_frames(0.5).validate().is_err());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct TemporalParams {
+    /// Number of frames that a still pixel is the mean of, at most: 1 to 16.
+    pub frames: f32,
+    /// Number of frames for which the value of a hole is carried on, 0 to 8. Carried values are flagged:
+    /// [`TemporalFilter::is_carried`](crate::TemporalFilter::is_carried).
+    pub hold_frames: u32,
+}
+
+impl TemporalParams {
+    /// The mean of up to 16 frames; holes stay holes.
+    pub const STEADY: Self = Self { frames: 16.0, hold_frames: 0 };
+
+    /// Sets the number of frames that a still pixel is the mean of, at most: 1 to 16.
+    pub const fn with_frames(self, frames: f32) -> Self {
+        Self { frames, ..self }
+    }
+
+    /// Sets for how many frames the value of a hole is carried on, 0 to 8.
+    pub const fn with_hold_frames(self, hold_frames: u32) -> Self {
+        Self { hold_frames, ..self }
+    }
+
+    /// Refuses values outside their ranges.
+    ///
+    /// # Errors
+    /// Names the field and its range.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        if !(1.0..=16.0).contains(&self.frames) {
+            let value = self.frames.to_string();
+            return Err(ParamError { field: "temporal.frames", value, allowed: "1 to 16" });
+        }
+        if self.hold_frames > 8 {
+            let value = self.hold_frames.to_string();
+            return Err(ParamError { field: "temporal.hold_frames", value, allowed: "0 to 8" });
+        }
+        Ok(())
+    }
+}
+
+impl Default for TemporalParams {
+    /// [`TemporalParams::STEADY`].
+    fn default() -> Self {
+        Self::STEADY
+    }
+}

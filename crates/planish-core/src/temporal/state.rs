@@ -1,0 +1,116 @@
+//! What the filter knows of each pixel: 12 bytes.
+
+use fearless_simd::{Simd, SimdBase, SimdCvtFloat, SimdCvtTruncate};
+
+use crate::cpu::vector::splat;
+
+/// Variance of the change of a pixel's surroundings before anything was learnt.
+pub(super) const FIRST_VARIANCE: f32 = 0.5;
+/// Steps of stored frames and biases.
+const PER_UNIT: f32 = 2048.0;
+/// Steps of stored variances.
+const PER_VARIANCE: f32 = 16384.0;
+/// Biases are stored from this negative value on; they are no larger.
+const MOST_BIAS: f32 = 8.0;
+/// The bit of a pixel whose value in the last frame was carried over.
+const CARRIED: u32 = 1 << 31;
+const LOW: u32 = 0xffff;
+
+/// The state of all pixels, row by row of `pitch` pixels.
+#[derive(Debug, Default)]
+pub(super) struct State {
+    /// The mean of inverse depth (1/m) or depth (m).
+    pub(super) mean: Vec<f32>,
+    /// Effective frames in the low half, variance in the high one.
+    pub(super) frames_variance: Vec<u32>,
+    /// Bias in the low half; frames since the last update, and whether the value was carried, in the high one.
+    pub(super) bias_idle: Vec<u32>,
+}
+
+/// The state of the pixels of a vector, unpacked.
+pub(super) struct Unpacked<S: Simd> {
+    pub(super) mean: S::f32s,
+    pub(super) frames: S::f32s,
+    pub(super) variance: S::f32s,
+    pub(super) bias: S::f32s,
+    /// Frames since the last update.
+    pub(super) idle: S::f32s,
+}
+
+impl State {
+    /// Forgets everything, and makes room for this many pixels.
+    pub(super) fn reset(&mut self, len: usize) {
+        self.mean.clear();
+        self.mean.resize(len, 0.0);
+        self.frames_variance.clear();
+        self.frames_variance.resize(len, ((FIRST_VARIANCE * PER_VARIANCE) as u32) << 16);
+        self.bias_idle.clear();
+        self.bias_idle.resize(len, (MOST_BIAS * PER_UNIT) as u32);
+    }
+
+    /// Returns the effective frames of a pixel; 0 if it has no value in the last frame.
+    pub(super) fn frames(&self, i: usize) -> f32 {
+        let has_value = self.bias_idle[i] >> 16 == 0 || self.is_carried(i);
+        if has_value { (self.frames_variance[i] & LOW) as f32 / PER_UNIT } else { 0.0 }
+    }
+
+    /// Returns the frames since the last update of a pixel.
+    pub(super) fn idle(&self, i: usize) -> u32 {
+        (self.bias_idle[i] & !CARRIED) >> 16
+    }
+
+    pub(super) fn is_carried(&self, i: usize) -> bool {
+        self.bias_idle[i] & CARRIED != 0
+    }
+
+    pub(super) fn set_carried(&mut self, i: usize) {
+        self.bias_idle[i] |= CARRIED;
+    }
+
+    /// Returns the effective frames that a pixel had when it was last seen.
+    pub(super) fn remembered_frames(&self, i: usize) -> f32 {
+        (self.frames_variance[i] & LOW) as f32 / PER_UNIT
+    }
+}
+
+impl<S: Simd> Unpacked<S> {
+    #[inline(always)]
+    pub(super) fn load(simd: S, mean: &[f32], frames_variance: &[u32], bias_idle: &[u32]) -> Self {
+        let low = S::u32s::splat(simd, LOW);
+        let frames_variance = S::u32s::from_slice(simd, frames_variance);
+        let bias_idle = S::u32s::from_slice(simd, bias_idle);
+        let number = |value: S::u32s, per_unit: f32| S::f32s::float_from(value) * splat(simd, 1.0 / per_unit);
+        Self {
+            mean: S::f32s::from_slice(simd, mean),
+            frames: number(frames_variance & low, PER_UNIT),
+            variance: number(frames_variance >> 16, PER_VARIANCE),
+            bias: number(bias_idle & low, PER_UNIT) - splat(simd, MOST_BIAS),
+            idle: number((bias_idle & S::u32s::splat(simd, !CARRIED)) >> 16, 1.0),
+        }
+    }
+
+    /// Stores everything; `carried` is [`CARRIED`] or 0.
+    #[inline(always)]
+    pub(super) fn store(
+        &self,
+        simd: S,
+        carried: S::u32s,
+        mean: &mut [f32],
+        frames_variance: &mut [u32],
+        bias_idle: &mut [u32],
+    ) {
+        let half = splat(simd, 0.5);
+        let steps = |value: S::f32s, per_unit: f32| S::u32s::truncate_from(value * splat(simd, per_unit) + half);
+        self.mean.store_slice(mean);
+        let variance = steps(self.variance, PER_VARIANCE);
+        (steps(self.frames, PER_UNIT) | (variance << 16)).store_slice(frames_variance);
+        let bias = steps(self.bias + splat(simd, MOST_BIAS), PER_UNIT);
+        (bias | (steps(self.idle, 1.0) << 16) | carried).store_slice(bias_idle);
+    }
+
+    /// Returns the bit of carried values.
+    #[inline(always)]
+    pub(super) fn carried_bit(simd: S) -> S::u32s {
+        S::u32s::splat(simd, CARRIED)
+    }
+}
