@@ -84,7 +84,7 @@ pub use progress::Progress;
 pub use provenance::Provenance;
 pub use sensor::SensorModel;
 pub use session::{CloudChoice, ProgressWatch, Session, SessionEvent, smooth};
-pub use settings::{GridChoice, Preset, RadiusChoice, Resolved, SensorChoice, SettingValue, Settings};
+pub use settings::{GridChoice, Preset, RadiusChoice, Resolved, SensorChoice, SettingValue, Settings, TemporalChoice};
 pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;

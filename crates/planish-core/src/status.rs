@@ -22,12 +22,23 @@ pub enum Status {
     /// In an unorganized cloud, fewer than 3 neighbours, or fewer than about a quarter of the number that its radius
     /// was chosen for (section 8): the point is unchanged, without a normal.
     Isolated = 6,
+    /// Smoothed over time, and this pixel alone changed so much that the frame is not believed yet: the value is that
+    /// of the frame before (section 16). The normal is this frame's.
+    Carried = 7,
 }
 
 impl Status {
     /// Every status, in the order of their codes.
-    pub const ALL: [Self; 7] =
-        [Self::Hole, Self::TooFew, Self::Degenerate, Self::Plane, Self::Polynomial2, Self::Polynomial3, Self::Isolated];
+    pub const ALL: [Self; 8] = [
+        Self::Hole,
+        Self::TooFew,
+        Self::Degenerate,
+        Self::Plane,
+        Self::Polynomial2,
+        Self::Polynomial3,
+        Self::Isolated,
+        Self::Carried,
+    ];
 
     /// Returns true if the output has a finite point.
     pub fn has_point(self) -> bool {
@@ -36,18 +47,14 @@ impl Status {
 
     /// Returns true if the output has a normal and a curvature.
     pub fn has_normal(self) -> bool {
-        matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3)
+        matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3 | Self::Carried)
     }
 
     /// Returns the status with a code; a hole for unknown codes.
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
-        // With room for every 3-bit index: no code needs a check.
-        const BY_CODE: [Status; 8] = {
-            let [hole, few, line, plane, quadratic, cubic, isolated] = Status::ALL;
-            [hole, few, line, plane, quadratic, cubic, isolated, hole]
-        };
-        BY_CODE[usize::from(code & 7)]
+        // Every 3-bit index has a status: no code needs a check.
+        Self::ALL[usize::from(code & 7)]
     }
 
     /// Returns the status of a point that was put on a polynomial of that degree.

@@ -201,6 +201,7 @@ pub fn simulate<'py>(
 #[pyfunction]
 pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -> PyResult<String> {
     let settings = from_dict(settings)?;
+    settings.check_no_video().map_err(to_py)?;
     let sensor = match settings.sensor {
         Some(SensorChoice::Known(sensor)) => sensor,
         _ => SensorModel::KINECT_V1,

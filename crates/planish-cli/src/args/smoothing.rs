@@ -72,6 +72,14 @@ pub enum GridArg {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
+pub enum TemporalArg {
+    /// Every frame on its own
+    Off,
+    /// Up to 16 frames, fewer where the scene changes
+    Steady,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
 pub enum ProjectArg {
     /// Along its ray, the direction of depth noise
     Ray,
@@ -186,6 +194,12 @@ pub struct SmoothingArgs {
     /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
+    /// For a video of a camera at rest: smooth over time, without trails behind what moves [default: off]
+    ///
+    /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. Not for a
+    /// moving camera, rigs, or unorganized clouds.
+    #[arg(long, value_enum, help_heading = TUNING)]
+    pub temporal: Option<TemporalArg>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
     pub degree: Option<u32>,
@@ -291,7 +305,7 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 20] = [
+        let given: [(&str, SettingValue); 21] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
@@ -306,6 +320,7 @@ impl SmoothingArgs {
             ("passes", self.passes.into()),
             ("grid", named(self.grid.as_ref())),
             ("even", self.even.into()),
+            ("temporal", named(self.temporal.as_ref())),
             ("degree", self.degree.into()),
             ("bandwidth_m", self.bandwidth.into()),
             ("ridge", self.ridge.into()),

@@ -14,7 +14,7 @@ use planish::{Camera, Error, Outputs, Session, Smoothed, Xyz};
 use planish_bench::outln;
 
 use super::ms_since;
-use crate::args::DemoArgs;
+use crate::args::{DemoArgs, by_option};
 
 /// Only pixels this far from every edge count as flat.
 const FLAT_MARGIN_PX: usize = 6;
@@ -31,6 +31,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     let raw = frame.deproject().map_err(Error::from)?;
 
     let outputs = Outputs::POINTS.with_normals(true);
+    args.smoothing.settings()?.check_no_video().map_err(by_option)?;
     let mut session = Session::new(args.smoothing.settings()?)?;
     session.set_outputs(outputs);
     if let (_, Some(sensor)) = session.params_for(&frame)? {

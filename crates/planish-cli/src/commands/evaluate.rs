@@ -58,6 +58,7 @@ struct Patches {
 }
 
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    args.smoothing.settings()?.check_no_video().map_err(by_option)?;
     if args.smoothing.settings()?.devices.is_some() && args.rig.is_none() {
         bail!("devices has no effect on evaluate, which smooths one frame at a time; use engine and adapter");
     }

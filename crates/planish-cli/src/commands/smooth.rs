@@ -59,6 +59,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         smoothed: Smoothed::default(),
         noted: Arc::default(),
     };
+    if args.repeat > 1 && worker.settings.temporal_params().is_some() {
+        bail!("--repeat: with --temporal every repetition would count as a frame; leave one of them out");
+    }
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
         bail!("--format needs a file extension such as ply, not a path");
     }

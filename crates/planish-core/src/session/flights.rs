@@ -23,9 +23,9 @@ impl Session {
         self.check_room()?;
         let is_cloud = frame.frame()?.grid().is_none();
         match self.submit_now(&frame, buffer) {
-            Ok(()) => self.pending.push_back(Pending { frame: Some(frame), is_cloud }),
+            Ok(()) => self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight: self.sight }),
             Err(error @ Error::Engine(_)) => {
-                self.pending.push_back(Pending { frame: Some(frame), is_cloud });
+                self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight: self.sight });
                 self.smooth_again(error)?;
             }
             Err(error) => return Err(error),
@@ -43,7 +43,7 @@ impl Session {
         self.check_room()?;
         let admitted = self.open_in_flight(frame, false)?;
         self.smoother()?.submit_admitted(&admitted, None)?;
-        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none() });
+        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), sight: self.sight });
         Ok(())
     }
 
@@ -83,6 +83,14 @@ impl Session {
     /// If something is wrong with that frame, or the engine fails and nothing may take over.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         self.forget_other_process();
+        let sight = self.pending.front().and_then(|pending| pending.sight);
+        match (self.receive_in_space()?, sight) {
+            (Some(view), Some(sight)) => self.view_over_time(&sight, view).map(Some),
+            (view, _) => Ok(view),
+        }
+    }
+
+    fn receive_in_space(&mut self) -> Result<Option<SmoothedView>, Error> {
         if let Some(result) = self.ready.pop_front() {
             self.pending.pop_front();
             return result.map(Some);

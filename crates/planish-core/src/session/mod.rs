@@ -7,6 +7,7 @@ mod flights;
 mod inspect;
 mod lost_grid;
 mod open;
+mod over_time;
 mod pending;
 mod recovery;
 mod resolve;
@@ -30,6 +31,7 @@ use crate::smoothing_engine::AdmittedFrame;
 pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
 use open::{Open, OpenFor, process_id};
+use over_time::{OverTime, Sight};
 use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
 pub use watch::ProgressWatch;
@@ -81,6 +83,9 @@ pub struct Session {
     before_even: Smoothed,
     /// The parameters of the first pass during it.
     is_first: Option<CloudParams>,
+    /// The filter over time, and how the frame that was last opened for is seen.
+    video: OverTime,
+    sight: Option<Sight>,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -150,6 +155,8 @@ impl Session {
             open_for_first: None,
             before_even: Smoothed::default(),
             is_first: None,
+            video: OverTime::default(),
+            sight: None,
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -245,6 +252,7 @@ impl Session {
         self.chosen = Chosen::Settings(Box::new(settings));
         (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
         (self.cloud_estimate, self.lattice, self.known_points) = (None, None, 0);
+        self.restart_video();
         Ok(())
     }
 
@@ -290,6 +298,7 @@ impl Session {
 
     fn smooth_frame(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let result = match (self.take_lattice(frame), self.to_space_evenly(frame)) {
+            _ if self.over_time(frame).is_some() => self.smooth_over_time(frame, out),
             (Some((lattice, points)), _) => self.smooth_on_lattice(lattice, &points, out),
             (None, Some(points)) => self.smooth_evenly(&points, out),
             (None, None) => self.smooth_in_passes(frame, out),
@@ -337,8 +346,10 @@ impl Session {
         let needs_range = needs_range(&engine_params) || window.is_some();
         let geometry = FrameGeometry::of(frame, needs_range, &mut self.scratch);
         self.rule = Some(geometry.rule);
+        self.look_at(frame, geometry, params);
         let engine_params = self.with_window(engine_params, params, frame, &geometry);
         let mut options = self.options.clone();
+        options.outputs = self.outputs_before_time(frame);
         options.engine = self.engine_for(frame.grid().is_none());
         options.only_points = self.is_single.then(|| frame.shape().0 * frame.shape().1);
         let uses_fleet = in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
@@ -428,6 +439,7 @@ impl Session {
         (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
+        self.restart_video();
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);

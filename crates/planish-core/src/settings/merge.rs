@@ -44,6 +44,7 @@ impl Settings {
             passes,
             grid,
             even,
+            temporal,
             degree,
             bandwidth_m,
             ridge,
@@ -68,6 +69,7 @@ impl Settings {
         self.passes = passes.or(self.passes);
         self.grid = grid.or(self.grid);
         self.even = even.or(self.even);
+        self.temporal = temporal.or(self.temporal);
         self.degree = degree.or(self.degree);
         self.bandwidth_m = bandwidth_m.or(self.bandwidth_m);
         self.ridge = ridge.or(self.ridge);

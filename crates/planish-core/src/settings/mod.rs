@@ -4,6 +4,7 @@
 //! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling,
 //! one range and one error everywhere.
 
+mod choices;
 mod merge;
 mod resolve;
 #[cfg(feature = "serde")]
@@ -21,67 +22,12 @@ use crate::fleet::FleetDevice;
 use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges, Params, Project, Strength};
 use crate::sensor::SensorModel;
+use crate::temporal::TemporalParams;
 use crate::threads::ONE_THREAD;
 
+pub use choices::{GridChoice, Preset, RadiusChoice, SensorChoice, TemporalChoice};
 pub use value::SettingValue;
 use value::quoted;
-
-/// A named setting of all parameters; single values override it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum Preset {
-    /// [`Strength::LIGHT`], for small things.
-    Light,
-    /// [`Strength::DEFAULT`], recommended.
-    #[default]
-    Default,
-    /// [`Strength::STRONG`], for walls, floors and far ranges.
-    Strong,
-    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3.
-    Paper,
-}
-
-impl Preset {
-    /// All presets by their names.
-    pub const NAMED: [(&'static str, Self); 4] =
-        [("light", Self::Light), ("default", Self::Default), ("strong", Self::Strong), ("paper", Self::Paper)];
-}
-
-/// The sensor that took the frames.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum SensorChoice {
-    /// Estimated from the first frame.
-    Auto,
-    /// This one.
-    Known(SensorModel),
-}
-
-/// A radius given by the user.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum RadiusChoice {
-    /// Growing with distance as the sensor's noise does; for frames on a grid.
-    Sensor,
-    /// One radius for every point, in metres.
-    Metres(f32),
-}
-
-/// Whether the grid of a frame that lost it is rebuilt.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum GridChoice {
-    /// An unorganized cloud whose points lie on the pixels of a camera is smoothed as a frame.
-    #[default]
-    Auto,
-    /// Unorganized clouds stay unorganized.
-    Off,
-}
-
-impl GridChoice {
-    /// All choices by their names.
-    pub const NAMED: [(&'static str, Self); 2] = [("auto", Self::Auto), ("off", Self::Off)];
-}
 
 /// A user's choices. A field that is `None` takes the value of the preset.
 ///
@@ -133,6 +79,9 @@ pub struct Settings {
     /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
     /// WebAssembly. Normals and curvature are not computed again.
     pub even: Option<bool>,
+    /// For the frames of a video from a camera at rest: whether they are smoothed over time, in the order in which a
+    /// session gets them [default: off]. Not for unorganized clouds, rigs or WebAssembly.
+    pub temporal: Option<TemporalChoice>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
     /// Bandwidth of the Gaussian weights in metres [default: the radius].
@@ -177,12 +126,12 @@ const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
                       average_blocks, \
-                      radius_m, neighbours, passes, grid, even, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
+                      radius_m, neighbours, passes, grid, even, temporal, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
                       outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 23] = [
+    pub const NAMES: [&'static str; 24] = [
         "preset",
         "strength",
         "sensor",
@@ -197,6 +146,7 @@ impl Settings {
         "passes",
         "grid",
         "even",
+        "temporal",
         "degree",
         "bandwidth_m",
         "ridge",
@@ -230,6 +180,7 @@ impl Settings {
             "passes" => self.passes = value.whole("passes", PASSES)?,
             "grid" => self.grid = value.named("grid", &GridChoice::NAMED, "auto or off")?,
             "even" => self.even = value.truth("even")?,
+            "temporal" => self.temporal = value.named("temporal", &TemporalChoice::NAMED, "off or steady")?,
             "degree" => self.degree = value.whole("degree", "1 to 3")?,
             "bandwidth_m" | "bandwidth" => {
                 self.bandwidth_m = value.number("bandwidth_m", "1e-6 to 1000 metres")?;
@@ -270,6 +221,9 @@ impl Settings {
         }
         if ONE_THREAD && self.even == Some(true) {
             return contradiction("even", "true", "only outside a browser, whose module is kept small");
+        }
+        if ONE_THREAD && self.temporal == Some(TemporalChoice::Steady) {
+            return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
         }
         if let Some(adapter) = &self.adapter {
             if self.engine() != Engine::Gpu {
@@ -320,6 +274,25 @@ impl Settings {
     pub fn spaces_evenly(&self) -> bool {
         // WebAssembly leaves it out, and `validate` refuses it there.
         self.even == Some(true) && !ONE_THREAD
+    }
+
+    /// Returns how the frames of a video are smoothed over time; `None` if they are not.
+    pub fn temporal_params(&self) -> Option<TemporalParams> {
+        // WebAssembly leaves it out, and `validate` refuses it there.
+        (self.temporal == Some(TemporalChoice::Steady) && !ONE_THREAD).then_some(TemporalParams::STEADY)
+    }
+
+    /// Refuses smoothing over time, for what is not the frames of one camera in their order.
+    ///
+    /// # Errors
+    /// If `temporal` is `steady`.
+    pub fn check_no_video(&self) -> Result<(), ParamError> {
+        let allowed = "only for the frames of one camera: a stream, a folder, one topic of a recording or of ROS, or a \
+                       smoother in Python";
+        match self.temporal {
+            Some(TemporalChoice::Steady) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
+            _ => Ok(()),
+        }
     }
 
     /// Returns whether a sensor is to be estimated from a frame.
@@ -403,6 +376,7 @@ impl Settings {
             ("average_blocks", self.average_blocks.is_some()),
             ("project", self.project == Some(Project::Ray)),
             ("sensor", self.sensor.is_some()),
+            ("temporal", self.temporal_params().is_some()),
         ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }

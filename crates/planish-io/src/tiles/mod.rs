@@ -83,7 +83,7 @@ pub struct TilesReport {
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
     /// Points of each status, by its code.
-    pub status_counts: [usize; 7],
+    pub status_counts: [usize; 8],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
     /// Whether the file or the options state the sensor's pose.

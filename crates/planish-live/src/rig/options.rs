@@ -71,6 +71,7 @@ impl RigOptions {
         settings: &Settings,
         voxel_m: Option<f64>,
     ) -> Result<Self, planish_core::Error> {
+        settings.check_no_video()?;
         let of_camera = |camera: &super::RigCamera| {
             let mut settings = settings.clone();
             settings.sensor = settings.sensor.or(camera.sensor.map(SensorChoice::Known));

@@ -27,6 +27,8 @@ class Status(enum.IntEnum):
     POLYNOMIAL_3 = 5
     #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
     ISOLATED = 6
+    #: Smoothed over time, and this pixel alone changed so much that the frame is not believed yet: the value of the frame before.
+    CARRIED = 7
 
 
 class CloudChoice(NamedTuple):

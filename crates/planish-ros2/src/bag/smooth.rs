@@ -117,6 +117,10 @@ pub fn smooth_bag(
     let survey = Survey::of(input, &options.read)?;
     let camera_topic = options.camera_info_topic.as_deref();
     let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
+    if chosen.len() > 1 {
+        // Their frames would be mixed.
+        smoother.check_no_video()?;
+    }
     if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
         let allowed = "a name of letters, digits, _ and / that begins with a slash";
         return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());

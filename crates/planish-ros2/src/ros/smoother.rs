@@ -97,6 +97,11 @@ impl MessageSmoother {
         Ok(())
     }
 
+    /// Refuses to smooth over time, for frames of several cameras.
+    pub(crate) fn check_no_video(&self) -> Result<(), Error> {
+        Ok(self.session.settings().map_or(Ok(()), Settings::check_no_video)?)
+    }
+
     /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
     pub fn set_normals_image(&mut self, wanted: bool) {
         self.wants_normals_image = wanted;

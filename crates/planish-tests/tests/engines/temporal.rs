@@ -1,9 +1,14 @@
 //! The filter over time (docs/method.md, section 16): equal to its reference, honest about what it carries over, and
 //! without trails.
 
+use std::sync::Arc;
+
 use planish::internal::{TemporalReference, Threads};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
-use planish::{Engine, FrameParams, Outputs, SensorModel, Smoothed, Smoother, TemporalFilter, TemporalParams};
+use planish::{
+    DepthFrame, Engine, FrameParams, OrganizedCloud, Outputs, PointsView, SensorModel, SensorPose, Session, Settings,
+    Smoothed, Smoother, TemporalFilter, TemporalParams, Xyz,
+};
 use planish_tests::scenes::small_camera;
 
 const WIDTH: usize = 160;
@@ -284,4 +289,155 @@ fn bad_parameters_and_shapes_are_refused_and_any_shape_works() {
     filter.reset();
     filter.smooth(4, 3, &mut depth_m).unwrap();
     assert_eq!(filter.frames(11), 1.0);
+}
+
+/// Frames of a camera at rest that looks at a wall, with a step of a few pixels that appears in the last frame.
+fn video(frames: usize) -> Vec<Arc<DepthFrame>> {
+    let mut random = Random(12);
+    let camera = small_camera();
+    (0..frames)
+        .map(|t| {
+            let raw = (0..WIDTH * HEIGHT).map(|i| {
+                let is_box = t + 1 == frames && (40..70).contains(&(i % WIDTH)) && (40..70).contains(&(i / WIDTH));
+                let z = if is_box { 1.4 } else { 2.0 };
+                (1000.0 * (z + 1.8e-3 * z * z * random.normal())).round() as u16
+            });
+            Arc::new(DepthFrame::new(camera, raw.collect()).unwrap())
+        })
+        .collect()
+}
+
+fn steady(engine: &str) -> Settings {
+    format!("temporal=steady engine={engine}").parse().unwrap()
+}
+
+/// Standard deviation and mean of depth in the middle of a frame.
+fn spread_of(depth_m: &[f32]) -> (f64, f64) {
+    let middle = (20..100).flat_map(|v| (80..150).map(move |u| v * WIDTH + u));
+    let values: Vec<f64> = middle.map(|i| f64::from(depth_m[i])).filter(|z| z.is_finite()).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    ((values.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt(), mean)
+}
+
+#[test]
+fn a_session_smooths_a_video_over_time_and_all_outputs_agree() {
+    let frames = video(20);
+    let outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
+    for engine in ["cpu", "reference"] {
+        let mut session = Session::new(steady(engine)).unwrap();
+        session.set_outputs(outputs);
+        let mut single = Session::new(format!("engine={engine}").parse().unwrap()).unwrap();
+        single.set_outputs(outputs);
+        let (mut smoothed, mut alone) = (Smoothed::default(), Smoothed::default());
+        for frame in &frames[..19] {
+            session.smooth(&**frame, &mut smoothed).unwrap();
+            single.smooth(&**frame, &mut alone).unwrap();
+        }
+        let (over_time, mean) = spread_of(smoothed.depth_m.as_ref().unwrap());
+        let (in_space, _) = spread_of(alone.depth_m.as_ref().unwrap());
+        assert!(over_time < 0.4 * in_space, "{engine}: {over_time} of {in_space}");
+        assert!((mean - 2.0).abs() < 3e-4, "{engine}: {mean}");
+        assert_eq!((&smoothed.normals, &smoothed.neighbours), (&alone.normals, &alone.neighbours));
+        let camera = small_camera();
+        let (depth_m, raw) = (smoothed.depth_m.as_ref().unwrap(), smoothed.depth.as_ref().unwrap());
+        for i in 0..WIDTH * HEIGHT {
+            let [x, _, z] = smoothed.points.get(i);
+            assert!(z.is_nan() == depth_m[i].is_nan() && (z.is_nan() || (z - depth_m[i]).abs() < 1e-6), "pixel {i}");
+            assert_eq!(raw[i], camera.raw_depth(depth_m[i]), "pixel {i}");
+            let ray = (((i % WIDTH) as f64 - 79.5) / 131.25) as f32;
+            assert!(z.is_nan() || (x - ray * z).abs() < 2e-6, "pixel {i}: {x} is not on its ray at {z}");
+        }
+        // What appears is seen at once, and nothing of what was behind it shows.
+        session.smooth(&*frames[19], &mut smoothed).unwrap();
+        let depth_m = smoothed.depth_m.as_ref().unwrap();
+        assert!((44..66).all(|v| (44..66).all(|u| (depth_m[v * WIDTH + u] - 1.4).abs() < 0.02)), "{engine}");
+        assert!(session.temporal_filter().unwrap().frames(20 * WIDTH + 100) > 8.0);
+        session.restart_video();
+        session.smooth(&*frames[0], &mut smoothed).unwrap();
+        assert_eq!(session.temporal_filter().unwrap().frames(20 * WIDTH + 100), 1.0);
+    }
+}
+
+#[test]
+fn frames_in_flight_and_frames_one_by_one_give_the_same_video() {
+    let frames = video(12);
+    let outputs = Outputs::DEPTH.with_status(true);
+    let mut session = Session::new(steady("cpu")).unwrap();
+    session.set_outputs(outputs);
+    let mut in_flight = Session::new(steady("cpu")).unwrap();
+    in_flight.set_outputs(outputs);
+    let mut smoothed = Smoothed::default();
+    for frame in &frames {
+        session.smooth(&**frame, &mut smoothed).unwrap();
+        in_flight.submit(Arc::clone(frame), Smoothed::default()).unwrap();
+        let received = in_flight.receive().unwrap().unwrap().into_smoothed();
+        // Only what was requested, although the filter needs more.
+        assert!(received.points.is_empty() && received.depth_m.is_none());
+        assert_eq!(received, smoothed);
+    }
+}
+
+#[test]
+fn a_single_pixel_that_changes_is_carried_over_for_one_frame_and_says_so() {
+    let at = 60 * WIDTH + 110;
+    let mut filter = filter(TemporalParams::STEADY);
+    let mut random = Random(3);
+    for t in 0..10 {
+        let mut depth_m = noisy_wall(&mut random);
+        if t >= 8 {
+            depth_m[at] = 1.5;
+        }
+        filter.smooth(WIDTH, HEIGHT, &mut depth_m).unwrap();
+        assert_eq!(filter.is_carried(at), t == 8, "frame {t}");
+        assert!((depth_m[at] - if t == 9 { 1.5 } else { 2.0 }).abs() < 0.01, "frame {t}: {}", depth_m[at]);
+    }
+}
+
+#[test]
+fn a_cloud_with_a_pose_moves_along_its_rays() {
+    let mut random = Random(5);
+    let pose = SensorPose::from_viewpoint([1.0, -2.0, 0.5, 0.8, 0.6, 0.0, 0.0]);
+    let transform = pose.transform().unwrap();
+    let mut session = Session::new(steady("cpu")).unwrap();
+    session.set_outputs(Outputs::POINTS.with_status(true));
+    let (mut smoothed, mut first) = (Smoothed::default(), None);
+    for _ in 0..16 {
+        let points: Xyz = (0..WIDTH * HEIGHT)
+            .map(|i| {
+                let z = 2.0 + 1.8e-3 * 4.0 * random.normal();
+                let [x, y] = [(i % WIDTH) as f64 - 79.5, (i / WIDTH) as f64 - 59.5].map(|u| u / 131.25 * z);
+                transform.to_cloud([x, y, z].into()).as_vec3().to_array()
+            })
+            .collect();
+        let mut cloud = OrganizedCloud::from_positions(WIDTH, HEIGHT, points).unwrap();
+        cloud.points.pose = pose;
+        session.smooth(&cloud, &mut smoothed).unwrap();
+        first.get_or_insert_with(|| smoothed.clone());
+    }
+    let seen = |smoothed: &Smoothed| -> Vec<[f64; 3]> {
+        let points = smoothed.points.iter();
+        points.map(|p| transform.to_sensor(p.map(f64::from).into()).to_array()).collect()
+    };
+    let depths = |points: &[[f64; 3]]| points.iter().map(|p| p[2] as f32).collect::<Vec<f32>>();
+    let (first, last) = (seen(&first.unwrap()), seen(&smoothed));
+    assert!(spread_of(&depths(&last)).0 < 0.45 * spread_of(&depths(&first)).0);
+    for (i, [x, y, z]) in last.into_iter().enumerate().filter(|(_, p)| p[2].is_finite()) {
+        let [u, v] = [x / z * 131.25 + 79.5, y / z * 131.25 + 59.5];
+        assert!((u - (i % WIDTH) as f64).abs() < 1e-3 && (v - (i / WIDTH) as f64).abs() < 1e-3, "{i}: {u} {v}");
+    }
+}
+
+#[test]
+fn rigs_and_unorganized_clouds_are_not_videos() {
+    let error = steady("cpu").check_no_video().unwrap_err().to_string();
+    assert!(error.starts_with("temporal = steady is not allowed: only for the frames of one camera"), "{error}");
+    assert_eq!(steady("cpu").unused_by_clouds(), ["temporal"]);
+    assert!("temporal=often".parse::<Settings>().unwrap_err().to_string().contains("off or steady"));
+    let mut session = Session::new(steady("cpu")).unwrap();
+    let mut random = Random(5);
+    let points: Vec<[f32; 3]> =
+        (0..2000).map(|_| [random.uniform() as f32, random.uniform() as f32, 0.01 * random.normal() as f32]).collect();
+    let mut smoothed = Smoothed::default();
+    session.smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
+    assert!(session.temporal_filter().is_none());
 }

@@ -103,7 +103,7 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
         .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
         .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
     inputs.retain(|path| path.is_file() && Format::is_of_frames(path));
-    inputs.sort();
+    inputs.sort_by_cached_key(|path| in_order_of_numbers(path));
     if inputs.is_empty() {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
     }
@@ -132,6 +132,26 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
     Ok(inputs.into_iter().zip(outputs).collect())
 }
 
+/// Returns what sorts names by their numbers: 2.png before 10.png.
+fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut parts = Vec::new();
+    let mut rest = &*name;
+    while !rest.is_empty() {
+        let digits = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+        let (number, after) = rest.split_at(digits);
+        let others = after.find(|c: char| c.is_ascii_digit()).unwrap_or(after.len());
+        let (text, after) = after.split_at(others);
+        // Numbers of over 38 digits are all the same to it, and are then in the order of their text.
+        parts.push((
+            number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
+            format!("{text}\0{number}"),
+        ));
+        rest = after;
+    }
+    parts
+}
+
 /// Returns the output path of a frame of the input folder.
 fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     let path = args.output.join(input.file_name().unwrap_or_default());
@@ -148,7 +168,9 @@ fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     let is_fast = engine.is_some_and(|engine| engine != Engine::Reference);
     let settings = &worker.settings;
     let is_sensor_open = settings.estimates_sensor() && worker.session.estimated_sensor().is_none();
-    if !is_fast || is_sensor_open || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
+    // Each frame of a video follows from those before it.
+    let is_video = settings.temporal_params().is_some();
+    if !is_fast || is_sensor_open || is_video || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
         return Ok(1);
     }
     let threads = settings.threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));

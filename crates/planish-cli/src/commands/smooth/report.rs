@@ -46,12 +46,13 @@ pub struct StatusCounts {
     pub plane: usize,
     pub polynomial: usize,
     pub isolated: usize,
+    pub carried: usize,
 }
 
 impl StatusCounts {
     /// Creates counts from the number of points with each status code.
-    pub fn of([hole, too_few, degenerate, plane, quadratic, cubic, isolated]: [usize; 7]) -> Self {
-        Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated }
+    pub fn of([hole, too_few, degenerate, plane, quadratic, cubic, isolated, carried]: [usize; 8]) -> Self {
+        Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated, carried }
     }
 
     /// Lists the points that were not smoothed, by cause; omits causes without points.
@@ -59,6 +60,7 @@ impl StatusCounts {
         let causes = [
             (self.degenerate, "with collinear or coincident neighbours unchanged"),
             (self.isolated, "with too few neighbours unchanged"),
+            (self.carried, "carried over from the frame before"),
             (self.too_few, "with too few neighbours turned into holes"),
             (self.hole, "holes before"),
         ];

@@ -1,0 +1,233 @@
+//! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16).
+
+use rayon::prelude::*;
+
+use super::{Chosen, Session};
+use crate::camera::Camera;
+use crate::error::Error;
+use crate::frame::{Frame, FrameGeometry, RangeRule};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::Params;
+use crate::sensor::SensorModel;
+use crate::smoothed::Smoothed;
+use crate::status::Status;
+use crate::temporal::{TemporalFilter, TemporalParams};
+use crate::threads::Threads;
+use crate::view::SmoothedView;
+
+/// Pixels handled by a task.
+const TASK: usize = 1 << 14;
+
+/// How the points of a frame lie to its sensor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight {
+    geometry: FrameGeometry,
+    sensor: SensorModel,
+    /// For raw depth.
+    camera: Option<Camera>,
+    /// The requested results.
+    outputs: Outputs,
+}
+
+/// The filter of a session, with its buffers.
+#[derive(Default)]
+pub(super) struct OverTime {
+    filter: Option<(SensorModel, TemporalFilter, Threads)>,
+    ranges_m: Vec<f32>,
+    /// The ranges of the frame before the filter.
+    single_m: Vec<f32>,
+    /// The result in space.
+    smoothed: Smoothed,
+}
+
+impl Session {
+    /// Returns the filter's parameters if a frame is part of a video that is smoothed over time.
+    pub(super) fn over_time(&self, frame: Frame<'_>) -> Option<TemporalParams> {
+        match &self.chosen {
+            Chosen::Settings(settings) => settings.temporal_params().filter(|_| frame.grid().is_some()),
+            Chosen::Params(..) => None,
+        }
+    }
+
+    /// Returns the results that an engine must compute for a frame that is then smoothed over time.
+    pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
+        let outputs = self.options.outputs;
+        match self.over_time(frame) {
+            Some(_) => outputs.with_points(true).with_status(true).with_depth_m(outputs.depth_m || outputs.depth),
+            None => outputs,
+        }
+    }
+
+    /// Remembers how a frame is seen, for when its result is smoothed over time.
+    pub(super) fn look_at(&mut self, frame: Frame<'_>, geometry: FrameGeometry, params: Params) {
+        let camera = match frame {
+            Frame::Depth(depth) => Some(*depth.camera()),
+            Frame::Points(points) => points.camera().copied(),
+        };
+        self.sight = match (self.over_time(frame), params) {
+            (Some(_), Params::Frame(params)) => {
+                Some(Sight { geometry, sensor: params.sensor, camera, outputs: self.options.outputs })
+            }
+            _ => None,
+        };
+    }
+
+    /// Smooths a frame in space, then over time.
+    pub(super) fn smooth_over_time(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
+        let (width, height) = frame.shape();
+        let mut smoothed = std::mem::take(&mut self.video.smoothed);
+        smoothed.prepare(width, height, self.outputs_before_time(frame));
+        let result = self.smooth_in_passes(frame, smoothed.as_mut()).and_then(|()| match self.sight {
+            Some(sight) => self.filter(&sight, &mut smoothed),
+            None => Ok(()),
+        });
+        if result.is_ok() {
+            out.take_from(width * height, &smoothed, Some);
+            if let (Some(to), Some(from)) = (&mut out.depth, &smoothed.depth) {
+                to.copy_from_slice(from);
+            }
+            if let (Some(to), Some(from)) = (&mut out.depth_m, &smoothed.depth_m) {
+                to.copy_from_slice(from);
+            }
+        }
+        self.video.smoothed = smoothed;
+        result
+    }
+
+    /// Smooths a received result over time.
+    pub(super) fn view_over_time(&mut self, sight: &Sight, view: SmoothedView) -> Result<SmoothedView, Error> {
+        let timings = view.timings();
+        let mut smoothed = view.into_smoothed();
+        self.filter(sight, &mut smoothed)?;
+        let (width, height) = (smoothed.width, smoothed.height);
+        smoothed.prepare(width, height, sight.outputs);
+        Ok(SmoothedView::owned(smoothed, timings))
+    }
+
+    fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
+        let Chosen::Settings(settings) = &self.chosen else { return Ok(()) };
+        let Some(params) = settings.temporal_params() else { return Ok(()) };
+        // Without a position of the sensor there are no ranges.
+        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
+            return Ok(());
+        }
+        let OverTime { filter, ranges_m, single_m, .. } = &mut self.video;
+        if filter.as_ref().is_none_or(|(sensor, ..)| *sensor != sight.sensor) {
+            let threads = Threads::open(self.options.threads)?;
+            *filter = Some((sight.sensor, TemporalFilter::new(params, sight.sensor)?, threads));
+        }
+        let Some((_, filter, threads)) = filter else { return Ok(()) };
+        threads.install(|| {
+            sight.measure(smoothed, ranges_m);
+            single_m.clone_from(ranges_m);
+            filter.smooth(smoothed.width, smoothed.height, ranges_m)?;
+            sight.apply(filter, single_m, ranges_m, smoothed);
+            Ok(())
+        })
+    }
+
+    /// Forgets the frames of a video, as after a gap in time or when the camera was moved: the next frame is the first.
+    /// Only for sessions that smooth over time.
+    pub fn restart_video(&mut self) {
+        self.video = OverTime::default();
+    }
+
+    /// Returns the filter over time, which knows of each pixel how many frames it is the mean of; `None` before the
+    /// first frame, or if the session does not smooth over time.
+    pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
+        self.video.filter.as_ref().map(|(_, filter, _)| filter)
+    }
+}
+
+impl Sight {
+    /// Measures the ranges of all points.
+    fn measure(&self, smoothed: &Smoothed, ranges_m: &mut Vec<f32>) {
+        let [_, _, z] = smoothed.points.as_slices();
+        ranges_m.resize(z.len(), 0.0);
+        if self.geometry.cloud_from_sensor.is_none() && matches!(self.geometry.rule, RangeRule::Depth { .. }) {
+            ranges_m.copy_from_slice(z);
+            return;
+        }
+        ranges_m.par_chunks_mut(TASK).enumerate().for_each(|(task, ranges_m)| {
+            for (k, range_m) in ranges_m.iter_mut().enumerate() {
+                let point = glam::Vec3::from_array(smoothed.points.get(TASK * task + k)).as_dvec3();
+                let seen = self.geometry.cloud_from_sensor.map_or(point, |transform| transform.to_sensor(point));
+                *range_m = self.geometry.range_m(seen) as f32;
+            }
+        });
+    }
+
+    /// Moves every point along its ray, from the range of the single frame to that over time. `single_m` becomes the
+    /// ratio of the two.
+    fn apply(&self, filter: &TemporalFilter, single_m: &mut [f32], ranges_m: &[f32], smoothed: &mut Smoothed) {
+        let [sensor_x, sensor_y, sensor_z] = self.geometry.sensor_position().as_vec3().to_array();
+        let [x, y, z] = smoothed.points.as_mut_slices();
+        let points = x.par_chunks_mut(TASK).zip(y.par_chunks_mut(TASK)).zip(z.par_chunks_mut(TASK));
+        let statuses = smoothed.status.as_deref_mut().unwrap_or_default().par_chunks_mut(TASK);
+        let ranges = single_m.par_chunks_mut(TASK).zip(ranges_m.par_chunks(TASK));
+        points.zip(statuses).zip(ranges).enumerate().for_each(|(task, (((xy, z), statuses), (ratios, ranges_m)))| {
+            let points = xy.0.iter_mut().zip(xy.1).zip(z).zip(statuses).zip(ratios.iter_mut().zip(ranges_m));
+            for (k, ((((x, y), z), status), (ratio, range_m))) in points.enumerate() {
+                *ratio = range_m / *ratio;
+                let is_carried = filter.is_carried(TASK * task + k);
+                // Without a normal a point stays as measured, since its status must tell that.
+                if !ratio.is_finite() || (is_carried && !status.has_normal()) {
+                    *ratio = 1.0;
+                    continue;
+                }
+                if is_carried {
+                    *status = Status::Carried;
+                }
+                *x = sensor_x + (*x - sensor_x) * *ratio;
+                *y = sensor_y + (*y - sensor_y) * *ratio;
+                *z = sensor_z + (*z - sensor_z) * *ratio;
+            }
+        });
+        let Some(depth_m) = &mut smoothed.depth_m else { return };
+        depth_m.par_iter_mut().zip(single_m.par_iter()).for_each(|(depth_m, ratio)| *depth_m *= ratio);
+        if let (Some(raw), Some(camera)) = (&mut smoothed.depth, &self.camera) {
+            raw.par_iter_mut().zip(depth_m.par_iter()).for_each(|(raw, depth_m)| *raw = camera.raw_depth(*depth_m));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::xyz::Xyz;
+
+    /// Smooths frames of 8x8 pixels at 2 m, the last of which has another range at one pixel.
+    fn last_of_video(status: Status, last_m: f32) -> Smoothed {
+        let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
+        let outputs = Outputs::POINTS;
+        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs };
+        let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
+        let mut last = Smoothed::default();
+        for t in 0..6 {
+            let range_m = |i: usize| if t == 5 && i == 27 { last_m } else { 2.0 };
+            let points: Xyz = (0..64).map(|i| [0.1 * range_m(i), -0.2 * range_m(i), range_m(i)]).collect();
+            last = Smoothed { width: 8, height: 8, points, status: Some(vec![status; 64]), ..Smoothed::default() };
+            let (mut single_m, mut ranges_m) = (Vec::new(), Vec::new());
+            sight.measure(&last, &mut single_m);
+            ranges_m.clone_from(&single_m);
+            filter.smooth(8, 8, &mut ranges_m).unwrap();
+            sight.apply(&filter, &mut single_m, &ranges_m, &mut last);
+        }
+        last
+    }
+
+    #[test]
+    fn a_value_that_was_carried_over_says_so() {
+        let last = last_of_video(Status::Polynomial2, 1.5);
+        let status = last.status.as_ref().unwrap();
+        assert_eq!((status[27], status[26]), (Status::Carried, Status::Polynomial2));
+        assert!(last.points.get(27).iter().zip([0.2, -0.4, 2.0]).all(|(a, b)| (a - b).abs() < 1e-6));
+        // Its status cannot tell both, so it is not carried.
+        let last = last_of_video(Status::Degenerate, 1.5);
+        assert_eq!(last.status.as_ref().unwrap()[27], Status::Degenerate);
+        assert_eq!(last.points.get(27)[2], 1.5);
+        // A hole stays one.
+        let last = last_of_video(Status::Hole, f32::NAN);
+        assert!(last.points.get(27)[2].is_nan() && last.status.as_ref().unwrap()[27] == Status::Hole);
+    }
+}

@@ -1,0 +1,76 @@
+//! Values of settings that have names.
+
+use crate::sensor::SensorModel;
+
+/// A named setting of all parameters; single values override it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Preset {
+    /// [`crate::Strength::LIGHT`], for small things.
+    Light,
+    /// [`crate::Strength::DEFAULT`], recommended.
+    #[default]
+    Default,
+    /// [`crate::Strength::STRONG`], for walls, floors and far ranges.
+    Strong,
+    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3.
+    Paper,
+}
+
+impl Preset {
+    /// All presets by their names.
+    pub const NAMED: [(&'static str, Self); 4] =
+        [("light", Self::Light), ("default", Self::Default), ("strong", Self::Strong), ("paper", Self::Paper)];
+}
+
+/// The sensor that took the frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum SensorChoice {
+    /// Estimated from the first frame.
+    Auto,
+    /// This one.
+    Known(SensorModel),
+}
+
+/// A radius given by the user.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum RadiusChoice {
+    /// Growing with distance as the sensor's noise does; for frames on a grid.
+    Sensor,
+    /// One radius for every point, in metres.
+    Metres(f32),
+}
+
+/// Whether the grid of a frame that lost it is rebuilt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum GridChoice {
+    /// An unorganized cloud whose points lie on the pixels of a camera is smoothed as a frame.
+    #[default]
+    Auto,
+    /// Unorganized clouds stay unorganized.
+    Off,
+}
+
+impl GridChoice {
+    /// All choices by their names.
+    pub const NAMED: [(&'static str, Self); 2] = [("auto", Self::Auto), ("off", Self::Off)];
+}
+
+/// Whether the frames of a video are smoothed over time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum TemporalChoice {
+    /// Every frame on its own.
+    #[default]
+    Off,
+    /// [`crate::TemporalParams::STEADY`]: for a camera at rest.
+    Steady,
+}
+
+impl TemporalChoice {
+    /// All choices by their names.
+    pub const NAMED: [(&'static str, Self); 2] = [("off", Self::Off), ("steady", Self::Steady)];
+}
