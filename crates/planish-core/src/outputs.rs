@@ -186,6 +186,16 @@ impl<'a> VectorsMut<'a> {
         }
     }
 
+    fn copy_from(&mut self, from: &Xyz) {
+        match self {
+            Self::Planes(to) => to.iter_mut().zip(from.as_slices()).for_each(|(to, from)| to.copy_from_slice(from)),
+            Self::Rows(rows) => rows.iter_mut().zip(from.iter()).for_each(|(row, value)| *row = value),
+            Self::Rows4(rows) => {
+                rows.iter_mut().zip(from.iter()).for_each(|(row, value)| row[..3].copy_from_slice(&value))
+            }
+        }
+    }
+
     fn is_hole(&self, i: usize) -> bool {
         match self {
             Self::Planes([x, _, _]) => x[i].is_nan(),
@@ -302,6 +312,26 @@ impl<'a> SmoothedMut<'a> {
                 to[i] = place.map_or(0, |place| from[place]);
             }
         }
+    }
+
+    /// Copies all results that it has buffers for, from one of the same length.
+    pub(crate) fn copy_from(&mut self, from: &Smoothed) {
+        fn copy<T: Copy>(to: &mut Option<&mut [T]>, from: Option<&[T]>) {
+            if let (Some(to), Some(from)) = (to, from) {
+                to.copy_from_slice(from);
+            }
+        }
+        if let Some(points) = &mut self.points {
+            points.copy_from(&from.points);
+        }
+        if let (Some(to), Some(from)) = (&mut self.normals, &from.normals) {
+            to.copy_from(from);
+        }
+        copy(&mut self.curvature, from.curvature.as_deref());
+        copy(&mut self.status, from.status.as_deref());
+        copy(&mut self.neighbours, from.neighbours.as_deref());
+        copy(&mut self.depth, from.depth.as_deref());
+        copy(&mut self.depth_m, from.depth_m.as_deref());
     }
 
     /// Without buffers.

@@ -116,7 +116,8 @@ impl Camera {
 
     /// Returns the raw value nearest to a depth in metres; 0 (a hole) if it is not finite or not representable.
     pub fn raw_depth(&self, depth_m: f32) -> u16 {
-        let raw = (f64::from(depth_m) * self.depth_units_per_metre + 0.5).floor();
+        // The cast rounds down.
+        let raw = f64::from(depth_m) * self.depth_units_per_metre + 0.5;
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
 

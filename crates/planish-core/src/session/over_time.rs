@@ -82,13 +82,7 @@ impl Session {
             None => Ok(()),
         });
         if result.is_ok() {
-            out.take_from(width * height, &smoothed, Some);
-            if let (Some(to), Some(from)) = (&mut out.depth, &smoothed.depth) {
-                to.copy_from_slice(from);
-            }
-            if let (Some(to), Some(from)) = (&mut out.depth_m, &smoothed.depth_m) {
-                to.copy_from_slice(from);
-            }
+            out.copy_from(&smoothed);
         }
         self.video.smoothed = smoothed;
         result
@@ -160,33 +154,40 @@ impl Sight {
     /// Moves every point along its ray, from the range of the single frame to that over time. `single_m` becomes the
     /// ratio of the two.
     fn apply(&self, filter: &TemporalFilter, single_m: &mut [f32], ranges_m: &[f32], smoothed: &mut Smoothed) {
-        let [sensor_x, sensor_y, sensor_z] = self.geometry.sensor_position().as_vec3().to_array();
+        let width = smoothed.width;
+        let sensor = self.geometry.sensor_position().as_vec3().to_array();
+        let ranges = single_m.par_chunks_mut(width).zip(ranges_m.par_chunks(width));
+        let statuses = smoothed.status.as_deref_mut().unwrap_or_default().par_chunks_mut(width);
         let [x, y, z] = smoothed.points.as_mut_slices();
-        let points = x.par_chunks_mut(TASK).zip(y.par_chunks_mut(TASK)).zip(z.par_chunks_mut(TASK));
-        let statuses = smoothed.status.as_deref_mut().unwrap_or_default().par_chunks_mut(TASK);
-        let ranges = single_m.par_chunks_mut(TASK).zip(ranges_m.par_chunks(TASK));
-        points.zip(statuses).zip(ranges).enumerate().for_each(|(task, (((xy, z), statuses), (ratios, ranges_m)))| {
-            let points = xy.0.iter_mut().zip(xy.1).zip(z).zip(statuses).zip(ratios.iter_mut().zip(ranges_m));
-            for (k, ((((x, y), z), status), (ratio, range_m))) in points.enumerate() {
+        let points = x.par_chunks_mut(width).zip(y.par_chunks_mut(width)).zip(z.par_chunks_mut(width));
+        points.zip(statuses).zip(ranges).enumerate().for_each(|(row, (((xy, z), statuses), (ratios, ranges_m)))| {
+            for (ratio, range_m) in ratios.iter_mut().zip(ranges_m) {
                 *ratio = range_m / *ratio;
-                let is_carried = filter.is_carried(TASK * task + k);
-                // Without a normal a point stays as measured, since its status must tell that.
-                if !ratio.is_finite() || (is_carried && !status.has_normal()) {
-                    *ratio = 1.0;
-                    continue;
+                // Holes stay as they are.
+                *ratio = if ratio.is_finite() { *ratio } else { 1.0 };
+            }
+            if filter.has_carried(row) {
+                for (u, (ratio, status)) in ratios.iter_mut().zip(statuses).enumerate() {
+                    match (filter.is_carried(row * width + u), status.has_normal()) {
+                        (true, true) => *status = Status::Carried,
+                        // The point stays as measured, since its status must tell that it has no normal.
+                        (true, false) => *ratio = 1.0,
+                        (false, _) => {}
+                    }
                 }
-                if is_carried {
-                    *status = Status::Carried;
-                }
-                *x = sensor_x + (*x - sensor_x) * *ratio;
-                *y = sensor_y + (*y - sensor_y) * *ratio;
-                *z = sensor_z + (*z - sensor_z) * *ratio;
+            }
+            for (values, sensor) in [xy.0, xy.1, z].into_iter().zip(sensor) {
+                values.iter_mut().zip(&*ratios).for_each(|(value, ratio)| *value = sensor + (*value - sensor) * ratio);
             }
         });
         let Some(depth_m) = &mut smoothed.depth_m else { return };
-        depth_m.par_iter_mut().zip(single_m.par_iter()).for_each(|(depth_m, ratio)| *depth_m *= ratio);
+        depth_m.par_chunks_mut(width).zip(single_m.par_chunks(width)).for_each(|(depth_m, ratios)| {
+            depth_m.iter_mut().zip(ratios).for_each(|(depth_m, ratio)| *depth_m *= ratio);
+        });
         if let (Some(raw), Some(camera)) = (&mut smoothed.depth, &self.camera) {
-            raw.par_iter_mut().zip(depth_m.par_iter()).for_each(|(raw, depth_m)| *raw = camera.raw_depth(*depth_m));
+            raw.par_chunks_mut(width).zip(depth_m.par_chunks(width)).for_each(|(raw, depth_m)| {
+                raw.iter_mut().zip(depth_m).for_each(|(raw, depth_m)| *raw = camera.raw_depth(*depth_m));
+            });
         }
     }
 }

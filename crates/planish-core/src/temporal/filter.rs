@@ -130,6 +130,12 @@ impl TemporalFilter {
         self.state.is_carried(self.place(i))
     }
 
+    /// Returns true if the value of some pixel of a row was carried over.
+    pub(crate) fn has_carried(&self, row: usize) -> bool {
+        let start = row * self.pitch;
+        self.state.has_carried(start..start + self.shape.0)
+    }
+
     fn place(&self, i: usize) -> usize {
         let (width, height) = self.shape;
         assert!(i < width * height, "pixel {i} of {width} x {height}");

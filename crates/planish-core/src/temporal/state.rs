@@ -59,6 +59,11 @@ impl State {
         (self.bias_idle[i] & !CARRIED) >> 16
     }
 
+    /// Returns true if the value of some of these pixels was carried.
+    pub(super) fn has_carried(&self, pixels: std::ops::Range<usize>) -> bool {
+        self.bias_idle[pixels].iter().fold(0, |all, word| all | word) & CARRIED != 0
+    }
+
     pub(super) fn is_carried(&self, i: usize) -> bool {
         self.bias_idle[i] & CARRIED != 0
     }
