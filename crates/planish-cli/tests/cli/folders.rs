@@ -1,6 +1,7 @@
 //! Folders of frames: each frame gets the result that it gets alone.
 
 use std::fs;
+use std::path::Path;
 
 use planish::DepthImage;
 use planish::io::{self, Encoding, write_cloud};
@@ -94,4 +95,30 @@ fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
     assert_eq!((one_by_one.0.len(), one_by_one.1.len()), (10, 10));
     assert!(smooth("many", &["--threads", "4"]) == one_by_one);
     assert!(smooth("little", &["--threads", "4", "--max-memory", "200M"]) == one_by_one);
+}
+
+#[test]
+fn a_folder_is_a_video_in_the_order_of_its_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, alone, video] = ["in", "alone", "video"].map(|name| folder.path().join(name));
+    fs::create_dir(&input).unwrap();
+    // A wall that comes nearer by 5 mm per frame: a frame out of order would start again.
+    for t in 0..12 {
+        let noise = |i: usize| ((i * 7919 + t * 104_729) % 13) as u16;
+        let raw = (0..160 * 120).map(|i| 2000 - 5 * t as u16 + noise(i)).collect();
+        io::write_depth(&input.join(format!("frame{t}.png")), &DepthImage { width: 160, height: 120, raw }).unwrap();
+    }
+    let report = ok(&["smooth", str(&input), str(&video), "--camera", CAMERA, "--temporal", "steady", "--json"]);
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let names: Vec<&str> =
+        report["frames"].as_array().unwrap().iter().map(|frame| frame["input"].as_str().unwrap()).collect();
+    assert!(names[2].ends_with("frame2.png") && names[11].ends_with("frame11.png"), "{names:?}");
+    ok(&["smooth", str(&input), str(&alone), "--camera", CAMERA]);
+    let read = |folder: &Path, t: usize| io::read(&folder.join(format!("frame{t}.png"))).unwrap();
+    assert_eq!(read(&video, 0), read(&alone, 0));
+    assert_ne!(read(&video, 11), read(&alone, 11));
+    let message =
+        refused(&["smooth", str(&input), str(&video), "--overwrite", "--temporal", "steady", "--repeat", "3"]);
+    assert!(message.contains("--repeat"), "{message}");
+    assert!(refused(&["evaluate", "--temporal", "steady"]).contains("only for the frames of one camera"));
 }
