@@ -119,7 +119,7 @@ pub fn smooth_bag(
     let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
     if chosen.len() > 1 {
         // Their frames would be mixed.
-        smoother.check_no_video()?;
+        smoother.settings().map_or(Ok(()), planish_core::Settings::check_no_video)?;
     }
     if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
         let allowed = "a name of letters, digits, _ and / that begins with a slash";

@@ -97,9 +97,9 @@ impl MessageSmoother {
         Ok(())
     }
 
-    /// Refuses to smooth over time, for frames of several cameras.
-    pub(crate) fn check_no_video(&self) -> Result<(), Error> {
-        Ok(self.session.settings().map_or(Ok(()), Settings::check_no_video)?)
+    /// Returns the settings; `None` for a smoother of explicit parameters.
+    pub fn settings(&self) -> Option<&Settings> {
+        self.session.settings()
     }
 
     /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
