@@ -22,8 +22,8 @@ pub enum Status {
     /// In an unorganized cloud, fewer than 3 neighbours, or fewer than about a quarter of the number that its radius
     /// was chosen for (section 8): the point is unchanged, without a normal.
     Isolated = 6,
-    /// Smoothed over time, and this pixel alone changed so much that the frame is not believed yet: the value is that
-    /// of the frame before (section 16). The normal is this frame's.
+    /// With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame
+    /// (section 16). The normal is this frame's.
     Carried = 7,
 }
 

@@ -125,6 +125,11 @@ impl PySmoother {
         Ok(Self(Mutex::new(State { session, status: Vec::new() })))
     }
 
+    fn restart_video(&self) -> PyResult<()> {
+        self.lock()?.session.restart_video();
+        Ok(())
+    }
+
     /// Returns the names of the given settings that have no effect on points without a grid.
     fn unused_by_clouds(&self) -> PyResult<Vec<&'static str>> {
         Ok(self.lock()?.session.settings().map(Settings::unused_by_clouds).unwrap_or_default())

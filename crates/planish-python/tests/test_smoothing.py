@@ -373,9 +373,9 @@ def _in_child(smoother, depth, queue):
     queue.put((smoother.smooth(depth).depth, again))
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_processes_that_are_forked_or_spawned_go_on(frame, method):
-    smoother = Smoother(frame.camera, engine="cpu", outputs=["depth"], threads=2)
+@pytest.mark.parametrize(("method", "temporal"), [("fork", "off"), ("fork", "steady"), ("spawn", "steady")])
+def test_processes_that_are_forked_or_spawned_go_on(frame, method, temporal):
+    smoother = Smoother(frame.camera, engine="cpu", outputs=["depth"], threads=2, temporal=temporal)
     expected = smoother.smooth(frame.depth).depth
     context = multiprocessing.get_context(method)
     queue = context.Queue()
@@ -449,6 +449,8 @@ def test_a_video_of_a_camera_at_rest() -> None:
         with planish.Smoother(camera, outputs=["depth_m", "status"], temporal=temporal, engine="cpu") as smoother:
             results = [smoother.smooth(frame).depth_m for frame in frames]
             assert (smoother.smooth(frames[0]).status != planish.Status.HOLE).all()
+            smoother.restart_video()
+            np.testing.assert_array_equal(smoother.smooth(frames[0]).depth_m, results[0])
         deviations[temporal] = np.std(np.diff(results[10:], axis=0))
     assert deviations["steady"] < 0.3 * deviations["off"], deviations
     with pytest.raises(ValueError, match="off or steady"):

@@ -411,7 +411,8 @@ pub enum FieldArg {
     Normals,
     /// Surface variation, 0 to 1/3
     Curvature,
-    /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated
+    /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated, 7
+    /// carried over from the frame before
     Status,
     /// No field (the default)
     None,

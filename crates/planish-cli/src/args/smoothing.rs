@@ -89,8 +89,7 @@ pub enum ProjectArg {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineArg {
-    /// A real GPU if there is one, otherwise the CPU; the CPU for a single file that it smooths before a GPU would be
-    /// open
+    /// A real GPU if available, otherwise the CPU; also the CPU if it finishes a single file before a GPU opens
     Auto,
     /// CPU in f32, with SIMD and threads
     Cpu,
@@ -194,7 +193,7 @@ pub struct SmoothingArgs {
     /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
-    /// For a video of a camera at rest: smooth over time, without trails behind what moves [default: off]
+    /// Smooth video from a stationary camera over time, without trails behind motion [default: off]
     ///
     /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. Not for a
     /// moving camera, rigs, or unorganized clouds.

@@ -90,6 +90,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
             args.input.display()
         );
     }
+    if worker.settings.temporal_params().is_some() {
+        errln!("{}: --temporal has no effect on a single frame", args.input.display());
+    }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
     check_not_settings(args.smoothing.settings.as_deref(), &args.output)?;

@@ -16,8 +16,8 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    /// Covers all points except strays: the middle of a sample, and its width again on either side. Points outside are
-    /// moved to the border, which affects only the order. Also returns the extent of the middle, in metres.
+    /// Covers the middle of a sample, without strays, and half its width on either side. Points outside are moved to
+    /// the border, which affects only the order. Also returns the extent of the middle, in metres.
     pub(super) fn of(raw: &[Vec<f32>; 3]) -> (Self, f64) {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
@@ -88,8 +88,8 @@ fn inverts<S: Simd>(simd: S, cell: S::u32s, bit: u32) -> S::u32s {
     S::u32s::splat(simd, 0) - ((cell >> bit) & S::u32s::splat(simd, 1))
 }
 
-/// Returns the numbers of cells along the first axis and along another. Below a bit that is set in the other, all bits
-/// of the first are inverted; below one that is not, both exchange their bits.
+/// Returns the cells along two axes after one step of the transposition: if `bit` is set in the other, the lower bits
+/// of the first are inverted; if not, the two swap their lower bits.
 #[inline(always)]
 fn turned<S: Simd>(simd: S, first: S::u32s, other: S::u32s, bit: u32) -> (S::u32s, S::u32s) {
     let below = S::u32s::splat(simd, (1 << bit) - 1);

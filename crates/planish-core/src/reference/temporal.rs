@@ -102,7 +102,7 @@ impl TemporalReference {
 
     /// Equations (16.1) and (16.3).
     fn measure(&self, i: usize, depth_m: f64) -> Measured {
-        if !(depth_m > 0.0 && depth_m.is_finite()) {
+        if !(depth_m > 0.0 && depth_m < 1e18) {
             return Measured::default();
         }
         let pixel = &self.pixels[i];

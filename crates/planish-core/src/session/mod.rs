@@ -413,7 +413,8 @@ impl Session {
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
-            std::mem::forget((self.open.take(), self.open_for_first.take()));
+            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video)));
+            self.sight = None;
             self.pending.clear();
             self.ready.clear();
             self.process = process;

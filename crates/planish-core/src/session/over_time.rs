@@ -18,7 +18,7 @@ use crate::view::SmoothedView;
 /// Pixels handled by a task.
 const TASK: usize = 1 << 14;
 
-/// How the points of a frame lie to its sensor.
+/// The geometry of a frame, and its sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
     geometry: FrameGeometry,
@@ -27,12 +27,25 @@ pub(super) struct Sight {
     camera: Option<Camera>,
     /// The requested results.
     outputs: Outputs,
+    /// Number of the video that the frame belongs to.
+    video: u64,
+}
+
+impl Sight {
+    /// Returns true if frames of both can be one video.
+    fn is_like(&self, other: &Self) -> bool {
+        let transforms = [self, other].map(|sight| sight.geometry.cloud_from_sensor);
+        self.sensor == other.sensor && self.camera == other.camera && transforms[0] == transforms[1]
+    }
 }
 
 /// The filter of a session, with its buffers.
 #[derive(Default)]
 pub(super) struct OverTime {
-    filter: Option<(SensorModel, TemporalFilter, Threads)>,
+    /// With the sight of its first frame.
+    filter: Option<(Sight, TemporalFilter, Threads)>,
+    /// Number of the video.
+    number: u64,
     ranges_m: Vec<f32>,
     /// The ranges of the frame before the filter.
     single_m: Vec<f32>,
@@ -65,9 +78,13 @@ impl Session {
             Frame::Points(points) => points.camera().copied(),
         };
         self.sight = match (self.over_time(frame), params) {
-            (Some(_), Params::Frame(params)) => {
-                Some(Sight { geometry, sensor: params.sensor, camera, outputs: self.options.outputs })
-            }
+            (Some(_), Params::Frame(params)) => Some(Sight {
+                geometry,
+                sensor: params.sensor,
+                camera,
+                outputs: self.options.outputs,
+                video: self.video.number,
+            }),
             _ => None,
         };
     }
@@ -102,13 +119,13 @@ impl Session {
         let Chosen::Settings(settings) = &self.chosen else { return Ok(()) };
         let Some(params) = settings.temporal_params() else { return Ok(()) };
         // Without a position of the sensor there are no ranges.
-        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
+        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) || sight.video != self.video.number {
             return Ok(());
         }
         let OverTime { filter, ranges_m, single_m, .. } = &mut self.video;
-        if filter.as_ref().is_none_or(|(sensor, ..)| *sensor != sight.sensor) {
+        if filter.as_ref().is_none_or(|(first, ..)| !first.is_like(sight)) {
             let threads = Threads::open(self.options.threads)?;
-            *filter = Some((sight.sensor, TemporalFilter::new(params, sight.sensor)?, threads));
+            *filter = Some((*sight, TemporalFilter::new(params, sight.sensor)?, threads));
         }
         let Some((_, filter, threads)) = filter else { return Ok(()) };
         threads.install(|| {
@@ -120,14 +137,14 @@ impl Session {
         })
     }
 
-    /// Forgets the frames of a video, as after a gap in time or when the camera was moved: the next frame is the first.
-    /// Only for sessions that smooth over time.
+    /// Forgets all frames of a video; call it after a gap in time or when the camera was moved. Frames in flight are
+    /// then smoothed in space only. Only for sessions that smooth over time.
     pub fn restart_video(&mut self) {
-        self.video = OverTime::default();
+        self.video = OverTime { number: self.video.number + 1, ..OverTime::default() };
     }
 
-    /// Returns the filter over time, which knows of each pixel how many frames it is the mean of; `None` before the
-    /// first frame, or if the session does not smooth over time.
+    /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
+    /// frame, or if the session does not smooth over time.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
         self.video.filter.as_ref().map(|(_, filter, _)| filter)
     }
@@ -139,7 +156,7 @@ impl Sight {
         let [_, _, z] = smoothed.points.as_slices();
         ranges_m.resize(z.len(), 0.0);
         if self.geometry.cloud_from_sensor.is_none() && matches!(self.geometry.rule, RangeRule::Depth { .. }) {
-            ranges_m.copy_from_slice(z);
+            ranges_m.iter_mut().zip(z).for_each(|(range_m, z)| *range_m = z.abs());
             return;
         }
         ranges_m.par_chunks_mut(TASK).enumerate().for_each(|(task, ranges_m)| {
@@ -201,7 +218,7 @@ mod tests {
     fn last_of_video(status: Status, last_m: f32) -> Smoothed {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
-        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs };
+        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0 };
         let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
         let mut last = Smoothed::default();
         for t in 0..6 {

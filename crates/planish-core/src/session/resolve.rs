@@ -22,7 +22,9 @@ impl Session {
             Chosen::Params(_, params) => Ok(((*params).into(), None)),
             Chosen::Settings(settings) if settings.estimates_sensor() && frame.grid().is_some() => {
                 let mut settings = Settings::clone(settings);
-                let kept = self.estimated.filter(|_| self.keeps_sensor);
+                // The noise model of a video must not change.
+                let keeps_sensor = self.keeps_sensor || settings.temporal_params().is_some();
+                let kept = self.estimated.filter(|_| keeps_sensor);
                 settings.sensor = kept.map(SensorChoice::Known).or(settings.sensor);
                 let resolved = settings.resolve(frame)?;
                 if let Params::Frame(params) = resolved.params

@@ -79,8 +79,8 @@ pub struct Settings {
     /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
     /// WebAssembly. Normals and curvature are not computed again.
     pub even: Option<bool>,
-    /// For the frames of a video from a camera at rest: whether they are smoothed over time, in the order in which a
-    /// session gets them [default: off]. Not for unorganized clouds, rigs or WebAssembly.
+    /// Smoothing over time for video from a stationary camera, in the order in which a session gets the frames
+    /// [default: off]. Not for unorganized clouds, rigs or WebAssembly.
     pub temporal: Option<TemporalChoice>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -282,7 +282,7 @@ impl Settings {
         (self.temporal == Some(TemporalChoice::Steady) && !ONE_THREAD).then_some(TemporalParams::STEADY)
     }
 
-    /// Refuses smoothing over time, for what is not the frames of one camera in their order.
+    /// Rejects smoothing over time, for inputs other than frames of one camera in order.
     ///
     /// # Errors
     /// If `temporal` is `steady`.

@@ -17,8 +17,8 @@ const CALM_TO_HOLD: f32 = 13.0;
 /// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
 ///
 /// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Where the scene changes, fewer frames count,
-/// so that moving things leave no trails. A filter belongs to one camera at rest and one shape of frames; another shape
-/// starts again. Smooth every frame in space first: the test for changes relies on it.
+/// so that moving things leave no trails. Use one filter per stationary camera; a frame of another shape resets it.
+/// Smooth every frame in space first: the test for changes relies on it.
 ///
 /// ```
 /// use planish::{SensorModel, TemporalFilter, TemporalParams};
@@ -75,8 +75,8 @@ impl TemporalFilter {
         Ok(Self { params, rule, level: Level::new(), shape: (0, 0), pitch: 0, state, tiles, planes })
     }
 
-    /// Smooths the depth of the next frame: metres along the optical axis, row by row. Values that are not positive and
-    /// finite are holes, which become NaN. Uses the threads of the pool that it is called in.
+    /// Smooths the depth of the next frame: metres along the optical axis, row by row. Values that are not
+    /// positive, or not below 1e18, are holes, which become NaN. Uses the threads of the pool that it is called in.
     ///
     /// # Errors
     /// If there are not `width` x `height` values.
@@ -121,8 +121,8 @@ impl TemporalFilter {
         self.state.frames(self.place(i))
     }
 
-    /// Returns true if the value of pixel `i` was not measured in the last frame, or was not believed, and was carried
-    /// over from the frame before.
+    /// Returns true if pixel `i` of the last frame was a hole or a suspected outlier, and its value is carried over
+    /// from earlier frames.
     ///
     /// # Panics
     /// If there is no such pixel.

@@ -10,7 +10,7 @@ mod tiles;
 pub use filter::TemporalFilter;
 pub use params::TemporalParams;
 
-/// Whether the noise of a sensor is constant in inverse depth or in depth: which of them is averaged.
+/// The averaged quantity: inverse depth or depth, whichever has the more constant noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Domain {
     /// Triangulating sensors.

@@ -14,7 +14,7 @@ use crate::error::ParamError;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct TemporalParams {
-    /// Number of frames that a still pixel is the mean of, at most: 1 to 16.
+    /// Maximum number of frames averaged in a still pixel, 1 to 16.
     pub frames: f32,
     /// Number of frames for which the value of a hole is carried on, 0 to 8. Carried values are flagged:
     /// [`TemporalFilter::is_carried`](crate::TemporalFilter::is_carried).
@@ -25,7 +25,7 @@ impl TemporalParams {
     /// The mean of up to 16 frames; holes stay holes.
     pub const STEADY: Self = Self { frames: 16.0, hold_frames: 0 };
 
-    /// Sets the number of frames that a still pixel is the mean of, at most: 1 to 16.
+    /// Sets the maximum number of frames averaged in a still pixel, 1 to 16.
     pub const fn with_frames(self, frames: f32) -> Self {
         Self { frames, ..self }
     }

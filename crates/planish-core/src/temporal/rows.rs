@@ -14,6 +14,8 @@ use crate::cpu::vector::{Mask, splat};
 pub(super) const MARGIN: usize = 2;
 /// Columns around a row; a multiple of every vector's lanes.
 const SIDE: usize = 16;
+/// Beyond this, the inverse of depth leaves f32.
+const MOST_DEPTH_M: f32 = 1e18;
 /// Noise below this share of a value is below what f32 resolves.
 const LEAST_NOISE: f32 = 1e-6;
 /// Changes are limited to this many sigmas in means over 5x5 pixels, and over tiles.
@@ -23,7 +25,7 @@ const CLIP_OF_TILE: f32 = 4.0;
 const CANDIDATE: f32 = 4.0;
 /// Deviations are at least this when single pixels are compared, in sigmas.
 const LEAST_DEVIATION: f32 = 0.7;
-/// Pixels of 3x3 that change to the same side as a candidate, itself included: it is a new surface at once.
+/// A candidate with this much support in 3x3 pixels, itself included, is a new surface at once.
 const SUPPORT: f32 = 3.0;
 /// Frames that a pixel must have for a single change to wait.
 const FRAMES_TO_WAIT: f32 = 3.0;
@@ -112,7 +114,7 @@ impl Rule {
     #[inline(always)]
     fn measure<S: Simd>(&self, simd: S, depth_m: S::f32s) -> Measured<S> {
         let one = splat(simd, 1.0);
-        let valid = depth_m.simd_gt(splat(simd, 0.0)) & depth_m.simd_lt(splat(simd, f32::INFINITY));
+        let valid = depth_m.simd_gt(splat(simd, 0.0)) & depth_m.simd_lt(splat(simd, MOST_DEPTH_M));
         let z = valid.select(depth_m, one);
         let [c0, c1, c2] = self.sigma;
         let (value, noise) = match self.domain {

@@ -2,7 +2,7 @@
 
 /// Columns and rows of a tile in pixels.
 pub(super) const TILE: usize = 16;
-/// A tile with as few pixels has no say.
+/// A tile this sparse has no effect.
 const FEW: f32 = 64.0;
 /// Deviations of a tile's change, and of its bias, that halve its weight.
 const CHANGE: f32 = 3.0;
@@ -17,7 +17,7 @@ const LEARN: f32 = 1.0 / 16.0;
 pub(super) struct Tile {
     bias: f32,
     variance: f32,
-    /// How much what is known of the tile's pixels still counts, 0 to 1.
+    /// Weight of the past frames of the tile's pixels, 0 to 1.
     pub(super) weight: f32,
 }
 

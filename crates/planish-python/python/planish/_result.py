@@ -27,7 +27,7 @@ class Status(enum.IntEnum):
     POLYNOMIAL_3 = 5
     #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
     ISOLATED = 6
-    #: Smoothed over time, and this pixel alone changed so much that the frame is not believed yet: the value of the frame before.
+    #: With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame.
     CARRIED = 7
 
 

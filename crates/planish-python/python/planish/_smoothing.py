@@ -257,6 +257,10 @@ class Smoother:
             self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
         return Smoothed(**arrays)
 
+    def restart_video(self) -> None:
+        """With ``temporal="steady"``, forget all frames before, as after a gap in time or when the camera was moved."""
+        self._engine.restart_video()
+
     def close(self) -> None:
         """Close the engine and free its memory; the next frame opens it again."""
         with self._order:

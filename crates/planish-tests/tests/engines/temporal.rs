@@ -6,8 +6,8 @@ use std::sync::Arc;
 use planish::internal::{TemporalReference, Threads};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    DepthFrame, Engine, FrameParams, OrganizedCloud, Outputs, PointsView, SensorModel, SensorPose, Session, Settings,
-    Smoothed, Smoother, TemporalFilter, TemporalParams, Xyz,
+    Camera, DepthFrame, Engine, FrameParams, OrganizedCloud, Outputs, PointsView, SensorModel, SensorPose, Session,
+    Settings, Smoothed, Smoother, TemporalFilter, TemporalParams, Xyz,
 };
 use planish_tests::scenes::small_camera;
 
@@ -425,6 +425,34 @@ fn a_cloud_with_a_pose_moves_along_its_rays() {
         let [u, v] = [x / z * 131.25 + 79.5, y / z * 131.25 + 59.5];
         assert!((u - (i % WIDTH) as f64).abs() < 1e-3 && (v - (i / WIDTH) as f64).abs() < 1e-3, "{i}: {u} {v}");
     }
+}
+
+#[test]
+fn a_video_keeps_its_sensor_and_starts_again_with_another_camera_or_after_a_gap() {
+    let frames = video(9);
+    let mut smoothed = Smoothed::default();
+    // The sensor that is estimated from the first frame serves all others.
+    let mut session = Session::new("temporal=steady engine=cpu sensor=auto".parse().unwrap()).unwrap();
+    for frame in &frames[..6] {
+        session.smooth(&**frame, &mut smoothed).unwrap();
+    }
+    let at = 20 * WIDTH + 100;
+    assert!(session.temporal_filter().unwrap().frames(at) > 5.0);
+
+    let mut session = Session::new(steady("cpu")).unwrap();
+    session.smooth(&*frames[0], &mut smoothed).unwrap();
+    session.smooth(&*frames[1], &mut smoothed).unwrap();
+    let other = DepthFrame::new(Camera::new((WIDTH, HEIGHT), [140.0; 2], [79.5, 59.5]), frames[2].raw.clone()).unwrap();
+    session.smooth(&other, &mut smoothed).unwrap();
+    assert_eq!(session.temporal_filter().unwrap().frames(at), 1.0);
+
+    // What was submitted before a gap does not belong to the video after it.
+    session.submit(Arc::clone(&frames[3]), Smoothed::default()).unwrap();
+    session.restart_video();
+    session.receive().unwrap().unwrap();
+    assert!(session.temporal_filter().is_none());
+    session.smooth(&*frames[4], &mut smoothed).unwrap();
+    assert_eq!(session.temporal_filter().unwrap().frames(at), 1.0);
 }
 
 #[test]
