@@ -182,3 +182,21 @@ def test_a_recording_of_a_realsense_streams_by_the_library_in_pyrealsense2(tmp_p
         planish.stream(f"realsense:{file}", align="colour")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="848x480@30"):
         planish.stream(f"realsense:{file}", mode="large")
+
+
+def test_a_video_of_a_camera_at_rest() -> None:
+    random = np.random.default_rng(2)
+    camera = planish.Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
+    frames = [(2000 + 7 * random.normal(size=(120, 160))).astype(np.uint16) for _ in range(20)]
+    deviations = {}
+    for temporal in ("off", "steady"):
+        with planish.Smoother(camera, outputs=["depth_m", "status"], temporal=temporal, engine="cpu") as smoother:
+            results = [smoother.smooth(frame).depth_m for frame in frames]
+            assert (smoother.smooth(frames[0]).status != planish.Status.HOLE).all()
+            smoother.restart_video()
+            np.testing.assert_array_equal(smoother.smooth(frames[0]).depth_m, results[0])
+        deviations[temporal] = np.std(np.diff(results[10:], axis=0))
+    assert deviations["steady"] < 0.3 * deviations["off"], deviations
+    with pytest.raises(ValueError, match="off or steady"):
+        planish.Smoother(camera, temporal="often")  # type: ignore[arg-type]
+    assert planish.Status.CARRIED == 7

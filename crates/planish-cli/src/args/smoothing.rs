@@ -193,7 +193,7 @@ pub struct SmoothingArgs {
     /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
-    /// Smooth video from a stationary camera over time, without trails behind motion [default: off]
+    /// Smooth video from a stationary camera over time [default: off]
     ///
     /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. Not for a
     /// moving camera, rigs, or unorganized clouds.

@@ -6,7 +6,7 @@ use crate::temporal::{Domain, TemporalParams};
 /// Width of tiles in pixels.
 const TILE: usize = 16;
 
-/// What is known of a pixel.
+/// The state of a pixel.
 #[derive(Clone, Copy)]
 struct Pixel {
     /// q.
@@ -22,7 +22,7 @@ struct Pixel {
     is_carried: bool,
 }
 
-/// What is known of a tile.
+/// The state of a tile.
 #[derive(Clone, Copy)]
 struct Tile {
     bias: f64,
@@ -35,7 +35,7 @@ struct Tile {
 struct Measured {
     /// o; `None` for a hole.
     value: Option<f64>,
-    /// e, if the pixel was known and is no hole.
+    /// e; `None` for unknown pixels and holes.
     change: Option<f64>,
     is_candidate: bool,
 }

@@ -187,7 +187,7 @@ impl Sight {
                 for (u, (ratio, status)) in ratios.iter_mut().zip(statuses).enumerate() {
                     match (filter.is_carried(row * width + u), status.has_normal()) {
                         (true, true) => *status = Status::Carried,
-                        // The point stays as measured, since its status must tell that it has no normal.
+                        // Its status must tell that it has no normal, so the point stays as measured.
                         (true, false) => *ratio = 1.0,
                         (false, _) => {}
                     }

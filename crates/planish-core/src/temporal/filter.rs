@@ -16,9 +16,9 @@ const CALM_TO_HOLD: f32 = 13.0;
 
 /// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
 ///
-/// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Where the scene changes, fewer frames count,
-/// so that moving things leave no trails. Use one filter per stationary camera; a frame of another shape resets it.
-/// Smooth every frame in space first: the test for changes relies on it.
+/// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Fewer frames count where the scene changes, so
+/// only objects hardly above their background leave short trails. Use one filter per stationary camera; a frame of
+/// another shape resets it. Smooth every frame in space first: the test for changes relies on it.
 ///
 /// ```
 /// use planish::{SensorModel, TemporalFilter, TemporalParams};
@@ -116,7 +116,7 @@ impl TemporalFilter {
     /// hole.
     ///
     /// # Panics
-    /// If there is no such pixel.
+    /// If `i` is not a pixel of the last frame.
     pub fn frames(&self, i: usize) -> f32 {
         self.state.frames(self.place(i))
     }
@@ -125,7 +125,7 @@ impl TemporalFilter {
     /// from earlier frames.
     ///
     /// # Panics
-    /// If there is no such pixel.
+    /// If `i` is not a pixel of the last frame.
     pub fn is_carried(&self, i: usize) -> bool {
         self.state.is_carried(self.place(i))
     }

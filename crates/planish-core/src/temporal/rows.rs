@@ -103,7 +103,7 @@ impl RowBuffers {
     }
 }
 
-/// What is averaged, for pixels with depth; and its standard deviation.
+/// The averaged quantity and its standard deviation, for pixels with depth.
 struct Measured<S: Simd> {
     valid: Mask<S>,
     value: S::f32s,

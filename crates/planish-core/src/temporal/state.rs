@@ -1,4 +1,4 @@
-//! What the filter knows of each pixel: 12 bytes.
+//! The state of each pixel: 12 bytes.
 
 use fearless_simd::{Simd, SimdBase, SimdCvtFloat, SimdCvtTruncate};
 
@@ -48,10 +48,10 @@ impl State {
         self.bias_idle.resize(len, (MOST_BIAS * PER_UNIT) as u32);
     }
 
-    /// Returns the effective frames of a pixel; 0 if it has no value in the last frame.
+    /// Returns the effective frames of a pixel, 0 if the last frame has no value for it.
     pub(super) fn frames(&self, i: usize) -> f32 {
         let has_value = self.bias_idle[i] >> 16 == 0 || self.is_carried(i);
-        if has_value { (self.frames_variance[i] & LOW) as f32 / PER_UNIT } else { 0.0 }
+        if has_value { self.remembered_frames(i) } else { 0.0 }
     }
 
     /// Returns the frames since the last update of a pixel.

@@ -2,7 +2,7 @@
 
 /// Columns and rows of a tile in pixels.
 pub(super) const TILE: usize = 16;
-/// A tile this sparse has no effect.
+/// Tiles with at most this many pixels keep a weight of 1.
 const FEW: f32 = 64.0;
 /// Deviations of a tile's change, and of its bias, that halve its weight.
 const CHANGE: f32 = 3.0;
@@ -12,7 +12,7 @@ const LEAST_VARIANCE: f32 = 0.0025;
 const LEAK: f32 = 0.25;
 const LEARN: f32 = 1.0 / 16.0;
 
-/// What the filter knows of a tile.
+/// The state of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tile {
     bias: f32,

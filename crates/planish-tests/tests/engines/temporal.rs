@@ -347,7 +347,7 @@ fn a_session_smooths_a_video_over_time_and_all_outputs_agree() {
             let ray = (((i % WIDTH) as f64 - 79.5) / 131.25) as f32;
             assert!(z.is_nan() || (x - ray * z).abs() < 2e-6, "pixel {i}: {x} is not on its ray at {z}");
         }
-        // What appears is seen at once, and nothing of what was behind it shows.
+        // A new object shows at once, without a trace of the wall.
         session.smooth(&*frames[19], &mut smoothed).unwrap();
         let depth_m = smoothed.depth_m.as_ref().unwrap();
         assert!((44..66).all(|v| (44..66).all(|u| (depth_m[v * WIDTH + u] - 1.4).abs() < 0.02)), "{engine}");
@@ -371,7 +371,7 @@ fn frames_in_flight_and_frames_one_by_one_give_the_same_video() {
         session.smooth(&**frame, &mut smoothed).unwrap();
         in_flight.submit(Arc::clone(frame), Smoothed::default()).unwrap();
         let received = in_flight.receive().unwrap().unwrap().into_smoothed();
-        // Only what was requested, although the filter needs more.
+        // Only the requested outputs, although the filter needs more.
         assert!(received.points.is_empty() && received.depth_m.is_none());
         assert_eq!(received, smoothed);
     }
@@ -446,7 +446,7 @@ fn a_video_keeps_its_sensor_and_starts_again_with_another_camera_or_after_a_gap(
     session.smooth(&other, &mut smoothed).unwrap();
     assert_eq!(session.temporal_filter().unwrap().frames(at), 1.0);
 
-    // What was submitted before a gap does not belong to the video after it.
+    // A frame submitted before a gap does not belong to the video after it.
     session.submit(Arc::clone(&frames[3]), Smoothed::default()).unwrap();
     session.restart_video();
     session.receive().unwrap().unwrap();
