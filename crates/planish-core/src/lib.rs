@@ -89,7 +89,7 @@ pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;
 pub use status::Status;
-pub use temporal::{TemporalFilter, TemporalParams};
+pub use temporal::{CameraMotion, TemporalFilter, TemporalParams};
 pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};
 #[cfg(feature = "wgpu-interop")]

@@ -26,6 +26,7 @@ mod depth_tiff;
 mod e57;
 mod error_text;
 mod format;
+mod frame_files;
 mod input;
 mod kitti;
 #[cfg(feature = "scans")]
@@ -56,6 +57,7 @@ pub(crate) use error_text::{brief, quoted};
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
 pub use format::{Encoding, Format, WRITTEN};
+pub use frame_files::frame_files;
 pub(crate) use input::FormatResult;
 #[cfg(feature = "scans")]
 pub(crate) use {
@@ -83,6 +85,6 @@ pub mod internal {
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::error_text::{brief, quoted};
     pub use crate::pcd::lzf;
-    pub use crate::rgb_png::{read_rgb_png, write_rgb_png};
+    pub use crate::rgb_png::{read_rgb_png, write_animated_png, write_rgb_png};
     pub use planish_core::AttributeValues;
 }

@@ -20,6 +20,39 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
+/// Writes pictures of one size as an animated PNG that repeats endlessly; grey if they all are.
+pub fn write_animated_png(path: &Path, images: &[RgbImage], frames_per_second: u16) -> Result<(), IoError> {
+    encode_animated(images, frames_per_second)
+        .and_then(|bytes| super::write_whole(path, &bytes))
+        .map_err(IoError::at(path))
+}
+
+fn encode_animated(images: &[RgbImage], frames_per_second: u16) -> Result<Vec<u8>, FormatError> {
+    let failed = |error: png::EncodingError| FormatError::Unsupported(format!("cannot encode an animation: {error}"));
+    let too_large = || FormatError::Unsupported("the animation is too large".to_owned());
+    let Some(first) = images.first() else { return Err(FormatError::Unsupported("no pictures".to_owned())) };
+    let [width, height, count] = [first.width, first.height, images.len()].map(u32::try_from);
+    let (width, height, count) =
+        (width.map_err(|_| too_large())?, height.map_err(|_| too_large())?, count.map_err(|_| too_large())?);
+    let is_grey = images.iter().all(|image| image.rgb.chunks_exact(3).all(|p| p[0] == p[1] && p[1] == p[2]));
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(if is_grey { png::ColorType::Grayscale } else { png::ColorType::Rgb });
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_animated(count, 0).map_err(failed)?;
+    encoder.set_frame_delay(1, frames_per_second).map_err(failed)?;
+    let mut writer = encoder.write_header().map_err(failed)?;
+    for image in images {
+        match is_grey {
+            true => writer.write_image_data(&image.rgb.iter().step_by(3).copied().collect::<Vec<_>>()),
+            false => writer.write_image_data(&image.rgb),
+        }
+        .map_err(failed)?;
+    }
+    writer.finish().map_err(failed)?;
+    Ok(bytes)
+}
+
 /// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
 pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
     let options = ReadOptions::default();

@@ -8,9 +8,11 @@ mod rig;
 mod smoothing;
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use planish::Outputs;
+use planish::simulate::Event;
+use planish::{Outputs, ParamError};
 use planish::io::Encoding;
 use planish::source::{Alignment, StreamMode};
 
@@ -360,9 +362,21 @@ pub struct EvaluateArgs {
     /// Real cloud, or depth image with --camera, whose flatness to measure before and after
     ///
     /// Measured in tiles of the grid; in patches of an unorganized cloud.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed", "export", "out"])]
+    ///
+    /// With --sequence: a folder of frames, a data set or a recording (.mcap).
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed"])]
     pub input: Option<PathBuf>,
-    /// Folder for report.json, error-over-z.svg, and error maps of the first seed's frames
+    /// Measure smoothing over time on simulated videos, all or the named one, or on that of --input
+    ///
+    /// Reports jitter, slow changes, errors against the truth, and how late or long moving objects show. With --out,
+    /// animated pictures show the measured, the smoothed and the steady frames. Names: still, fixed-pattern,
+    /// flickering-holes, slow-object, fast-object, thin-pole, appearing-object, moving-camera.
+    #[arg(long, value_name = "NAME", num_args = 0..=1, default_missing_value = "all", conflicts_with_all = ["rig", "general", "seeds"])]
+    pub sequence: Option<SequenceArg>,
+    /// Number of frames of each video
+    #[arg(long, value_name = "N", requires = "sequence", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub frames: Option<u64>,
+    /// Folder for report.json, error-over-z.svg, and error maps of the first seed's frames, or animated pictures
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]
@@ -382,9 +396,10 @@ pub struct EvaluateArgs {
     pub export: Option<PathBuf>,
     /// Results of another program to measure: a folder with the exported names; with --input a file
     ///
-    /// Organized clouds, with or without normals.
+    /// Organized clouds, with or without normals. With --sequence: folders of depth images or clouds; repeat the option
+    /// for several programs.
     #[arg(long, value_name = "DIR|FILE", hide_short_help = true, help_heading = OTHER_PROGRAMS)]
-    pub results: Option<PathBuf>,
+    pub results: Vec<PathBuf>,
     /// Number of cameras (2 to 8) of simulated rigs around a table, smoothed in every way
     ///
     /// Reports the error where several cameras see a surface and where one does, and how far surfaces are doubled.
@@ -403,6 +418,21 @@ pub struct EvaluateArgs {
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
+}
+
+/// The simulated videos to measure.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum SequenceArg {
+    All,
+    One(Event),
+}
+
+impl FromStr for SequenceArg {
+    type Err = ParamError;
+
+    fn from_str(text: &str) -> Result<Self, ParamError> {
+        if text == "all" { Ok(Self::All) } else { text.parse().map(Self::One) }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -1,5 +1,7 @@
 //! `planish evaluate`: how good the surface is.
 
+mod sequence;
+
 use crate::exit::ExitCode;
 use std::fs;
 use std::path::Path;
@@ -58,6 +60,15 @@ struct Patches {
 }
 
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    if let Some(videos) = args.sequence {
+        return sequence::evaluate(args, videos);
+    }
+    if args.results.len() > 1 {
+        bail!("--results: only --sequence measures the results of several programs at once");
+    }
+    if let (Some(_), Some(_)) = (&args.input, args.export.as_ref().or(args.out.as_ref())) {
+        bail!("--input: with a frame of your own there is nothing to export, and no report or map to put into --out");
+    }
     args.smoothing.settings()?.check_no_video().map_err(by_option)?;
     if args.smoothing.settings()?.devices.is_some() && args.rig.is_none() {
         bail!("devices has no effect on evaluate, which smooths one frame at a time; use engine and adapter");
@@ -83,7 +94,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         cloud.remove_floating(&sensor);
     }
     let (width, height) = (cloud.width(), cloud.height());
-    let (points, normals) = match &args.results {
+    let (points, normals) = match args.results.first() {
         Some(result) => result_in(result, (width, height))?,
         None => {
             let mut smoothed = Smoothed::default();
@@ -113,7 +124,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
 
 /// Evaluates a real unorganized cloud.
 fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
-    let (points, normals) = match &args.results {
+    let (points, normals) = match args.results.first() {
         Some(result) => {
             let Contents::General(other) = io::read(result)?.1 else {
                 bail!("{}: has a grid, but {} is an unorganized cloud", result.display(), file.display());
@@ -202,7 +213,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let first_seed = *seeds.start();
     let bar = ProgressBar::new(seeds.end() - seeds.start() + 1)
         .with_style(ProgressStyle::with_template("{bar:30} seed {pos} of {len}, {eta} left")?);
-    let mut methods = if args.results.is_some() || args.export.is_some() { Vec::new() } else { methods(args)? };
+    let mut methods = if !args.results.is_empty() || args.export.is_some() { Vec::new() } else { methods(args)? };
     let (mut raw, mut others) = (Evaluation::default(), Evaluation::default());
     for folder in [&args.export, &args.out].into_iter().flatten() {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -216,7 +227,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
             }
             let differences = difference_normals(cloud.width(), cloud.height(), cloud.positions());
             raw.add(&case, cloud.positions(), &differences);
-            if let Some(folder) = &args.results {
+            if let Some(folder) = args.results.first() {
                 let (points, normals) =
                     result_in(&folder.join(format!("{}.pcd", case.name)), (cloud.width(), cloud.height()))?;
                 others.add(&case, &points, &normals);
@@ -245,7 +256,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let jitter_mm = |points: &[Xyz]| (args.still_frames > 1).then(|| jitter_mm(&truth, points));
     let raw_jitter = jitter_mm(&stirring.collect::<Result<Vec<_>>>()?);
     let mut rows = vec![Row { name: "raw".into(), report: raw.report(), jitter_mm: raw_jitter, frame_ms: None }];
-    if let Some(folder) = &args.results {
+    if let Some(folder) = args.results.first() {
         let name = folder.display().to_string();
         rows.push(Row { name, report: others.report(), jitter_mm: None, frame_ms: None });
     }

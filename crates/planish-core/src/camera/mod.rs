@@ -121,6 +121,16 @@ impl Camera {
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
 
+    /// Projects the direction (x/z, y/z) to image coordinates (u, v).
+    #[inline]
+    pub(crate) fn project_ray(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        if self.distortion.is_none() {
+            return [self.fx as f32 * x + self.cx as f32, self.fy as f32 * y + self.cy as f32];
+        }
+        let ([x, y], _) = self.distortion.distort(f64::from(x), f64::from(y));
+        [(self.fx * x + self.cx) as f32, (self.fy * y + self.cy) as f32]
+    }
+
     /// Projects a point of the camera's frame to image coordinates (u, v); `None` behind the camera.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
         // False for a NaN.

@@ -1,5 +1,9 @@
 //! Section 16: a mean of each pixel over the frames of a video, in f64.
 
+use glam::DVec3;
+
+use crate::camera::Camera;
+use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::temporal::{Domain, TemporalParams};
 
@@ -20,6 +24,11 @@ struct Pixel {
     /// a.
     idle: u32,
     is_carried: bool,
+}
+
+impl Pixel {
+    /// A pixel that no frame has shown.
+    const UNKNOWN: Self = Self { mean: 0.0, frames: 0.0, bias: 0.0, variance: 0.5, idle: 0, is_carried: false };
 }
 
 /// The state of a tile.
@@ -57,15 +66,32 @@ impl TemporalReference {
 
     /// Smooths the depth of the next frame in place.
     pub fn smooth(&mut self, width: usize, height: usize, depth_m: &mut [f64]) {
+        self.start(width, height);
+        self.smooth_here(false, depth_m);
+    }
+
+    /// Smooths the depth of the next frame of a camera that has moved.
+    pub fn smooth_moved(&mut self, camera: &Camera, previous_from_current: &RigidTransform, depth_m: &mut [f64]) {
+        self.start(camera.width, camera.height);
+        if !previous_from_current.is_identity() {
+            let moved = (0..depth_m.len()).map(|i| self.look_up(camera, previous_from_current, i, depth_m[i]));
+            self.pixels = moved.map(Pixel::rounded).collect();
+        }
+        self.smooth_here(true, depth_m);
+    }
+
+    fn start(&mut self, width: usize, height: usize) {
         if self.shape != (width, height) {
             self.shape = (width, height);
-            let pixel = Pixel { mean: 0.0, frames: 0.0, bias: 0.0, variance: 0.5, idle: 0, is_carried: false };
-            self.pixels = vec![pixel; width * height];
+            self.pixels = vec![Pixel::UNKNOWN; width * height];
             let tile = Tile { bias: 0.0, variance: 0.04, weight: 1.0 };
             self.tiles = vec![tile; width.div_ceil(TILE) * height.div_ceil(TILE)];
         }
+    }
+
+    fn smooth_here(&mut self, knows_motion: bool, depth_m: &mut [f64]) {
         let measured: Vec<Measured> = (0..depth_m.len()).map(|i| self.measure(i, depth_m[i])).collect();
-        self.update_tiles(&measured);
+        self.update_tiles(&measured, if knows_motion { 2.0 } else { 1.0 });
         let calm: Vec<bool> = (0..depth_m.len()).map(|i| self.update(i, &measured, &mut depth_m[i])).collect();
         for (i, value) in depth_m.iter_mut().enumerate() {
             self.hold(i, &measured, &calm, value);
@@ -100,6 +126,54 @@ impl TemporalReference {
         }
     }
 
+    /// Equations (16.8) to (16.10): the state of pixel i as the current camera sees it.
+    fn look_up(&self, camera: &Camera, previous_from_current: &RigidTransform, i: usize, depth_m: f64) -> Pixel {
+        let (width, height) = self.shape;
+        let depth_m = match depth_m {
+            _ if depth_m > 0.0 && depth_m < 1e18 => depth_m,
+            _ if self.pixels[i].frames > 0.0 => self.depth_m(self.pixels[i].mean),
+            _ => return Pixel::UNKNOWN,
+        };
+        let seen_at = [((i % width) as f64 - camera.cx) / camera.fx, ((i / width) as f64 - camera.cy) / camera.fy];
+        let Some([x, y]) = camera.distortion.undistort(seen_at) else { return Pixel::UNKNOWN };
+        let before = previous_from_current.to_cloud(depth_m * DVec3::new(x, y, 1.0));
+        let Some([u, v]) = camera.project(before.to_array()).filter(|_| before.z >= 0.05) else {
+            return Pixel::UNKNOWN;
+        };
+        let is_inside = u > -0.5 && v > -0.5 && u < width as f64 - 0.5 && v < height as f64 - 0.5;
+        if !is_inside {
+            return Pixel::UNKNOWN;
+        }
+        let place = |u: f64, v: f64| {
+            v.clamp(0.0, height as f64 - 1.0) as usize * width + u.clamp(0.0, width as f64 - 1.0) as usize
+        };
+        let (value, sigma) = self.value(before.z);
+        let (mut weights, mut mean, mut frames, mut bias) = (0.0, 0.0, 0.0, 0.0);
+        for (du, dv) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+            let (at_u, at_v) = (u.floor() + du, v.floor() + dv);
+            let weight = (1.0 - (u - at_u).abs()) * (1.0 - (v - at_v).abs());
+            let pixel = &self.pixels[place(at_u, at_v)];
+            let band = 5.0 * sigma * (1.0 + 1.0 / pixel.frames.max(1.0)).sqrt() + 0.004 * value;
+            if pixel.frames > 0.0 && (pixel.mean - value).abs() < band {
+                weights += weight;
+                mean += weight * pixel.mean;
+                frames += weight * pixel.frames;
+                bias += weight * pixel.bias;
+            }
+        }
+        let nearest = Pixel { is_carried: false, ..self.pixels[place((u + 0.5).floor(), (v + 0.5).floor())] };
+        let found = if weights > 0.2 {
+            Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest }
+        } else {
+            Pixel { bias: 0.0, ..nearest }
+        };
+        if found.frames <= 0.0 {
+            return Pixel::UNKNOWN;
+        }
+        let now = previous_from_current.to_sensor(before / before.z * self.depth_m(found.mean));
+        if now.z < 0.05 { Pixel::UNKNOWN } else { Pixel { mean: self.value(now.z).0, ..found } }
+    }
+
     /// Equations (16.1) and (16.3).
     fn measure(&self, i: usize, depth_m: f64) -> Measured {
         if !(depth_m > 0.0 && depth_m < 1e18) {
@@ -116,7 +190,7 @@ impl TemporalReference {
     }
 
     /// Equation (16.5).
-    fn update_tiles(&mut self, measured: &[Measured]) {
+    fn update_tiles(&mut self, measured: &[Measured], gate: f64) {
         let (width, height) = self.shape;
         let across = width.div_ceil(TILE);
         for (number, tile) in self.tiles.iter_mut().enumerate() {
@@ -136,7 +210,8 @@ impl TemporalReference {
             let deviation = tile.variance.sqrt();
             let from_bias = (mean - tile.bias).abs().min(3.0 * deviation);
             tile.bias += (mean - tile.bias) / 4.0;
-            tile.weight = 1.0 / (1.0 + (mean / (3.0 * deviation)).powi(4) + (tile.bias / (1.5 * deviation)).powi(4));
+            let of_change = (mean / (3.0 * gate * deviation)).powi(4);
+            tile.weight = 1.0 / (1.0 + of_change + (tile.bias / (1.5 * gate * deviation)).powi(4));
             let learnt = 0.875 * from_bias.powi(2) - tile.variance;
             tile.variance = (tile.variance + learnt / 16.0).clamp(0.0025, 1.0);
         }

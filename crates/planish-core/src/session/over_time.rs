@@ -8,10 +8,11 @@ use crate::error::Error;
 use crate::frame::{Frame, FrameGeometry, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::Params;
+use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
-use crate::temporal::{TemporalFilter, TemporalParams};
+use crate::temporal::{CameraMotion, TemporalFilter, TemporalParams};
 use crate::threads::Threads;
 use crate::view::SmoothedView;
 
@@ -29,6 +30,8 @@ pub(super) struct Sight {
     outputs: Outputs,
     /// Number of the video that the frame belongs to.
     video: u64,
+    /// world_from_camera.
+    pose: Option<SensorPose>,
 }
 
 impl Sight {
@@ -46,6 +49,9 @@ pub(super) struct OverTime {
     filter: Option<(Sight, TemporalFilter, Threads)>,
     /// Number of the video.
     number: u64,
+    /// The pose stated for the next frames, and that of the last frame.
+    pose: Option<SensorPose>,
+    last_pose: Option<SensorPose>,
     ranges_m: Vec<f32>,
     /// The ranges of the frame before the filter.
     single_m: Vec<f32>,
@@ -84,6 +90,7 @@ impl Session {
                 camera,
                 outputs: self.options.outputs,
                 video: self.video.number,
+                pose: self.video.pose,
             }),
             _ => None,
         };
@@ -122,25 +129,45 @@ impl Session {
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) || sight.video != self.video.number {
             return Ok(());
         }
-        let OverTime { filter, ranges_m, single_m, .. } = &mut self.video;
+        let OverTime { filter, ranges_m, single_m, last_pose, .. } = &mut self.video;
         if filter.as_ref().is_none_or(|(first, ..)| !first.is_like(sight)) {
             let threads = Threads::open(self.options.threads)?;
             *filter = Some((*sight, TemporalFilter::new(params, sight.sensor)?, threads));
         }
         let Some((_, filter, threads)) = filter else { return Ok(()) };
+        let last_pose = std::mem::replace(last_pose, sight.pose);
+        let motion = sight.motion_since(last_pose)?;
         threads.install(|| {
             sight.measure(smoothed, ranges_m);
             single_m.clone_from(ranges_m);
-            filter.smooth(smoothed.width, smoothed.height, ranges_m)?;
+            match motion {
+                Some(motion) => filter.smooth_moved(&motion, ranges_m)?,
+                None => filter.smooth(smoothed.width, smoothed.height, ranges_m)?,
+            }
             sight.apply(filter, single_m, ranges_m, smoothed);
             Ok(())
         })
     }
 
+    /// Sets the pose of the camera in the world (x right, y down, z forward) for the frames smoothed or submitted from
+    /// now on, or `None` if it is unknown. With poses, a video of a moving camera is smoothed over time as well: each
+    /// pixel follows its surface. Needs frames with a camera; only the motion from frame to frame matters.
+    ///
+    /// # Errors
+    /// If the pose is invalid.
+    pub fn set_camera_pose(&mut self, world_from_camera: Option<SensorPose>) -> Result<(), Error> {
+        if let Some(pose) = &world_from_camera {
+            pose.validate()?;
+        }
+        self.video.pose = world_from_camera;
+        Ok(())
+    }
+
     /// Forgets all frames of a video; call it after a gap in time or when the camera was moved. Frames in flight are
     /// then smoothed in space only. Only for sessions that smooth over time.
     pub fn restart_video(&mut self) {
-        self.video = OverTime { number: self.video.number + 1, ..OverTime::default() };
+        let OverTime { number, pose, .. } = self.video;
+        self.video = OverTime { number: number + 1, pose, ..OverTime::default() };
     }
 
     /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
@@ -151,6 +178,17 @@ impl Session {
 }
 
 impl Sight {
+    /// Returns how the camera has moved since the last frame, if both poses are known.
+    fn motion_since(&self, last_pose: Option<SensorPose>) -> Result<Option<CameraMotion>, Error> {
+        let is_of_camera = matches!(self.geometry.rule, RangeRule::Depth { .. });
+        match (last_pose, self.pose, self.camera) {
+            (Some(previous), Some(current), Some(camera)) if is_of_camera => {
+                Ok(Some(CameraMotion::between(camera, &previous, &current)?))
+            }
+            _ => Ok(None),
+        }
+    }
+
     /// Measures the ranges of all points.
     fn measure(&self, smoothed: &Smoothed, ranges_m: &mut Vec<f32>) {
         let [_, _, z] = smoothed.points.as_slices();
@@ -218,7 +256,7 @@ mod tests {
     fn last_of_video(status: Status, last_m: f32) -> Smoothed {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
-        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0 };
+        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0, pose: None };
         let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
         let mut last = Smoothed::default();
         for t in 0..6 {

@@ -3,10 +3,12 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
+use super::motion::{CameraMotion, Lookup};
 use super::rows::{ChangeRow, MARGIN, RowBuffers, Rule, UpdateRow, measure_changes, update};
 use super::state::State;
 use super::tiles::{TILE, Tile};
 use super::{Domain, TemporalParams};
+use crate::camera::Rays;
 use crate::error::{FrameError, ParamError};
 use crate::sensor::SensorModel;
 
@@ -43,6 +45,9 @@ pub struct TemporalFilter {
     /// Pixels of a row of planes: a multiple of a tile's.
     pitch: usize,
     state: State,
+    /// The state as a camera that has moved sees it.
+    moved: State,
+    rays: Rays,
     tiles: Vec<Tile>,
     planes: Planes,
 }
@@ -71,8 +76,9 @@ impl TemporalFilter {
         params.validate()?;
         sensor.validate()?;
         let rule = Rule { domain: Domain::of(&sensor), sigma: sensor.sigma, most_frames: params.frames };
-        let (state, tiles, planes) = Default::default();
-        Ok(Self { params, rule, level: Level::new(), shape: (0, 0), pitch: 0, state, tiles, planes })
+        let (state, moved, rays, tiles, planes) = Default::default();
+        let level = Level::new();
+        Ok(Self { params, rule, level, shape: (0, 0), pitch: 0, state, moved, rays, tiles, planes })
     }
 
     /// Smooths the depth of the next frame: metres along the optical axis, row by row. Values that are not
@@ -81,6 +87,26 @@ impl TemporalFilter {
     /// # Errors
     /// If there are not `width` x `height` values.
     pub fn smooth(&mut self, width: usize, height: usize, depth_m: &mut [f32]) -> Result<(), FrameError> {
+        self.smooth_moved_by(None, width, height, depth_m)
+    }
+
+    /// Smooths the depth of the next frame of a camera that has moved since the frame before. The first frame, and the
+    /// first after a [`reset`](Self::reset), ignores the motion.
+    ///
+    /// # Errors
+    /// As [`smooth`](Self::smooth), for the camera's width and height; and if the camera or the motion is invalid.
+    pub fn smooth_moved(&mut self, motion: &CameraMotion, depth_m: &mut [f32]) -> Result<(), FrameError> {
+        motion.camera.validate()?;
+        self.smooth_moved_by(Some(motion), motion.camera.width, motion.camera.height, depth_m)
+    }
+
+    fn smooth_moved_by(
+        &mut self,
+        motion: Option<&CameraMotion>,
+        width: usize,
+        height: usize,
+        depth_m: &mut [f32],
+    ) -> Result<(), FrameError> {
         let expected = width * height;
         if depth_m.len() != expected {
             return Err(FrameError::LengthMismatch { what: "the depth".to_owned(), len: depth_m.len(), expected });
@@ -94,9 +120,12 @@ impl TemporalFilter {
         let pitch = self.pitch;
         let rows = self.planes.depth_m.par_chunks_mut(pitch).zip(depth_m.par_chunks(width));
         rows.for_each(|(row, from)| row[..width].copy_from_slice(from));
+        if let Some(motion) = motion {
+            self.move_state(motion)?;
+        }
         self.measure_changes();
         for (tile, &[sum, count]) in self.tiles.iter_mut().zip(&self.planes.tiles) {
-            tile.update(sum, count);
+            tile.update(sum, count, motion.is_some());
         }
         self.update();
         if self.params.hold_frames > 0 {
@@ -148,6 +177,7 @@ impl TemporalFilter {
         self.pitch = width.next_multiple_of(TILE);
         let len = self.pitch * height;
         self.state.reset(len);
+        self.moved = State::default();
         let tiles = self.pitch / TILE * height.div_ceil(TILE);
         self.tiles = vec![Tile::default(); tiles];
         let with_margin = vec![0.0; len + 2 * MARGIN * self.pitch];
@@ -161,6 +191,23 @@ impl TemporalFilter {
             tiles: vec![[0.0; 2]; tiles],
             buffers: vec![RowBuffers::of_pitch(self.pitch); height.div_ceil(TILE)],
         };
+    }
+
+    /// Moves the state into the view of the current frame.
+    fn move_state(&mut self, motion: &CameraMotion) -> Result<(), FrameError> {
+        let transform = motion.previous_from_current.transform()?;
+        if transform.is_identity() {
+            return Ok(());
+        }
+        self.rays.set(&motion.camera);
+        if self.moved.mean.len() != self.state.mean.len() {
+            self.moved.reset(self.state.mean.len());
+        }
+        let (rule, pitch) = (self.rule, self.pitch);
+        let lookup = Lookup { rule, camera: &motion.camera, rays: &self.rays, motion: transform, pitch };
+        lookup.move_state(&self.planes.depth_m, &self.state, &mut self.moved);
+        std::mem::swap(&mut self.state, &mut self.moved);
+        Ok(())
     }
 
     fn measure_changes(&mut self) {

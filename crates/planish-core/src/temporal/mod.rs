@@ -2,12 +2,14 @@
 //! a video, which gives way where the scene changes.
 
 mod filter;
+mod motion;
 mod params;
 mod rows;
 mod state;
 mod tiles;
 
 pub use filter::TemporalFilter;
+pub use motion::CameraMotion;
 pub use params::TemporalParams;
 
 /// The averaged quantity: inverse depth or depth, whichever has the more constant noise.
@@ -24,5 +26,13 @@ impl Domain {
     pub(crate) fn of(sensor: &crate::SensorModel) -> Self {
         let [c0, c1, c2] = sensor.sigma;
         if 4.0 * c2 > c0 + 2.0 * c1 { Self::InverseDepth } else { Self::Depth }
+    }
+
+    /// Returns the depth of a value.
+    fn depth_m(self, value: f32) -> f32 {
+        match self {
+            Self::InverseDepth => 1.0 / value,
+            Self::Depth => value,
+        }
     }
 }

@@ -127,6 +127,21 @@ impl Rule {
         };
         Measured { valid, value, noise: noise.max(value * splat(simd, LEAST_NOISE)) }
     }
+
+    /// Returns false for holes.
+    pub(super) fn is_valid(&self, depth_m: f32) -> bool {
+        depth_m > 0.0 && depth_m < MOST_DEPTH_M
+    }
+
+    /// Returns the averaged quantity and its standard deviation at one depth.
+    pub(super) fn value(&self, depth_m: f32) -> (f32, f32) {
+        let [c0, c1, c2] = self.sigma;
+        let (value, noise) = match self.domain {
+            Domain::InverseDepth => (1.0 / depth_m, (c0 / depth_m + c1) / depth_m + c2),
+            Domain::Depth => (depth_m, (c2 * depth_m + c1) * depth_m + c0),
+        };
+        (value, noise.max(LEAST_NOISE * value))
+    }
 }
 
 /// Returns the deviation with which single pixels are compared.

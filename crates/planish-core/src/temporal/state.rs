@@ -27,6 +27,17 @@ pub(super) struct State {
     pub(super) bias_idle: Vec<u32>,
 }
 
+/// The state of a pixel, unpacked.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pixel {
+    pub(super) mean: f32,
+    pub(super) frames: f32,
+    pub(super) variance: f32,
+    pub(super) bias: f32,
+    /// Frames since the last update.
+    pub(super) idle: u32,
+}
+
 /// The state of the pixels of a vector, unpacked.
 pub(super) struct Unpacked<S: Simd> {
     pub(super) mean: S::f32s,
@@ -54,6 +65,17 @@ impl State {
         if has_value { self.remembered_frames(i) } else { 0.0 }
     }
 
+    /// Returns the state of a pixel.
+    pub(super) fn pixel(&self, i: usize) -> Pixel {
+        Pixel {
+            mean: self.mean[i],
+            frames: self.remembered_frames(i),
+            variance: (self.frames_variance[i] >> 16) as f32 / PER_VARIANCE,
+            bias: (self.bias_idle[i] & LOW) as f32 / PER_UNIT - MOST_BIAS,
+            idle: self.idle(i),
+        }
+    }
+
     /// Returns the frames since the last update of a pixel.
     pub(super) fn idle(&self, i: usize) -> u32 {
         (self.bias_idle[i] & !CARRIED) >> 16
@@ -75,6 +97,18 @@ impl State {
     /// Returns the effective frames that a pixel had when it was last seen.
     pub(super) fn remembered_frames(&self, i: usize) -> f32 {
         (self.frames_variance[i] & LOW) as f32 / PER_UNIT
+    }
+}
+
+impl Pixel {
+    /// A pixel that no frame has shown.
+    pub(super) const UNKNOWN: Self = Self { mean: 0.0, frames: 0.0, variance: FIRST_VARIANCE, bias: 0.0, idle: 0 };
+
+    /// Returns mean, frames and variance, and bias and idle frames, as [`State`] stores them.
+    pub(super) fn packed(self) -> (f32, u32, u32) {
+        let steps = |value: f32, per_unit: f32| (value * per_unit + 0.5) as u32;
+        let frames_variance = steps(self.frames, PER_UNIT) | (steps(self.variance, PER_VARIANCE) << 16);
+        (self.mean, frames_variance, steps(self.bias + MOST_BIAS, PER_UNIT) | (self.idle << 16))
     }
 }
 

@@ -10,6 +10,7 @@ mod patches;
 mod rig;
 mod suite;
 mod tiles;
+mod video;
 
 use crate::simulate::{NO_OBJECT, Truth};
 use planish_core::{Camera, Xyz};
@@ -20,6 +21,7 @@ pub use patches::{PatchReport, patch_planes};
 pub use rig::{RigCase, RigCaseCamera, RigEvaluation, RigReport, RigSuite};
 pub use suite::{Case, Gauges, Suite};
 pub use tiles::{LargestPlane, TileReport, largest_plane, tile_planes};
+pub use video::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
 
 /// Errors over a set of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -20,6 +20,7 @@ mod rig;
 mod scene;
 mod scenes;
 mod sensor;
+mod sequence;
 
 #[doc(hidden)]
 pub use planish_core::Camera;
@@ -29,3 +30,4 @@ pub use rig::{PoseErrors, RigScene};
 pub use scene::{NO_OBJECT, Pose, Scene, Shape, Truth};
 pub use scenes::{CURVES_RANGES_M, Curve, Gauge};
 pub use sensor::{DepthNoise, DepthSimulator, ErrorUnit};
+pub use sequence::{Event, Sequence, SequenceFrame};

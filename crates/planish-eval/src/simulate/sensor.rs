@@ -40,6 +40,8 @@ pub struct DepthNoise {
     pub fixed_pattern_correlation_px: f64,
     /// RMS of the temporal noise in units.
     pub temporal_rms: f64,
+    /// Distance in pixels at which the temporal noise's correlation has fallen to 1/e; 0 for independent pixels.
+    pub temporal_correlation_px: f64,
     /// Standard deviation in pixels by which a pixel at a step samples off its ray.
     pub edge_jitter_px: f64,
     /// Probability that a pixel at a step floats between the two surfaces.
@@ -61,6 +63,7 @@ impl Default for DepthNoise {
             fixed_pattern_rms: 0.5,
             fixed_pattern_correlation_px: 2.5,
             temporal_rms: 0.3,
+            temporal_correlation_px: 0.0,
             edge_jitter_px: 0.8,
             flying_pixel_probability: 0.15,
             projector_baseline_m: 0.075,
@@ -78,6 +81,7 @@ impl DepthNoise {
         fixed_pattern_rms: 0.0,
         fixed_pattern_correlation_px: 1.0,
         temporal_rms: 0.0,
+        temporal_correlation_px: 0.0,
         edge_jitter_px: 0.0,
         flying_pixel_probability: 0.0,
         projector_baseline_m: 0.0,
@@ -103,6 +107,7 @@ impl DepthNoise {
                 fixed_pattern_rms: 0.8 * STEREO_NOISE_IN_STEPS,
                 fixed_pattern_correlation_px: 3.0,
                 temporal_rms: 0.6 * STEREO_NOISE_IN_STEPS,
+                temporal_correlation_px: 0.0,
                 edge_jitter_px: 1.5,
                 flying_pixel_probability: 0.15,
                 projector_baseline_m: 0.05,
@@ -115,6 +120,7 @@ impl DepthNoise {
                 fixed_pattern_rms: 0.3,
                 fixed_pattern_correlation_px: 1.0,
                 temporal_rms: 0.95,
+                temporal_correlation_px: 0.0,
                 edge_jitter_px: 0.3,
                 flying_pixel_probability: 0.3,
                 projector_baseline_m: 0.0,
@@ -140,11 +146,15 @@ pub struct DepthSimulator {
 
 const STREAM_FIXED_PATTERN: u64 = 3;
 const STREAM_FRAME: u64 = 4;
+const STREAM_TEMPORAL: u64 = 1 << 48;
 
 impl DepthSimulator {
     /// Creates a sensor whose fixed pattern is given by the seed.
     pub fn new(noise: DepthNoise, camera: Camera, seed: u64) -> Self {
-        Self { noise, camera, seed, fixed_pattern: fixed_pattern(&noise, &camera, seed) }
+        let correlation_px = noise.fixed_pattern_correlation_px;
+        let random = Random::new(seed, STREAM_FIXED_PATTERN);
+        let fixed_pattern = correlated(noise.fixed_pattern_rms, correlation_px, &camera, random);
+        Self { noise, camera, seed, fixed_pattern }
     }
 
     /// Returns frame `index` of `truth`; frames differ in their temporal noise only.
@@ -156,20 +166,28 @@ impl DepthSimulator {
         if (frame_width, frame_height) != (width, height) {
             return Err(FrameError::ShapeMismatch { frame_width, frame_height, width, height });
         }
+        let correlation_px = self.noise.temporal_correlation_px;
+        let temporal = (correlation_px > 0.0).then(|| {
+            let random = Random::new(self.seed, STREAM_TEMPORAL + index);
+            correlated(1.0, correlation_px, &self.camera, random)
+        });
         let mut raw = vec![0; width * height];
         raw.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
             let stream = STREAM_FRAME + (index * height as u64 + v as u64);
-            self.simulate_row(truth, v, &mut Random::new(self.seed, stream), row);
+            let temporal = temporal.as_ref().map(|temporal| &temporal[v * width..(v + 1) * width]);
+            self.simulate_row(truth, v, temporal, &mut Random::new(self.seed, stream), row);
         });
         Ok(DepthFrame::new(self.camera, raw)?.with_rgb(colours(truth)))
     }
 
-    fn simulate_row(&self, truth: &Truth, v: usize, random: &mut Random, row: &mut [u16]) {
+    /// Without a row of temporal noise, draws independent values.
+    fn simulate_row(&self, truth: &Truth, v: usize, noise: Option<&[f32]>, random: &mut Random, row: &mut [u16]) {
         let shadow = self.shadow(truth, v);
         for (u, raw) in row.iter_mut().enumerate() {
             let i = v * self.camera.width + u;
             // Drawn for every pixel, so that a pixel's noise does not depend on what its neighbours show.
             let (temporal, jitter_u, jitter_v) = (random.normal(), random.normal(), random.normal());
+            let temporal = noise.map_or(temporal, |noise| f64::from(noise[u]));
             let (drop_chance, fly_chance, fly_at) = (random.uniform(), random.uniform(), random.uniform());
             if shadow[u] || drop_chance < self.dropout_probability(truth.incidence_cosine(i)) {
                 continue;
@@ -252,14 +270,13 @@ fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
 }
 
 /// Filters white noise by a Gaussian; a deviation of s leaves a correlation of exp(-d²/4s²).
-fn fixed_pattern(noise: &DepthNoise, camera: &Camera, seed: u64) -> Vec<f32> {
+fn correlated(rms: f64, correlation_px: f64, camera: &Camera, mut random: Random) -> Vec<f32> {
     let (width, height) = (camera.width, camera.height);
-    let sigma = (noise.fixed_pattern_correlation_px / 2.0).max(0.1);
+    let sigma = (correlation_px / 2.0).max(0.1);
     let reach = (4.0 * sigma).ceil() as isize;
     let weights: Vec<f64> = (-reach..=reach).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp()).collect();
     // The variance of a weighted sum of independent values is the sum of the squared weights.
     let norm = 1.0 / weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    let mut random = Random::new(seed, STREAM_FIXED_PATTERN);
     let white: Vec<f64> = (0..width * height).map(|_| random.normal()).collect();
     let at = |values: &[f64], u: isize, v: isize| {
         // Wrapping around keeps the variance the same at the border.
@@ -275,7 +292,7 @@ fn fixed_pattern(noise: &DepthNoise, camera: &Camera, seed: u64) -> Vec<f32> {
             })
             .collect()
     };
-    blur(blur(white, 1, 0), 0, 1).into_iter().map(|x| (noise.fixed_pattern_rms * x) as f32).collect()
+    blur(blur(white, 1, 0), 0, 1).into_iter().map(|x| (rms * x) as f32).collect()
 }
 
 /// Returns a colour for each object, shaded by the angle of incidence, 3 bytes per pixel.

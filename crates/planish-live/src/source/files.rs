@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use super::{OwnedFrame, Source, malformed, with_shape};
-use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError};
-use planish_io::{self as io, Contents, Format};
+use planish_core::{Camera, DepthFrame, DepthView, Error, IoError};
+use planish_io::{self as io, Contents};
 
-/// Reads the frame files of a folder in order of their names, or repeats one file endlessly.
+/// Reads the frame files of a folder in the order of the numbers in their names, or repeats one file endlessly.
 pub struct FileSource {
     files: Vec<PathBuf>,
     camera: Option<Camera>,
@@ -17,17 +17,12 @@ pub struct FileSource {
 }
 
 impl FileSource {
-    /// Reads every frame file of a folder once, in order of their names. Depth images need a camera.
+    /// Reads every frame file of a folder once, in the order of the numbers in their names. Depth images need a camera.
     ///
     /// # Errors
     /// If the folder is unreadable or empty, or if the first frame is a depth image and no camera is given.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
-        let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
-        let entries: Result<Vec<PathBuf>, _> =
-            std::fs::read_dir(folder).map_err(at)?.map(|entry| entry.map(|entry| entry.path())).collect();
-        let mut files = entries.map_err(at)?;
-        files.retain(|path| path.is_file() && Format::is_of_frames(path));
-        files.sort();
+        let files = io::frame_files(folder)?;
         let Some(first) = files.first() else {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
         };

@@ -11,7 +11,7 @@ use std::thread;
 
 use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::io::Format;
+use planish::io;
 use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
 use planish_bench::{errln, outln};
 
@@ -99,11 +99,7 @@ fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
 
 /// Returns the frames of a folder; refuses what would overwrite an input or write two to one file.
 fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
-    let mut inputs: Vec<PathBuf> = fs::read_dir(&args.input)
-        .and_then(|entries| entries.map(|entry| entry.map(|entry| entry.path())).collect())
-        .with_context(|| format!("cannot list the folder {}", args.input.display()))?;
-    inputs.retain(|path| path.is_file() && Format::is_of_frames(path));
-    inputs.sort_by_cached_key(|path| in_order_of_numbers(path));
+    let inputs = io::frame_files(&args.input).map_err(Error::from)?;
     if inputs.is_empty() {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
     }
@@ -130,26 +126,6 @@ fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
         }
     }
     Ok(inputs.into_iter().zip(outputs).collect())
-}
-
-/// Returns what sorts names by their numbers: 2.png before 10.png.
-fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let mut parts = Vec::new();
-    let mut rest = &*name;
-    while !rest.is_empty() {
-        let digits = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
-        let (number, after) = rest.split_at(digits);
-        let others = after.find(|c: char| c.is_ascii_digit()).unwrap_or(after.len());
-        let (text, after) = after.split_at(others);
-        // Numbers of over 38 digits are all the same to it, and are then in the order of their text.
-        parts.push((
-            number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
-            format!("{text}\0{number}"),
-        ));
-        rest = after;
-    }
-    parts
 }
 
 /// Returns the output path of a frame of the input folder.

@@ -1,0 +1,368 @@
+//! `planish evaluate --sequence`: how steady and how prompt smoothing over time is.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use planish::evaluate::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
+use planish::internal::write_animated_png;
+use planish::io::{self, Contents, RgbImage, camera_to_json, write_depth, write_whole};
+use planish::render::{difference_normals, half_size, relief, side_by_side};
+use planish::simulate::{DepthNoise, Event, Sequence, Truth};
+use planish::source::{OwnedFrame, SourceOptions};
+use planish::{
+    Camera, DepthImage, Error, Frame, FrameParams, IntoFrame, Outputs, Params, SensorPose, Session, Settings, Smoothed, Status,
+    TemporalChoice,
+};
+use planish_bench::{out, outln};
+use serde::Serialize;
+
+use super::{percent, sensor_of};
+use crate::args::{EvaluateArgs, SequenceArg};
+use crate::commands::ms_since;
+use crate::exit::ExitCode;
+
+/// Frames of a simulated video.
+const FRAMES: u64 = 60;
+/// Frames of an animated picture, the last ones of the video, and their rate.
+const PICTURED_FRAMES: usize = 24;
+const PICTURED_PER_SECOND: u16 = 15;
+
+/// The scores of a video.
+#[derive(Serialize)]
+struct Video {
+    video: String,
+    frames: u64,
+    ways: Vec<VideoReport>,
+}
+
+/// A way to smooth a video.
+struct Way {
+    name: &'static str,
+    session: Session,
+    uses_pose: bool,
+    smoothed: Smoothed,
+    carried: Vec<bool>,
+    times_ms: Vec<f64>,
+}
+
+pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
+    for folder in [&args.out, &args.export].into_iter().flatten() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    let videos = match &args.input {
+        Some(input) if videos == SequenceArg::All => vec![on_input(args, input)?],
+        Some(_) => bail!("--sequence: the name of a simulated video contradicts --input"),
+        None => on_simulated(args, videos)?,
+    };
+    if args.export.is_some() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    if let Some(folder) = &args.out {
+        let file = folder.join("report.json");
+        write_whole(&file, serde_json::to_string_pretty(&videos)?.as_bytes())
+            .with_context(|| file.display().to_string())?;
+    }
+    if args.json {
+        outln!("{}", serde_json::to_string(&videos)?);
+    } else {
+        videos.iter().for_each(print);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Measures on a video of one's own.
+fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
+    if args.export.is_some() {
+        bail!("--export: with --input there is nothing to export");
+    }
+    let options = SourceOptions::default()
+        .with_camera(args.camera.camera_of_any_shape()?)
+        .with_tum_units_per_metre(args.camera.depth_units_per_metre)
+        .with_frames(args.frames);
+    let mut source = planish::source::open(&input.display().to_string(), &options)?;
+    if source.is_live() {
+        bail!("{}: a live source shows every frame only once; record it first", input.display());
+    }
+    let mut evaluated = Evaluated::new(args, None, &[])?;
+    let bar = progress(args.frames)?;
+    while args.frames.is_none_or(|most| evaluated.frames < most) {
+        let Some(frame) = source.next_frame()? else { break };
+        match &frame {
+            OwnedFrame::Depth(depth) => {
+                let raw_m: Vec<f32> = depth.raw.iter().map(|&raw| depth.camera.depth_m(raw)).collect();
+                evaluated.add(depth.into_frame().map_err(Error::from)?, &raw_m, Some(&depth.camera), None)?;
+            }
+            OwnedFrame::Cloud { cloud, .. } => {
+                let raw_m = cloud.positions().z().to_vec();
+                evaluated.add(cloud.into_frame().map_err(Error::from)?, &raw_m, cloud.camera.as_ref(), None)?;
+            }
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if evaluated.frames < 2 {
+        bail!("{}: has {} frames; a video of at least 2 is needed", input.display(), evaluated.frames);
+    }
+    evaluated.finish(args, &input.display().to_string(), "video")
+}
+
+/// Measures on the simulated videos.
+fn on_simulated(args: &EvaluateArgs, videos: SequenceArg) -> Result<Vec<Video>> {
+    let sensor = sensor_of(args)?;
+    let frames = args.frames.unwrap_or(FRAMES);
+    let events = match videos {
+        SequenceArg::All => Event::ALL.to_vec(),
+        SequenceArg::One(event) => vec![event],
+    };
+    let bar = progress(Some(frames * events.len() as u64))?;
+    let mut videos = Vec::new();
+    for event in events {
+        let camera = Camera::kinect_v1();
+        let mut sequence = Sequence::new(event, camera, DepthNoise::of_sensor(&sensor), args.seed.unwrap_or(1));
+        let name = event.name();
+        let results: Vec<PathBuf> = args.results.iter().map(|folder| folder.join(name)).collect();
+        let mut evaluated = Evaluated::new(args, Some(event), &results)?;
+        for number in 0..frames {
+            let seen = sequence.frame(number).map_err(Error::from)?;
+            if let Some(folder) = &args.export {
+                export(&folder.join(name), number, &seen.frame.camera, &seen.frame.raw)?;
+                bar.inc(1);
+                continue;
+            }
+            evaluated.pose = Some(seen.pose.sensor_pose().map_err(Error::from)?);
+            let raw_m: Vec<f32> = seen.frame.raw.iter().map(|&raw| camera.depth_m(raw)).collect();
+            let frame = (&seen.frame).into_frame().map_err(Error::from)?;
+            evaluated.add(frame, &raw_m, Some(&camera), Some((seen.truth, seen.object)))?;
+            bar.inc(1);
+        }
+        if args.export.is_none() {
+            videos.push(evaluated.finish(args, name, name)?);
+        }
+    }
+    bar.finish_and_clear();
+    if let Some(folder) = &args.export {
+        outln!("The videos are in {}. Smooth them, keep their names, and measure with --results.", folder.display());
+    }
+    Ok(videos)
+}
+
+fn progress(frames: Option<u64>) -> Result<ProgressBar> {
+    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    Ok(bar.with_style(ProgressStyle::with_template("{bar:30} frame {pos} of {len}, {eta} left")?))
+}
+
+/// Writes a frame and its camera.
+fn export(folder: &Path, number: u64, camera: &Camera, raw: &[u16]) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let image = DepthImage { width: camera.width, height: camera.height, raw: raw.to_vec() };
+    write_depth(&folder.join(format!("{number:04}.png")), &image)?;
+    let file = folder.join("camera.json");
+    write_whole(&file, camera_to_json(camera).as_bytes()).with_context(|| file.display().to_string())
+}
+
+/// A video that is being measured.
+struct Evaluated {
+    frames: u64,
+    ways: Vec<Way>,
+    /// Folders of other programs, with the files of their frames.
+    others: Vec<(String, Vec<PathBuf>)>,
+    evaluation: Option<VideoEvaluation>,
+    /// The pose of the camera at the current frame.
+    pose: Option<SensorPose>,
+    pictures: Vec<RgbImage>,
+    draws: bool,
+}
+
+impl Evaluated {
+    fn new(args: &EvaluateArgs, event: Option<Event>, results: &[PathBuf]) -> Result<Self> {
+        let settings = args.smoothing.settings()?;
+        let with = |temporal| {
+            let mut settings = settings.clone();
+            settings.temporal = Some(temporal);
+            settings
+        };
+        let (alone, steady) = (with(TemporalChoice::Off), with(TemporalChoice::Steady));
+        let mut ways = vec![Way::new("frame by frame", alone, false)?, Way::new("steady", steady.clone(), false)?];
+        if event == Some(Event::MovingCamera) {
+            ways.push(Way::new("steady, true poses", steady, true)?);
+        }
+        let folders: Vec<&PathBuf> =
+            if event.is_some() { results.iter().collect() } else { args.results.iter().collect() };
+        let others = folders.into_iter().map(|folder| {
+            let files = io::frame_files(folder).map_err(Error::from)?;
+            let name = match event {
+                Some(_) => folder.parent().and_then(Path::file_name),
+                None => folder.file_name(),
+            };
+            Ok((name.unwrap_or_default().to_string_lossy().into_owned(), files))
+        });
+        Ok(Self {
+            frames: 0,
+            ways,
+            others: others.collect::<Result<_>>()?,
+            evaluation: None,
+            pose: None,
+            pictures: Vec::new(),
+            draws: args.out.is_some(),
+        })
+    }
+
+    fn add(
+        &mut self,
+        frame: Frame<'_>,
+        raw_m: &[f32],
+        camera: Option<&Camera>,
+        truth: Option<(&Truth, Option<u16>)>,
+    ) -> Result<()> {
+        for way in &mut self.ways {
+            way.smooth(frame, self.pose)?;
+        }
+        if self.evaluation.is_none() {
+            let (params, _) = self.ways[0].session.params_for(frame)?;
+            let Params::Frame(FrameParams { sensor, .. }) = params else {
+                bail!("the frames are unorganized clouds; videos need depth images or organized clouds");
+            };
+            let ways = self.ways.iter().skip(1).map(|way| way.name);
+            let others = self.others.iter().map(|(name, _)| &**name);
+            let names: Vec<&str> = ["frame by frame", "raw"].into_iter().chain(ways).chain(others).collect();
+            self.evaluation = Some(VideoEvaluation::new(sensor, &names));
+        }
+        let number = self.frames as usize;
+        let mut others_m = Vec::new();
+        for (name, files) in &self.others {
+            let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
+            others_m.push(depth_in(file, camera, raw_m.len())?);
+        }
+        let depth = |way: &Way| -> Result<Vec<f32>> { Ok(way.smoothed.depth_m.clone().context("depth was requested")?) };
+        let ways_m = self.ways.iter().map(depth).collect::<Result<Vec<_>>>()?;
+        let mut depths =
+            vec![VideoDepth { depth_m: &ways_m[0], carried: &[] }, VideoDepth { depth_m: raw_m, carried: &[] }];
+        depths.extend(
+            self.ways.iter().zip(&ways_m).skip(1).map(|(way, depth_m)| VideoDepth { depth_m, carried: &way.carried }),
+        );
+        depths.extend(others_m.iter().map(|depth_m| VideoDepth { depth_m, carried: &[] }));
+        if let Some(evaluation) = &mut self.evaluation {
+            evaluation.add(&depths, truth);
+        }
+        if self.draws {
+            let last = ways_m.last().map_or(raw_m, |last| last);
+            self.pictures.push(picture(frame.shape(), camera, [raw_m, &ways_m[0], last]));
+            if self.pictures.len() > PICTURED_FRAMES {
+                self.pictures.remove(0);
+            }
+        }
+        self.frames += 1;
+        Ok(())
+    }
+
+    fn finish(self, args: &EvaluateArgs, name: &str, file: &str) -> Result<Video> {
+        let mut ways = self.evaluation.map(VideoEvaluation::reports).unwrap_or_default();
+        if ways.len() > 1 {
+            ways.swap(0, 1);
+        }
+        if let Some(folder) = &args.out {
+            write_animated_png(&folder.join(format!("{file}.png")), &self.pictures, PICTURED_PER_SECOND)?;
+        }
+        Ok(Video { video: name.to_owned(), frames: self.frames, ways })
+    }
+}
+
+impl Way {
+    fn new(name: &'static str, settings: Settings, uses_pose: bool) -> Result<Self> {
+        let mut session = Session::new(settings)?.with_kept_window(true).with_kept_sensor(true);
+        session.set_outputs(Outputs::DEPTH.with_depth(false).with_depth_m(true).with_status(true));
+        Ok(Self {
+            name,
+            session,
+            uses_pose,
+            smoothed: Smoothed::default(),
+            carried: Vec::new(),
+            times_ms: Vec::new(),
+        })
+    }
+
+    fn smooth(&mut self, frame: Frame<'_>, pose: Option<SensorPose>) -> Result<()> {
+        if self.uses_pose {
+            self.session.set_camera_pose(pose)?;
+        }
+        let start = std::time::Instant::now();
+        self.session.smooth(frame, &mut self.smoothed)?;
+        self.times_ms.push(ms_since(start));
+        let statuses = self.smoothed.status.as_deref().unwrap_or_default();
+        self.carried = statuses.iter().map(|status| *status == Status::Carried).collect();
+        Ok(())
+    }
+}
+
+/// Reads another program's depth in metres.
+fn depth_in(file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
+    let depth_m: Vec<f32> = match io::read(file)?.1 {
+        Contents::Depth(image) => {
+            let camera = camera.with_context(|| format!("{}: the unit of depth is unknown", file.display()))?;
+            image.raw.iter().map(|&raw| camera.depth_m(raw)).collect()
+        }
+        Contents::DepthMetres { depth_m, .. } => depth_m,
+        Contents::Organized(cloud) => cloud.positions().z().to_vec(),
+        _ => bail!("{}: contains no depth image and no organized cloud", file.display()),
+    };
+    // Holes of any kind.
+    let depth_m: Vec<f32> = depth_m.into_iter().map(|depth_m| if depth_m > 0.0 { depth_m } else { f32::NAN }).collect();
+    if depth_m.len() != len {
+        bail!("{}: has {} pixels, but the frames have {len}", file.display(), depth_m.len());
+    }
+    Ok(depth_m)
+}
+
+/// Draws the relief of measured, smoothed and steady depth side by side, at half their size.
+fn picture((width, height): (usize, usize), camera: Option<&Camera>, depths_m: [&[f32]; 3]) -> RgbImage {
+    let camera = camera.copied().unwrap_or_else(|| Camera::new((width, height), [width as f64; 2], [
+        width as f64 / 2.0,
+        height as f64 / 2.0,
+    ]));
+    let reliefs = depths_m.map(|depth_m| {
+        let points = camera.deproject_m(depth_m.iter().copied());
+        half_size(&relief(width, height, &difference_normals(width, height, &points)))
+    });
+    side_by_side(&reliefs)
+}
+
+fn print(video: &Video) {
+    outln!("{}, {} frames", video.video, video.frames);
+    out!("  {:<58}", "");
+    for way in &video.ways {
+        out!("{:>20}", way.name);
+    }
+    outln!();
+    let line = |name: &str, value: &dyn Fn(&VideoReport) -> Option<String>| {
+        let values: Vec<Option<String>> = video.ways.iter().map(value).collect();
+        if values.iter().all(Option::is_none) {
+            return;
+        }
+        out!("  {name:<58}");
+        values.into_iter().for_each(|value| out!("{:>20}", value.as_deref().unwrap_or("-")));
+        outln!();
+    };
+    let mm = |value: Option<f64>| value.map(|value| format!("{value:.2}"));
+    let both = |of: fn(&VideoRange) -> Option<f64>| {
+        move |way: &VideoReport| {
+            let [near, far] = [&way.near, &way.far].map(|range| mm(of(range)));
+            let either = near.is_some() || far.is_some();
+            either.then(|| format!("{} / {}", near.as_deref().unwrap_or("-"), far.as_deref().unwrap_or("-")))
+        }
+    };
+    line("below 0.9 m / beyond 2 m: distance to the truth, RMS, mm", &both(|range| range.rms_mm));
+    line("  jitter, median of still pixels, mm", &both(|range| range.jitter_mm));
+    line("  jitter of the noisiest 5 %, mm", &both(|range| range.jitter_95_mm));
+    line("  wander (deviation while still), median, mm", &both(|range| range.wander_mm));
+    line("  wander of the noisiest 5 %, mm", &both(|range| range.wander_95_mm));
+    let share = |value: Option<f64>| value.map(percent);
+    line("moving object: its pixels that show it", &|way| share(way.found_share));
+    line("surfaces that have just appeared, but do not show", &|way| share(way.late_share));
+    line("pixels that an object has just left, but still show it", &|way| share(way.left_share));
+    line("lag of moving surfaces, mean, mm", &|way| mm(way.lag_mm));
+    line("points carried over from earlier frames, and marked", &|way| share(Some(way.carried_share)));
+    line("  of which off by over 5 %", &|way| share(way.carried_wrong_share));
+    outln!();
+}

@@ -1,0 +1,41 @@
+//! The frames of a folder, in order.
+
+use std::path::{Path, PathBuf};
+
+use planish_core::{FormatError, IoError};
+
+use super::format::Format;
+
+/// Lists the files of a folder that hold frames, in the order of the numbers in their names: 2.png before 10.png.
+///
+/// # Errors
+/// If the folder cannot be listed.
+pub fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
+    let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
+    let entries = std::fs::read_dir(folder).map_err(at)?;
+    let mut files =
+        entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(at)?;
+    files.retain(|path| path.is_file() && Format::is_of_frames(path));
+    files.sort_by_cached_key(|path| in_order_of_numbers(path));
+    Ok(files)
+}
+
+/// Returns what sorts names by their numbers.
+fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut parts = Vec::new();
+    let mut rest = &*name;
+    while !rest.is_empty() {
+        let digits = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+        let (number, after) = rest.split_at(digits);
+        let others = after.find(|c: char| c.is_ascii_digit()).unwrap_or(after.len());
+        let (text, after) = after.split_at(others);
+        // Numbers of over 38 digits are all the same to it, and are then in the order of their text.
+        parts.push((
+            number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
+            format!("{text}\0{number}"),
+        ));
+        rest = after;
+    }
+    parts
+}
