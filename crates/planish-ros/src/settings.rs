@@ -40,6 +40,7 @@ pub fn declared() -> Vec<Declared> {
         ("radius_m", NotSet, true, "Radius of a neighbourhood in metres, or sensor"),
         ("neighbours", NotSet, true, "For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius"),
         ("temporal", NotSet, true, "off, or steady: frames of a stationary camera are smoothed over time"),
+        ("track", NotSet, true, "Whether frames are smoothed over time and the camera's motion is compensated"),
         ("degree", NotSet, true, "Degree of the surface, 1 to 3"),
         ("bandwidth_m", NotSet, true, "Bandwidth of the Gaussian weights in metres"),
         ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),

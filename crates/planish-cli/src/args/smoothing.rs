@@ -193,12 +193,15 @@ pub struct SmoothingArgs {
     /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
-    /// Smooth video from a stationary camera over time [default: off]
+    /// Smooth video from one camera over time [default: off]
     ///
-    /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. Not for a
-    /// moving camera, rigs, or unorganized clouds.
+    /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. The camera is
+    /// stationary, unless --track or --poses is given. Not for rigs or unorganized clouds.
     #[arg(long, value_enum, help_heading = TUNING)]
     pub temporal: Option<TemporalArg>,
+    /// Smooth video from a moving camera over time: its motion is estimated from frame to frame
+    #[arg(long, help_heading = TUNING)]
+    pub track: bool,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
     pub degree: Option<u32>,
@@ -304,7 +307,7 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 21] = [
+        let given: [(&str, SettingValue); 22] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
@@ -320,6 +323,7 @@ impl SmoothingArgs {
             ("grid", named(self.grid.as_ref())),
             ("even", self.even.into()),
             ("temporal", named(self.temporal.as_ref())),
+            ("track", self.track.then_some(true).into()),
             ("degree", self.degree.into()),
             ("bandwidth_m", self.bandwidth.into()),
             ("ridge", self.ridge.into()),

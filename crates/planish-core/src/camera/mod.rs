@@ -109,6 +109,33 @@ impl Camera {
         (1.0 / self.depth_units_per_metre) as f32
     }
 
+    /// Returns the camera without distortion on whose pixels organized points in its frame are; `None` if they are on
+    /// those of no such camera, or few.
+    pub(crate) fn of_points((width, height): (usize, usize), points: &crate::xyz::Xyz) -> Option<Self> {
+        /// Pixels that a sample is taken of, and the fewest of it that are points.
+        const SAMPLE: usize = 4096;
+        const LEAST: usize = 100;
+        /// Largest root mean square of the distances from the pixels' centres.
+        const MOST_OFF_PX: f64 = 0.1;
+        let sample = || (0..width * height).step_by((width * height).div_ceil(SAMPLE).max(1));
+        let sample = || sample().filter(|&i| points.is_finite(i) && points.get(i)[2] > 0.0);
+        let line = |axis: usize, pixel: &dyn Fn(usize) -> usize| -> Option<[f64; 2]> {
+            let pairs = || {
+                sample().map(|i| (f64::from(points.get(i)[axis]) / f64::from(points.get(i)[2]), pixel(i) as f64))
+            };
+            let count = pairs().count();
+            let mean = |value: &dyn Fn((f64, f64)) -> f64| pairs().map(value).sum::<f64>() / count as f64;
+            let (x, u) = (mean(&|pair| pair.0), mean(&|pair| pair.1));
+            let focal = mean(&|pair| (pair.0 - x) * (pair.1 - u)) / mean(&|pair| (pair.0 - x).powi(2));
+            let centre = u - focal * x;
+            let off = mean(&|pair| (focal * pair.0 + centre - pair.1).powi(2)).sqrt();
+            (count >= LEAST && focal > 0.0 && off <= MOST_OFF_PX).then_some([focal, centre])
+        };
+        let [fx, cx] = line(0, &|i| i % width)?;
+        let [fy, cy] = line(1, &|i| i / width)?;
+        Some(Self::new((width, height), [fx, fy], [cx, cy])).filter(|camera| camera.validate().is_ok())
+    }
+
     /// Returns a raw depth value in metres; NaN for a hole (0 or saturated).
     pub fn depth_m(&self, raw: u16) -> f32 {
         depth_m(raw, self.metres_per_unit())

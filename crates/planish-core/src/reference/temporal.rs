@@ -91,7 +91,7 @@ impl TemporalReference {
 
     fn smooth_here(&mut self, knows_motion: bool, depth_m: &mut [f64]) {
         let measured: Vec<Measured> = (0..depth_m.len()).map(|i| self.measure(i, depth_m[i])).collect();
-        self.update_tiles(&measured, if knows_motion { 2.0 } else { 1.0 });
+        self.update_tiles(&measured, knows_motion);
         let calm: Vec<bool> = (0..depth_m.len()).map(|i| self.update(i, &measured, &mut depth_m[i])).collect();
         for (i, value) in depth_m.iter_mut().enumerate() {
             self.hold(i, &measured, &calm, value);
@@ -189,32 +189,60 @@ impl TemporalReference {
         Measured { value: Some(value), change: Some(change), is_candidate }
     }
 
-    /// Equation (16.5).
-    fn update_tiles(&mut self, measured: &[Measured], gate: f64) {
+    /// m_t of equation (16.5); `None` with few updated pixels.
+    fn change_of_tile(&self, number: usize, measured: &[Measured]) -> Option<f64> {
         let (width, height) = self.shape;
         let across = width.div_ceil(TILE);
-        for (number, tile) in self.tiles.iter_mut().enumerate() {
-            let (left, top) = (number % across * TILE, number / across * TILE);
-            let pixels = (top..(top + TILE).min(height))
-                .flat_map(|v| (left..(left + TILE).min(width)).map(move |u| &measured[v * width + u]));
-            let changes: Vec<f64> = pixels
-                .filter(|measured| !measured.is_candidate)
-                .filter_map(|measured| measured.change)
-                .map(|change| change.clamp(-4.0, 4.0))
-                .collect();
-            if changes.len() <= 64 {
-                (tile.bias, tile.weight) = (0.0, 1.0);
+        let (left, top) = (number % across * TILE, number / across * TILE);
+        let pixels = (top..(top + TILE).min(height))
+            .flat_map(|v| (left..(left + TILE).min(width)).map(move |u| &measured[v * width + u]));
+        let changes: Vec<f64> = pixels
+            .filter(|measured| !measured.is_candidate)
+            .filter_map(|measured| measured.change)
+            .map(|change| change.clamp(-4.0, 4.0))
+            .collect();
+        (changes.len() > 64).then(|| changes.iter().sum::<f64>() / changes.len() as f64)
+    }
+
+    /// Equations (16.5) and (16.6).
+    fn update_tiles(&mut self, measured: &[Measured], knows_motion: bool) {
+        let changes: Vec<Option<f64>> =
+            (0..self.tiles.len()).map(|number| self.change_of_tile(number, measured)).collect();
+        let persistence = if knows_motion { 0.0 } else { self.persistence(&changes) };
+        let of_camera = 1.0 / (1.0 + (persistence / 0.55).powi(8));
+        let gate = if knows_motion { 2.0 } else { 1.0 };
+        for (tile, change) in self.tiles.iter_mut().zip(changes) {
+            let Some(mean) = change else {
+                (tile.bias, tile.weight) = (0.0, of_camera);
                 continue;
-            }
-            let mean = changes.iter().sum::<f64>() / changes.len() as f64;
+            };
             let deviation = tile.variance.sqrt();
             let from_bias = (mean - tile.bias).abs().min(3.0 * deviation);
             tile.bias += (mean - tile.bias) / 4.0;
             let of_change = (mean / (3.0 * gate * deviation)).powi(4);
-            tile.weight = 1.0 / (1.0 + of_change + (tile.bias / (1.5 * gate * deviation)).powi(4));
-            let learnt = 0.875 * from_bias.powi(2) - tile.variance;
-            tile.variance = (tile.variance + learnt / 16.0).clamp(0.0025, 1.0);
+            tile.weight = of_camera / (1.0 + of_change + (tile.bias / (1.5 * gate * deviation)).powi(4));
+            if persistence <= 0.5 {
+                let learnt = 0.875 * from_bias.powi(2) - tile.variance;
+                tile.variance = (tile.variance + learnt / 16.0).clamp(0.0025, 1.0);
+            }
         }
+    }
+
+    /// P of equation (16.6): 0 with few tiles or small changes.
+    fn persistence(&self, changes: &[Option<f64>]) -> f64 {
+        let of_tiles = self.tiles.iter().zip(changes).filter_map(|(tile, change)| Some((tile, (*change)?)));
+        let (mut biases, mut magnitudes): (Vec<f64>, Vec<f64>) = of_tiles
+            .map(|(tile, change)| ((tile.bias + (change - tile.bias) / 4.0).abs(), change.abs()))
+            .unzip();
+        if biases.len() < 150 {
+            return 0.0;
+        }
+        let median = |values: &mut [f64]| {
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let (bias, magnitude) = (median(&mut biases), median(&mut magnitudes));
+        if magnitude > 0.1 { bias / magnitude } else { 0.0 }
     }
 
     /// Equations (16.2) to (16.6); returns whether the pixel is calm.

@@ -12,7 +12,7 @@ use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
-use crate::temporal::{CameraMotion, TemporalFilter, TemporalParams};
+use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tracker};
 use crate::threads::Threads;
 use crate::view::SmoothedView;
 
@@ -30,23 +30,39 @@ pub(super) struct Sight {
     outputs: Outputs,
     /// Number of the video that the frame belongs to.
     video: u64,
-    /// world_from_camera.
+    /// world_from_camera, if known, and whether the frame itself states it.
     pose: Option<SensorPose>,
+    is_pose_of_file: bool,
+    /// Whether the motion of the camera is estimated if its pose is not known.
+    is_tracked: bool,
 }
 
 impl Sight {
     /// Returns true if frames of both can be one video.
     fn is_like(&self, other: &Self) -> bool {
-        let transforms = [self, other].map(|sight| sight.geometry.cloud_from_sensor);
-        self.sensor == other.sensor && self.camera == other.camera && transforms[0] == transforms[1]
+        let has_transform = |sight: &Self| sight.geometry.cloud_from_sensor.is_some();
+        let is_same_place = self.geometry.cloud_from_sensor == other.geometry.cloud_from_sensor
+            || (self.pose.is_some() && other.pose.is_some() && has_transform(self) == has_transform(other));
+        self.sensor == other.sensor && self.camera == other.camera && is_same_place
     }
+}
+
+/// What was begun with the first frame of a video.
+struct Begun {
+    /// The sight of that frame.
+    sight: Sight,
+    filter: TemporalFilter,
+    threads: Threads,
+    /// The camera: given, or shown by the points.
+    camera: Option<Camera>,
+    /// The last frame and what aligns others with it, if the motion of the camera is estimated.
+    tracking: Option<(Tracker, Surface)>,
 }
 
 /// The filter of a session, with its buffers.
 #[derive(Default)]
 pub(super) struct OverTime {
-    /// With the sight of its first frame.
-    filter: Option<(Sight, TemporalFilter, Threads)>,
+    begun: Option<Begun>,
     /// Number of the video.
     number: u64,
     /// The pose stated for the next frames, and that of the last frame.
@@ -72,17 +88,29 @@ impl Session {
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         match self.over_time(frame) {
-            Some(_) => outputs.with_points(true).with_status(true).with_depth_m(outputs.depth_m || outputs.depth),
+            Some(_) => {
+                let normals = outputs.normals || self.tracks_camera();
+                outputs
+                    .with_points(true)
+                    .with_status(true)
+                    .with_normals(normals)
+                    .with_depth_m(outputs.depth_m || outputs.depth)
+            }
             None => outputs,
         }
     }
 
+    fn tracks_camera(&self) -> bool {
+        matches!(&self.chosen, Chosen::Settings(settings) if settings.tracks_camera())
+    }
+
     /// Remembers how a frame is seen, for when its result is smoothed over time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, geometry: FrameGeometry, params: Params) {
-        let camera = match frame {
-            Frame::Depth(depth) => Some(*depth.camera()),
-            Frame::Points(points) => points.camera().copied(),
+        let (camera, stated) = match frame {
+            Frame::Depth(depth) => (Some(*depth.camera()), None),
+            Frame::Points(points) => (points.camera().copied(), Some(points.pose())),
         };
+        let stated = stated.filter(|pose| !pose.is_identity());
         self.sight = match (self.over_time(frame), params) {
             (Some(_), Params::Frame(params)) => Some(Sight {
                 geometry,
@@ -90,7 +118,9 @@ impl Session {
                 camera,
                 outputs: self.options.outputs,
                 video: self.video.number,
-                pose: self.video.pose,
+                pose: self.video.pose.or(stated),
+                is_pose_of_file: self.video.pose.is_none(),
+                is_tracked: self.tracks_camera(),
             }),
             _ => None,
         };
@@ -129,15 +159,24 @@ impl Session {
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) || sight.video != self.video.number {
             return Ok(());
         }
-        let OverTime { filter, ranges_m, single_m, last_pose, .. } = &mut self.video;
-        if filter.as_ref().is_none_or(|(first, ..)| !first.is_like(sight)) {
-            let threads = Threads::open(self.options.threads)?;
-            *filter = Some((*sight, TemporalFilter::new(params, sight.sensor)?, threads));
+        let OverTime { begun, ranges_m, single_m, last_pose, .. } = &mut self.video;
+        if begun.as_ref().is_none_or(|begun| !begun.sight.is_like(sight)) {
+            *begun = Some(Begun::new(*sight, params, self.options.threads, smoothed)?);
+            *last_pose = None;
         }
-        let Some((_, filter, threads)) = filter else { return Ok(()) };
+        let Some(Begun { filter, threads, camera, tracking, .. }) = begun else { return Ok(()) };
         let last_pose = std::mem::replace(last_pose, sight.pose);
-        let motion = sight.motion_since(last_pose)?;
         threads.install(|| {
+            let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
+                // Many writers state the same pose for every frame, wherever the camera is.
+                (_, Some(previous), Some(current), Some(camera))
+                    if !(sight.is_pose_of_file && previous == current) =>
+                {
+                    Some(CameraMotion::between(*camera, &previous, &current)?)
+                }
+                (Some((tracker, previous)), ..) => sight.track(tracker, previous, smoothed),
+                _ => None,
+            };
             sight.measure(smoothed, ranges_m);
             single_m.clone_from(ranges_m);
             match motion {
@@ -145,6 +184,9 @@ impl Session {
                 None => filter.smooth(smoothed.width, smoothed.height, ranges_m)?,
             }
             sight.apply(filter, single_m, ranges_m, smoothed);
+            if let Some((_, previous)) = tracking {
+                sight.keep(smoothed, previous);
+            }
             Ok(())
         })
     }
@@ -173,19 +215,60 @@ impl Session {
     /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
     /// frame, or if the session does not smooth over time.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
-        self.video.filter.as_ref().map(|(_, filter, _)| filter)
+        self.video.begun.as_ref().map(|begun| &begun.filter)
+    }
+}
+
+impl Begun {
+    fn new(
+        sight: Sight,
+        params: TemporalParams,
+        threads: Option<usize>,
+        smoothed: &Smoothed,
+    ) -> Result<Self, Error> {
+        let threads = Threads::open(threads)?;
+        let is_of_camera = matches!(sight.geometry.rule, RangeRule::Depth { .. });
+        let camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
+        let tracking = camera.filter(|_| sight.is_tracked);
+        let tracking = tracking.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
+        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking })
     }
 }
 
 impl Sight {
-    /// Returns how the camera has moved since the last frame, if both poses are known.
-    fn motion_since(&self, last_pose: Option<SensorPose>) -> Result<Option<CameraMotion>, Error> {
-        let is_of_camera = matches!(self.geometry.rule, RangeRule::Depth { .. });
-        match (last_pose, self.pose, self.camera) {
-            (Some(previous), Some(current), Some(camera)) if is_of_camera => {
-                Ok(Some(CameraMotion::between(camera, &previous, &current)?))
-            }
-            _ => Ok(None),
+    /// Returns the camera on whose pixels the points are.
+    fn camera_of(&self, smoothed: &Smoothed) -> Option<Camera> {
+        let mut surface = Surface::default();
+        self.keep(smoothed, &mut surface);
+        Camera::of_points((smoothed.width, smoothed.height), &surface.points)
+    }
+
+    /// Estimates how the camera has moved since the frame before.
+    fn track(&self, tracker: &mut Tracker, previous: &mut Surface, smoothed: &Smoothed) -> Option<CameraMotion> {
+        if previous.points.is_empty() {
+            return None;
+        }
+        let mut current = Surface::default();
+        self.keep(smoothed, &mut current);
+        let motion = tracker.track(previous, &current)?;
+        let previous_from_current = SensorPose::from_transform(&motion);
+        Some(CameraMotion { camera: tracker.camera(), previous_from_current })
+    }
+
+    /// Copies points and normals in the frame of the sensor.
+    fn keep(&self, smoothed: &Smoothed, surface: &mut Surface) {
+        surface.points.clone_from(&smoothed.points);
+        match &smoothed.normals {
+            Some(normals) => surface.normals.clone_from(normals),
+            None => surface.normals = crate::xyz::Xyz::default(),
+        }
+        if let Some(transform) = &self.geometry.cloud_from_sensor {
+            let to_sensor = |point: [f32; 3]| transform.to_sensor(glam::Vec3::from_array(point).as_dvec3());
+            let turned = |normal: [f32; 3]| {
+                transform.rotation.transpose() * glam::Vec3::from_array(normal).as_dvec3()
+            };
+            surface.points = surface.points.iter().map(|point| to_sensor(point).as_vec3().to_array()).collect();
+            surface.normals = surface.normals.iter().map(|normal| turned(normal).as_vec3().to_array()).collect();
         }
     }
 
@@ -256,7 +339,7 @@ mod tests {
     fn last_of_video(status: Status, last_m: f32) -> Smoothed {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
-        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0, pose: None };
+        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0, pose: None, is_pose_of_file: false, is_tracked: false };
         let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
         let mut last = Smoothed::default();
         for t in 0..6 {

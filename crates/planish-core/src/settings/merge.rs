@@ -45,6 +45,7 @@ impl Settings {
             grid,
             even,
             temporal,
+            track,
             degree,
             bandwidth_m,
             ridge,
@@ -70,6 +71,7 @@ impl Settings {
         self.grid = grid.or(self.grid);
         self.even = even.or(self.even);
         self.temporal = temporal.or(self.temporal);
+        self.track = track.or(self.track);
         self.degree = degree.or(self.degree);
         self.bandwidth_m = bandwidth_m.or(self.bandwidth_m);
         self.ridge = ridge.or(self.ridge);

@@ -79,9 +79,12 @@ pub struct Settings {
     /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
     /// WebAssembly. Normals and curvature are not computed again.
     pub even: Option<bool>,
-    /// Smoothing over time for video from a stationary camera, in the order in which a session gets the frames
-    /// [default: off]. Not for unorganized clouds, rigs or WebAssembly.
+    /// Smoothing over time for the video of one camera, in the order in which a session gets the frames [default: off].
+    /// The camera is stationary, or its motion is tracked or given. Not for unorganized clouds, rigs or WebAssembly.
     pub temporal: Option<TemporalChoice>,
+    /// With smoothing over time, which it switches on: whether the motion of the camera is estimated from frame to
+    /// frame and compensated [default: no]. Needs the camera's intrinsics, given or shown by organized points.
+    pub track: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
     /// Bandwidth of the Gaussian weights in metres [default: the radius].
@@ -126,12 +129,12 @@ const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
                       average_blocks, \
-                      radius_m, neighbours, passes, grid, even, temporal, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
+                      radius_m, neighbours, passes, grid, even, temporal, track, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
                       outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 24] = [
+    pub const NAMES: [&'static str; 25] = [
         "preset",
         "strength",
         "sensor",
@@ -147,6 +150,7 @@ impl Settings {
         "grid",
         "even",
         "temporal",
+        "track",
         "degree",
         "bandwidth_m",
         "ridge",
@@ -181,6 +185,7 @@ impl Settings {
             "grid" => self.grid = value.named("grid", &GridChoice::NAMED, "auto or off")?,
             "even" => self.even = value.truth("even")?,
             "temporal" => self.temporal = value.named("temporal", &TemporalChoice::NAMED, "off or steady")?,
+            "track" => self.track = value.truth("track")?,
             "degree" => self.degree = value.whole("degree", "1 to 3")?,
             "bandwidth_m" | "bandwidth" => {
                 self.bandwidth_m = value.number("bandwidth_m", "1e-6 to 1000 metres")?;
@@ -222,7 +227,10 @@ impl Settings {
         if ONE_THREAD && self.even == Some(true) {
             return contradiction("even", "true", "only outside a browser, whose module is kept small");
         }
-        if ONE_THREAD && self.temporal == Some(TemporalChoice::Steady) {
+        if self.tracks_camera() && self.temporal == Some(TemporalChoice::Off) {
+            return contradiction("track", "true", "only with temporal=steady");
+        }
+        if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
             return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
         }
         if let Some(adapter) = &self.adapter {
@@ -279,18 +287,25 @@ impl Settings {
     /// Returns how the frames of a video are smoothed over time; `None` if they are not.
     pub fn temporal_params(&self) -> Option<TemporalParams> {
         // WebAssembly leaves it out, and `validate` refuses it there.
-        (self.temporal == Some(TemporalChoice::Steady) && !ONE_THREAD).then_some(TemporalParams::STEADY)
+        let is_steady = self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera();
+        (is_steady && !ONE_THREAD).then_some(TemporalParams::STEADY)
+    }
+
+    /// Returns whether the motion of the camera is estimated from frame to frame.
+    pub fn tracks_camera(&self) -> bool {
+        self.track == Some(true)
     }
 
     /// Rejects smoothing over time, for inputs other than frames of one camera in order.
     ///
     /// # Errors
-    /// If `temporal` is `steady`.
+    /// If `temporal` is `steady`, or `track` is set.
     pub fn check_no_video(&self) -> Result<(), ParamError> {
         let allowed = "only for the frames of one camera: a stream, a folder, one topic of a recording or of ROS, or a \
                        smoother in Python";
-        match self.temporal {
-            Some(TemporalChoice::Steady) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
+        match (self.temporal, self.tracks_camera()) {
+            (Some(TemporalChoice::Steady), _) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
+            (_, true) => Err(ParamError { field: "track", value: "true".into(), allowed }),
             _ => Ok(()),
         }
     }
@@ -376,7 +391,8 @@ impl Settings {
             ("average_blocks", self.average_blocks.is_some()),
             ("project", self.project == Some(Project::Ray)),
             ("sensor", self.sensor.is_some()),
-            ("temporal", self.temporal_params().is_some()),
+            ("temporal", self.temporal == Some(TemporalChoice::Steady)),
+            ("track", self.tracks_camera()),
         ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }

@@ -59,6 +59,7 @@ impl Serialize for Settings {
         entry!("grid", self.grid.map(|grid| name_of(grid, &super::GridChoice::NAMED)));
         entry!("even", self.even);
         entry!("temporal", self.temporal.map(|temporal| name_of(temporal, &super::TemporalChoice::NAMED)));
+        entry!("track", self.track);
         entry!("degree", self.degree);
         entry!("bandwidth_m", self.bandwidth_m);
         entry!("ridge", self.ridge);

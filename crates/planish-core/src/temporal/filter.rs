@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::motion::{CameraMotion, Lookup};
 use super::rows::{ChangeRow, MARGIN, RowBuffers, Rule, UpdateRow, measure_changes, update};
 use super::state::State;
-use super::tiles::{TILE, Tile};
+use super::tiles::{TILE, Tile, update_tiles};
 use super::{Domain, TemporalParams};
 use crate::camera::Rays;
 use crate::error::{FrameError, ParamError};
@@ -63,6 +63,8 @@ struct Planes {
     signs: Vec<f32>,
     calm: Vec<f32>,
     tiles: Vec<[f32; 2]>,
+    /// A buffer for values of tiles.
+    sorted: Vec<f32>,
     /// One for each row of tiles.
     buffers: Vec<RowBuffers>,
 }
@@ -124,9 +126,7 @@ impl TemporalFilter {
             self.move_state(motion)?;
         }
         self.measure_changes();
-        for (tile, &[sum, count]) in self.tiles.iter_mut().zip(&self.planes.tiles) {
-            tile.update(sum, count, motion.is_some());
-        }
+        update_tiles(&mut self.tiles, &self.planes.tiles, motion.is_some(), &mut self.planes.sorted);
         self.update();
         if self.params.hold_frames > 0 {
             self.hold();
@@ -189,6 +189,7 @@ impl TemporalFilter {
             signs: with_margin,
             calm: vec![0.0; len],
             tiles: vec![[0.0; 2]; tiles],
+            sorted: Vec::with_capacity(tiles),
             buffers: vec![RowBuffers::of_pitch(self.pitch); height.div_ceil(TILE)],
         };
     }

@@ -7,10 +7,12 @@ mod params;
 mod rows;
 mod state;
 mod tiles;
+mod track;
 
 pub use filter::TemporalFilter;
 pub use motion::CameraMotion;
 pub use params::TemporalParams;
+pub(crate) use track::{Surface, Tracker};
 
 /// The averaged quantity: inverse depth or depth, whichever has the more constant noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

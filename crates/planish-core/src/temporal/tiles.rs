@@ -7,6 +7,15 @@ const FEW: f32 = 64.0;
 /// Deviations of a tile's change, and of its bias, that halve its weight; twice as many if the camera's motion is known.
 const CHANGE: f32 = 3.0;
 const BIAS: f32 = 1.5;
+/// Median bias of all tiles over their median change that halves the weight of all pixels. Noise has about 0.35, a
+/// moving camera 0.5 to 1.
+const PERSISTENT: f32 = 0.55;
+/// Above this ratio, changes are not learnt as noise.
+const PERSISTENT_NOISE: f32 = 0.5;
+/// With fewer tiles the ratio is uncertain, and not used.
+const LEAST_TILES: usize = 150;
+/// Median change in sigmas below which it is not used either: too small to blur anything.
+const LEAST_CHANGE: f32 = 0.1;
 const FIRST_VARIANCE: f32 = 0.04;
 const LEAST_VARIANCE: f32 = 0.0025;
 const LEAK: f32 = 0.25;
@@ -15,33 +24,72 @@ const LEARN: f32 = 1.0 / 16.0;
 /// The state of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tile {
+    /// Mean of the clipped changes of its pixels in this frame.
+    change: f32,
     bias: f32,
     variance: f32,
+    /// Whether enough pixels were updated.
+    counts: bool,
     /// Weight of the past frames of the tile's pixels, 0 to 1.
     pub(super) weight: f32,
 }
 
 impl Default for Tile {
     fn default() -> Self {
-        Self { bias: 0.0, variance: FIRST_VARIANCE, weight: 1.0 }
+        Self { change: 0.0, bias: 0.0, variance: FIRST_VARIANCE, counts: false, weight: 1.0 }
+    }
+}
+
+/// Updates all tiles from the sums of the clipped changes of their pixels, and their numbers. `sorted` is a buffer.
+pub(super) fn update_tiles(tiles: &mut [Tile], sums: &[[f32; 2]], knows_motion: bool, sorted: &mut Vec<f32>) {
+    for (tile, &[sum, count]) in tiles.iter_mut().zip(sums) {
+        tile.counts = count > FEW;
+        tile.change = if tile.counts { sum / count } else { 0.0 };
+    }
+    let median_change = median(tiles, |tile| tile.change, sorted);
+    let before = |tile: &Tile| tile.bias + LEAK * (tile.change - tile.bias);
+    let median_bias = median(tiles, before, sorted);
+    // Noise differs from frame to frame; a moving camera changes tiles the same way for some time.
+    let persistence = match (median_change, median_bias) {
+        (Some(change), Some(bias)) if !knows_motion && change > LEAST_CHANGE => bias / change,
+        _ => 0.0,
+    };
+    let ratio = persistence / PERSISTENT;
+    let of_camera = 1.0 / (1.0 + fourth_power(ratio * ratio));
+    let gate = if knows_motion { 2.0 } else { 1.0 };
+    for tile in tiles {
+        tile.update(of_camera, gate, persistence <= PERSISTENT_NOISE);
     }
 }
 
 impl Tile {
-    /// Takes the sum of the clipped changes of its pixels, and their number.
-    pub(super) fn update(&mut self, sum: f32, count: f32, knows_motion: bool) {
-        if count <= FEW {
-            (self.bias, self.weight) = (0.0, 1.0);
+    fn update(&mut self, of_camera: f32, gate: f32, learns: bool) {
+        if !self.counts {
+            (self.bias, self.weight) = (0.0, of_camera);
             return;
         }
-        let mean = sum / count;
         let deviation = self.variance.sqrt();
-        let from_bias = (mean - self.bias).abs().min(3.0 * deviation);
-        self.bias += LEAK * (mean - self.bias);
-        let gate = if knows_motion { 2.0 * deviation } else { deviation };
-        let ratios = [mean / (CHANGE * gate), self.bias / (BIAS * gate)];
-        self.weight = 1.0 / (1.0 + ratios.map(|ratio| (ratio * ratio) * (ratio * ratio)).iter().sum::<f32>());
-        let learnt = 0.875 * from_bias * from_bias - self.variance;
-        self.variance = (self.variance + LEARN * learnt).clamp(LEAST_VARIANCE, 1.0);
+        let from_bias = (self.change - self.bias).abs().min(3.0 * deviation);
+        self.bias += LEAK * (self.change - self.bias);
+        let by_change = fourth_power(self.change / (CHANGE * gate * deviation));
+        let by_bias = fourth_power(self.bias / (BIAS * gate * deviation));
+        self.weight = of_camera / (1.0 + by_change + by_bias);
+        if learns {
+            let learnt = 0.875 * from_bias * from_bias - self.variance;
+            self.variance = (self.variance + LEARN * learnt).clamp(LEAST_VARIANCE, 1.0);
+        }
     }
+}
+
+/// Returns the median magnitude over the tiles that count; `None` if they are few.
+fn median(tiles: &[Tile], value: impl Fn(&Tile) -> f32, sorted: &mut Vec<f32>) -> Option<f32> {
+    sorted.clear();
+    sorted.extend(tiles.iter().filter(|tile| tile.counts).map(|tile| value(tile).abs()));
+    let middle = sorted.len() / 2;
+    (sorted.len() >= LEAST_TILES).then(|| *sorted.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+fn fourth_power(value: f32) -> f32 {
+    let square = value * value;
+    square * square
 }

@@ -10,6 +10,8 @@ use crate::simulate::Truth;
 const SETTLING_FRAMES: u64 = 8;
 /// Shortest time for which a pixel must be still to count, in frames.
 const LEAST_STILL: u16 = 10;
+/// Share of the frames in which a pixel must be still to count.
+const LEAST_SHARE_STILL: f64 = 2.0 / 3.0;
 /// Largest change of a still pixel between frames, in sigmas.
 const STILL_SIGMAS: f64 = 8.0;
 /// A larger relative error is another surface.
@@ -28,7 +30,7 @@ const LEAST_SEEN_MOTION_M: f32 = 0.004;
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct VideoRange {
-    /// Number of pixels that were still for 10 frames or longer.
+    /// Number of pixels that were still in two thirds of the frames, for 10 frames or longer at a time.
     pub still_pixels: usize,
     /// Median over these of the deviation of differences between frames, over the root of 2.
     pub jitter_mm: Option<f64>,
@@ -254,7 +256,7 @@ impl VideoEvaluation {
                 pixel.finish(*still);
             }
         }
-        self.methods.iter().map(Method::report).collect()
+        self.methods.iter().map(|method| method.report(self.frames)).collect()
     }
 }
 
@@ -285,11 +287,11 @@ impl Pixel {
 }
 
 impl Method {
-    fn report(&self) -> VideoReport {
+    fn report(&self, frames: u64) -> VideoReport {
         VideoReport {
             name: self.name.clone(),
-            near: self.range(0),
-            far: self.range(1),
+            near: self.range(0, frames),
+            far: self.range(1, frames),
             found_share: self.found.value(),
             late_share: self.late.value(),
             left_share: self.left.value(),
@@ -299,8 +301,9 @@ impl Method {
         }
     }
 
-    fn range(&self, range: usize) -> VideoRange {
-        let is_in = |pixel: &&Pixel| pixel.all_times > 0 && range_of(pixel.range_m) == Some(range);
+    fn range(&self, range: usize, frames: u64) -> VideoRange {
+        let least = (LEAST_SHARE_STILL * frames as f64).max(1.0);
+        let is_in = |pixel: &&Pixel| f64::from(pixel.all_frames) >= least && range_of(pixel.range_m) == Some(range);
         let (mut jitter_mm, mut wander_mm) = (Vec::new(), Vec::new());
         for pixel in self.pixels.iter().filter(is_in) {
             let steps = f64::from(pixel.all_frames - pixel.all_times);

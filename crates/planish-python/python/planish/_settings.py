@@ -60,8 +60,10 @@ class Settings(TypedDict, total=False):
     """For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, by at most
     1.5 standard deviations of the noise [default: false]. Not for streams."""
     temporal: Literal["off", "steady"] | None
-    """For the frames of one stationary camera, in order: ``"steady"`` smooths over time, without trails [default: off]. A `Smoother` keeps
-    the state; frames of another shape start again."""
+    """For the frames of one camera, in order: ``"steady"`` smooths over time [default: off]. A `Smoother` keeps the
+    state; frames of another shape start again. The camera is stationary, unless ``track`` or poses are given."""
+    track: bool | None
+    """Smooth over time and compensate the motion of the camera, estimated from frame to frame [default: false]."""
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or number
     of neighbours]."""

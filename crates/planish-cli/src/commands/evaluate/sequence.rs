@@ -181,10 +181,16 @@ impl Evaluated {
         let with = |temporal| {
             let mut settings = settings.clone();
             settings.temporal = Some(temporal);
+            settings.track = None;
             settings
         };
         let (alone, steady) = (with(TemporalChoice::Off), with(TemporalChoice::Steady));
         let mut ways = vec![Way::new("frame by frame", alone, false)?, Way::new("steady", steady.clone(), false)?];
+        if event == Some(Event::MovingCamera) || args.smoothing.track {
+            let mut tracked = steady.clone();
+            tracked.track = Some(true);
+            ways.push(Way::new("steady, tracked", tracked, false)?);
+        }
         if event == Some(Event::MovingCamera) {
             ways.push(Way::new("steady, true poses", steady, true)?);
         }

@@ -1,0 +1,338 @@
+//! Estimates how the camera has moved since the frame before: point-to-plane alignment by projection
+//! (docs/method.md, section 16, "Tracking").
+//!
+//! Points of the current frame are projected into the one before, whose points and normals there are a plane each.
+//! Gauss-Newton steps with robust weights minimise the distances, on every eighth pixel, then every fourth, then every
+//! second. Directions in which the scene does not hold the camera, such as along a wall, stay as predicted.
+
+use glam::{DMat3, DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::camera::Camera;
+use crate::pose::RigidTransform;
+use crate::sensor::SensorModel;
+use crate::xyz::Xyz;
+
+/// Distances between the pixels used, and the most steps with each.
+const LEVELS: [(usize, usize); 3] = [(8, 8), (4, 5), (2, 3)];
+/// Rows of a level that are a task.
+const TASK_ROWS: usize = 8;
+/// Largest difference of depth between matching points, relative to it.
+const NEAR: f32 = 0.1;
+/// Least cosine between matching normals.
+const ALIKE: f32 = 0.85;
+/// Least residual scale in sigmas, and the scales at which a residual's weight is a half.
+const LEAST_SCALE: f64 = 0.3;
+const CAUCHY: f64 = 2.0;
+/// Directions with less than this share of the largest information are not corrected.
+const LEAST_INFORMATION: f64 = 1e-3;
+/// A step this small ends a level: radians and metres.
+const SMALL_STEP: f64 = 2e-6;
+/// Share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
+const LEAST_MATCHED: f64 = 0.5;
+const MOST_SCALE: f64 = 1.5;
+
+/// Points and normals of a frame, in the frame of its camera.
+#[derive(Debug, Default)]
+pub(crate) struct Surface {
+    pub(crate) points: Xyz,
+    pub(crate) normals: Xyz,
+}
+
+/// How well a motion aligns two frames.
+#[derive(Debug, Clone, Copy)]
+struct Alignment {
+    /// Points with a match, and points at all.
+    matched: usize,
+    points: usize,
+    /// Robust deviation of the residuals, in sigmas.
+    scale: f64,
+}
+
+/// A point of the current frame and the plane that it should be on, in the previous camera's frame.
+#[derive(Clone, Copy)]
+struct Match {
+    point: Vec3,
+    normal: Vec3,
+    /// Distance from the plane in metres, and one sigma of it.
+    residual_m: f32,
+    sigma_m: f32,
+}
+
+/// Sums of the normal equations: the upper triangle of A, and g.
+type Sums = [f64; 27];
+
+/// Aligns frames of one camera.
+#[derive(Debug)]
+pub(crate) struct Tracker {
+    camera: Camera,
+    sensor: SensorModel,
+    /// The last motion, which predicts the next.
+    last: RigidTransform,
+}
+
+impl Tracker {
+    pub(crate) fn new(camera: Camera, sensor: SensorModel) -> Self {
+        Self { camera, sensor, last: RigidTransform::IDENTITY }
+    }
+
+    /// Estimates previous_from_current; `None` if no motion is certain.
+    pub(crate) fn track(&mut self, previous: &Surface, current: &Surface) -> Option<RigidTransform> {
+        // Whichever prediction is better: at rest, or moving on.
+        let (step, _) = LEVELS[0];
+        let score = |motion: &RigidTransform| {
+            let (alignment, _) = self.align(previous, current, motion, step);
+            alignment.scale * alignment.points as f64 / alignment.matched.max(1) as f64
+        };
+        let mut motion = RigidTransform::IDENTITY;
+        if !self.last.is_identity() && score(&self.last) < score(&motion) {
+            motion = self.last;
+        }
+        let mut alignment = None;
+        for (step, steps) in LEVELS {
+            for _ in 0..steps {
+                let (found, matches) = self.align(previous, current, &motion, step);
+                alignment = Some(found);
+                let Some(change) = solve(&matches, found.scale) else { break };
+                motion = RigidTransform { rotation: change.rotation, translation: change.translation }.after(motion);
+                let angle = (change.rotation - DMat3::IDENTITY).to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
+                if angle < SMALL_STEP && change.translation.abs().max_element() < SMALL_STEP {
+                    break;
+                }
+            }
+        }
+        let is_sure = alignment.is_some_and(|alignment| {
+            alignment.matched as f64 >= LEAST_MATCHED * alignment.points as f64
+                && alignment.matched >= 100
+                && alignment.scale <= MOST_SCALE
+        });
+        self.last = if is_sure { motion } else { RigidTransform::IDENTITY };
+        is_sure.then_some(motion)
+    }
+
+    pub(crate) fn camera(&self) -> Camera {
+        self.camera
+    }
+
+    /// Matches every `step`th pixel.
+    fn align(
+        &self,
+        previous: &Surface,
+        current: &Surface,
+        motion: &RigidTransform,
+        step: usize,
+    ) -> (Alignment, Vec<Match>) {
+        let Camera { width, height, .. } = self.camera;
+        let rows: Vec<usize> = (0..height).step_by(step).collect();
+        let tasks: Vec<(usize, Vec<Match>)> = rows
+            .par_chunks(TASK_ROWS)
+            .map(|rows| {
+                let (mut points, mut matches) = (0, Vec::new());
+                for i in rows.iter().flat_map(|v| (0..width).step_by(step).map(move |u| v * width + u)) {
+                    if current.points.is_finite(i) && current.normals.is_finite(i) {
+                        points += 1;
+                        matches.extend(self.find(previous, current, motion, i));
+                    }
+                }
+                (points, matches)
+            })
+            .collect();
+        let points = tasks.iter().map(|(points, _)| points).sum();
+        let matches: Vec<Match> = tasks.into_iter().flat_map(|(_, matches)| matches).collect();
+        let mut ratios: Vec<f32> = matches.iter().map(|found| (found.residual_m / found.sigma_m).abs()).collect();
+        let middle = ratios.len() / 2;
+        let median = if ratios.is_empty() {
+            f32::INFINITY
+        } else {
+            *ratios.select_nth_unstable_by(middle, f32::total_cmp).1
+        };
+        let scale = LEAST_SCALE.max(1.4826 * f64::from(median));
+        (Alignment { matched: matches.len(), points, scale }, matches)
+    }
+
+    fn find(&self, previous: &Surface, current: &Surface, motion: &RigidTransform, i: usize) -> Option<Match> {
+        let (rotation, translation) = (motion.rotation.as_mat3(), motion.translation.as_vec3());
+        let point = rotation * Vec3::from_array(current.points.get(i)) + translation;
+        let turned = rotation * Vec3::from_array(current.normals.get(i));
+        if point.z.is_nan() || point.z <= 0.0 {
+            return None;
+        }
+        let [u, v] = self.camera.project_ray([point.x / point.z, point.y / point.z]).map(|at| (at + 0.5).floor());
+        let is_inside = u >= 0.0 && v >= 0.0 && u < self.camera.width as f32 && v < self.camera.height as f32;
+        let j = is_inside.then(|| v as usize * self.camera.width + u as usize)?;
+        let (plane, normal) = (Vec3::from_array(previous.points.get(j)), Vec3::from_array(previous.normals.get(j)));
+        // False for holes.
+        let is_match = (plane.z - point.z).abs() < NEAR * point.z && normal.dot(turned) > ALIKE;
+        is_match.then(|| {
+            let sigma_m = self.sensor.sigma_m(f64::from(point.z)) as f32 * normal.z.abs().max(0.2);
+            Match { point, normal, residual_m: (point - plane).dot(normal), sigma_m: sigma_m.max(1e-6 * point.z) }
+        })
+    }
+}
+
+/// Returns the Gauss-Newton step of the matches, to be applied after the motion so far.
+fn solve(matches: &[Match], scale: f64) -> Option<RigidTransform> {
+    if matches.len() < 6 {
+        return None;
+    }
+    // Turns about the middle of the points, and metres in units of their extent, make both kinds of motion comparable.
+    let count = matches.len() as f64;
+    let centre = matches.iter().map(|found| found.point.as_dvec3()).sum::<DVec3>() / count;
+    let extent_m = (matches.iter().map(|found| found.point.as_dvec3().distance_squared(centre)).sum::<f64>() / count)
+        .sqrt()
+        .max(1e-3);
+    let partial = |matches: &[Match]| -> Sums {
+        let mut sums = [0.0; 27];
+        for found in matches {
+            let (normal, residual_m) = (found.normal.as_dvec3(), f64::from(found.residual_m));
+            let sigma_m = scale * f64::from(found.sigma_m);
+            let weight = 1.0 / (1.0 + (residual_m / (CAUCHY * sigma_m)).powi(2)) / (sigma_m * sigma_m);
+            let turn = (found.point.as_dvec3() - centre).cross(normal) / extent_m;
+            let jacobian = [turn.x, turn.y, turn.z, normal.x, normal.y, normal.z];
+            let mut k = 0;
+            for (row, value) in jacobian.iter().enumerate() {
+                for other in &jacobian[row..] {
+                    sums[k] += weight * value * other;
+                    k += 1;
+                }
+            }
+            for (row, value) in jacobian.iter().enumerate() {
+                sums[21 + row] += weight * value * residual_m;
+            }
+        }
+        sums
+    };
+    // Fixed parts, summed in order: the number of threads changes no bit.
+    let parts: Vec<Sums> = matches.par_chunks(4096).map(partial).collect();
+    let sums = parts.into_iter().fold([0.0; 27], |mut sums, part| {
+        sums.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+        sums
+    });
+    let mut information = [[0.0; 6]; 6];
+    let mut k = 0;
+    for row in 0..6 {
+        for column in row..6 {
+            (information[row][column], information[column][row]) = (sums[k], sums[k]);
+            k += 1;
+        }
+    }
+    let (values, vectors) = symmetric_eigen_6(information);
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    let mut step = [0.0; 6];
+    for (value, vector) in values.iter().zip(&vectors) {
+        if *value > LEAST_INFORMATION * largest {
+            let along: f64 = vector.iter().zip(&sums[21..]).map(|(a, b)| a * b).sum();
+            step.iter_mut().zip(vector).for_each(|(step, direction)| *step -= along / value * direction);
+        }
+    }
+    let [turn_x, turn_y, turn_z, x, y, z] = step;
+    let turn = DVec3::new(turn_x, turn_y, turn_z) / extent_m;
+    let rotation = DMat3::from_quat(glam::DQuat::from_scaled_axis(turn));
+    let translation = DVec3::new(x, y, z) + centre - rotation * centre;
+    let is_finite = rotation.is_finite() && translation.is_finite();
+    is_finite.then_some(RigidTransform { rotation, translation })
+}
+
+/// Returns eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
+fn symmetric_eigen_6(mut a: [[f64; 6]; 6]) -> ([f64; 6], [[f64; 6]; 6]) {
+    const SWEEPS: usize = 32;
+    // Row k is the k-th eigenvector.
+    let mut vectors: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+    for _ in 0..SWEEPS {
+        let off_diagonal: f64 = (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).map(|(i, j)| a[i][j].abs()).sum();
+        if off_diagonal == 0.0 {
+            break;
+        }
+        for (p, q) in (0..6).flat_map(|p| (p + 1..6).map(move |q| (p, q))) {
+            if a[p][q] == 0.0 {
+                continue;
+            }
+            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+            let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+            let c = 1.0 / t.hypot(1.0);
+            let s = t * c;
+            for row in &mut a {
+                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+            }
+            for rows in [&mut a, &mut vectors] {
+                let (row_p, row_q) = (rows[p], rows[q]);
+                rows[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
+                rows[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
+            }
+            (a[p][q], a[q][p]) = (0.0, 0.0);
+        }
+    }
+    (std::array::from_fn(|i| a[i][i]), vectors)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A corner of three walls, or one wall, seen by a camera.
+    fn surface(camera: &Camera, world_from_camera: &RigidTransform, planes: &[(DVec3, f64)]) -> Surface {
+        let pixel = |i: usize| {
+            let (u, v) = ((i % camera.width) as f64, (i / camera.width) as f64);
+            let ray = DVec3::new((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0);
+            let (from, towards) = (world_from_camera.translation, world_from_camera.rotation * ray);
+            let hit = |(normal, distance): &(DVec3, f64)| {
+                let t = (distance - normal.dot(from)) / normal.dot(towards);
+                (t > 0.0).then_some((t, *normal))
+            };
+            let (t, normal) = planes.iter().filter_map(hit).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+            let normal = world_from_camera.rotation.transpose() * normal;
+            let facing = if normal.dot(ray) > 0.0 { -normal } else { normal };
+            ((t * ray).as_vec3().to_array(), facing.as_vec3().to_array())
+        };
+        let (points, normals): (Vec<_>, Vec<_>) = (0..camera.width * camera.height).map(pixel).unzip();
+        Surface { points: points.into_iter().collect(), normals: normals.into_iter().collect() }
+    }
+
+    fn moved() -> RigidTransform {
+        let rotation = DMat3::from_rotation_y(0.012) * DMat3::from_rotation_x(-0.007);
+        RigidTransform { rotation, translation: DVec3::new(0.012, -0.006, 0.009) }
+    }
+
+    const CORNER: [(DVec3, f64); 3] =
+        [(DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::new(-0.8, 0.0, 0.6), 2.0), (DVec3::new(0.0, 1.0, 0.0), 0.7)];
+
+    #[test]
+    fn a_corner_shows_the_whole_motion() {
+        let camera = Camera::new((320, 240), [262.0; 2], [159.5, 119.5]);
+        let previous = surface(&camera, &RigidTransform::IDENTITY, &CORNER);
+        let current = surface(&camera, &moved(), &CORNER);
+        let mut tracker = Tracker::new(camera, SensorModel::KINECT_V1);
+        let found = tracker.track(&previous, &current).unwrap();
+        assert!((found.translation - moved().translation).length() < 1e-4, "{found:?}");
+        let turn = found.rotation.transpose() * moved().rotation - DMat3::IDENTITY;
+        assert!(turn.to_cols_array().iter().all(|value| value.abs() < 5e-5), "{turn:?}");
+    }
+
+    #[test]
+    fn along_a_wall_nothing_moves_and_without_matches_nothing_is_certain() {
+        let camera = Camera::new((320, 240), [262.0; 2], [159.5, 119.5]);
+        let wall = [(DVec3::Z, 1.5)];
+        let previous = surface(&camera, &RigidTransform::IDENTITY, &wall);
+        let current = surface(&camera, &moved(), &wall);
+        let mut tracker = Tracker::new(camera, SensorModel::KINECT_V1);
+        let found = tracker.track(&previous, &current).unwrap();
+        // The wall shows one distance and two turns.
+        assert!((found.translation.z - moved().translation.z).abs() < 1e-3, "{found:?}");
+        assert!(found.translation.truncate().length() < 0.03, "{found:?}");
+        let far = surface(&camera, &RigidTransform::IDENTITY, &[(DVec3::Z, 3.0)]);
+        assert_eq!(tracker.track(&previous, &far), None);
+    }
+
+    #[test]
+    fn eigenvectors_diagonalise_the_matrix() {
+        let a: [[f64; 6]; 6] =
+            std::array::from_fn(|i| std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64) + f64::from(u8::from(i == j))));
+        let (values, vectors) = symmetric_eigen_6(a);
+        for (value, vector) in values.iter().zip(&vectors) {
+            for (row, entry) in a.iter().zip(vector) {
+                let product: f64 = row.iter().zip(vector).map(|(a, b)| a * b).sum();
+                assert!((product - value * entry).abs() < 1e-12);
+            }
+        }
+    }
+}
