@@ -57,6 +57,8 @@ struct Begun {
     camera: Option<Camera>,
     /// The last frame and what aligns others with it, if the motion of the camera is estimated.
     tracking: Option<(Tracker, Surface)>,
+    /// How the camera moved before the last frame, if that is known.
+    motion: Option<CameraMotion>,
 }
 
 /// The filter of a session, with its buffers.
@@ -164,7 +166,7 @@ impl Session {
             *begun = Some(Begun::new(*sight, params, self.options.threads, smoothed)?);
             *last_pose = None;
         }
-        let Some(Begun { filter, threads, camera, tracking, .. }) = begun else { return Ok(()) };
+        let Some(Begun { filter, threads, camera, tracking, motion: last_motion, .. }) = begun else { return Ok(()) };
         let last_pose = std::mem::replace(last_pose, sight.pose);
         threads.install(|| {
             let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
@@ -177,6 +179,7 @@ impl Session {
                 (Some((tracker, previous)), ..) => sight.track(tracker, previous, smoothed),
                 _ => None,
             };
+            *last_motion = motion;
             sight.measure(smoothed, ranges_m);
             single_m.clone_from(ranges_m);
             match motion {
@@ -212,6 +215,12 @@ impl Session {
         self.video = OverTime { number: number + 1, pose, ..OverTime::default() };
     }
 
+    /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
+    /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
+    pub fn camera_motion(&self) -> Option<CameraMotion> {
+        self.video.begun.as_ref().and_then(|begun| begun.motion)
+    }
+
     /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
     /// frame, or if the session does not smooth over time.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
@@ -231,7 +240,7 @@ impl Begun {
         let camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
         let tracking = camera.filter(|_| sight.is_tracked);
         let tracking = tracking.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking })
+        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking, motion: None })
     }
 }
 

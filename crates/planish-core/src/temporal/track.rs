@@ -30,7 +30,7 @@ const LEAST_INFORMATION: f64 = 1e-3;
 const SMALL_STEP: f64 = 2e-6;
 /// Share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
 const LEAST_MATCHED: f64 = 0.5;
-const MOST_SCALE: f64 = 1.5;
+const MOST_SCALE: f64 = 3.0;
 
 /// Points and normals of a frame, in the frame of its camera.
 #[derive(Debug, Default)]

@@ -1,13 +1,15 @@
 //! How steady and how prompt the depth of a video is, after smoothing in several ways.
 
-use planish_core::SensorModel;
+use planish_core::{Camera, OrganizedCloud, SensorModel, Xyz};
 use serde::Serialize;
 
-use super::flat_pixels;
+use super::{flat_pixels, tile_planes};
 use crate::simulate::Truth;
 
 /// Frames before errors against the truth count: a filter over time needs some to settle.
 const SETTLING_FRAMES: u64 = 8;
+/// Flatness is measured in one of this many frames.
+const FLATNESS_EVERY: u64 = 10;
 /// Shortest time for which a pixel must be still to count, in frames.
 const LEAST_STILL: u16 = 10;
 /// Share of the frames in which a pixel must be still to count.
@@ -23,7 +25,7 @@ const NEAR_M: f32 = 0.9;
 const FAR_M: f32 = 2.0;
 /// Changes of a moving surface per frame: at least, in metres, and at most, relative to its range.
 const LEAST_MOTION_M: f32 = 0.0002;
-/// The same without a truth, above the noise.
+/// The least one without a truth, above the noise.
 const LEAST_SEEN_MOTION_M: f32 = 0.004;
 
 /// Scores of a range of depth, in millimetres.
@@ -61,12 +63,15 @@ pub struct VideoReport {
     pub late_share: Option<f64>,
     /// Share of the pixels that the moving object has just left and that do not show what is behind it.
     pub left_share: Option<f64>,
-    /// Mean distance in millimetres by which moving surfaces are behind.
+    /// Mean distance in millimetres by which moving surfaces are behind; without a truth only below 0.9 m.
     pub lag_mm: Option<f64>,
     /// Share of the points whose depth was carried over from earlier frames.
     pub carried_share: f64,
     /// Share of the carried points that are off by over 5 %.
     pub carried_wrong_share: Option<f64>,
+    /// Median distance in millimetres of points from the plane of their tile of 8x8 pixels, in every tenth frame; for
+    /// frames of a camera.
+    pub flatness_mm: Option<f64>,
 }
 
 /// A frame of a video as one way to smooth shows it.
@@ -122,6 +127,7 @@ struct Method {
     carried: Share,
     carried_wrong: Share,
     lag_m: (f64, u64),
+    flatness_mm: (f64, u64),
 }
 
 impl Share {
@@ -141,6 +147,22 @@ impl VideoEvaluation {
         let methods = names.iter().map(|name| Method { name: (*name).to_owned(), ..Method::default() }).collect();
         let (still, before_m, before_that_m) = Default::default();
         Self { sensor, frames: 0, methods, still, before_m, before_that_m, truth_before: None }
+    }
+
+    /// Measures how flat every tenth frame is, on the tiles that are flat in its first way; call it before
+    /// [`add`](Self::add).
+    pub fn add_flatness(&mut self, camera: &Camera, depths: &[VideoDepth<'_>]) {
+        let Some(alone) = depths.first().filter(|_| self.frames % FLATNESS_EVERY == FLATNESS_EVERY - 1) else { return };
+        let points = |depth: &VideoDepth<'_>| camera.deproject_m(depth.depth_m.iter().copied());
+        let Ok(cloud) = OrganizedCloud::from_positions(camera.width, camera.height, points(alone)) else { return };
+        for (method, depth) in self.methods.iter_mut().zip(depths) {
+            let normals: Xyz = std::iter::repeat_n([f32::NAN; 3], depth.depth_m.len()).collect();
+            let rms_mm = tile_planes(&cloud, &points(depth), &normals).rms_mm;
+            if rms_mm.is_finite() {
+                method.flatness_mm.0 += rms_mm;
+                method.flatness_mm.1 += 1;
+            }
+        }
     }
 
     /// Adds a frame: one depth image per way, of one size, and its truth with the object that moves, if known.
@@ -234,7 +256,9 @@ impl VideoEvaluation {
             let (change_m, before_m) = (now_m - self.before_m[i], self.before_m[i] - self.before_that_m[i]);
             let sigma_m = self.sensor.sigma_m(f64::from(now_m)) as f32;
             let is_jump = change_m.abs() > (SAME_SURFACE * now_m).max(STILL_SIGMAS as f32 * sigma_m);
-            let is_motion = |change_m: f32| (LEAST_SEEN_MOTION_M..SAME_SURFACE * now_m).contains(&change_m.abs());
+            // Farther away, noise looks like motion.
+            let most_m = if now_m < NEAR_M { OUTLIER * now_m } else { 0.0 };
+            let is_motion = |change_m: f32| (LEAST_SEEN_MOTION_M..most_m).contains(&change_m.abs());
             let moves = is_motion(change_m) && is_motion(before_m) && change_m.signum() == before_m.signum();
             for (method, depth) in self.methods.iter_mut().zip(depths) {
                 let off_m = depth.depth_m[i] - now_m;
@@ -298,6 +322,7 @@ impl Method {
             lag_mm: mean(self.lag_m).map(|lag_m| 1e3 * lag_m),
             carried_share: self.carried.value().unwrap_or(0.0),
             carried_wrong_share: self.carried_wrong.value(),
+            flatness_mm: mean(self.flatness_mm),
         }
     }
 
@@ -342,7 +367,6 @@ fn mean((sum, count): (f64, u64)) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::simulate::{Pose, Random, Scene, Shape};
-    use planish_core::Camera;
 
     fn depth(depth_m: &[f32]) -> VideoDepth<'_> {
         VideoDepth { depth_m, carried: &[] }

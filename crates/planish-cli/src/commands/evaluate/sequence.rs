@@ -45,6 +45,8 @@ struct Way {
     smoothed: Smoothed,
     carried: Vec<bool>,
     times_ms: Vec<f64>,
+    /// Number of frames before which the motion of the camera is known.
+    moved: u64,
 }
 
 pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
@@ -250,6 +252,9 @@ impl Evaluated {
         );
         depths.extend(others_m.iter().map(|depth_m| VideoDepth { depth_m, carried: &[] }));
         if let Some(evaluation) = &mut self.evaluation {
+            if let Some(camera) = camera {
+                evaluation.add_flatness(camera, &depths);
+            }
             evaluation.add(&depths, truth);
         }
         if self.draws {
@@ -268,6 +273,7 @@ impl Evaluated {
         if ways.len() > 1 {
             ways.swap(0, 1);
         }
+        for way in self.ways { eprintln!("{} {} of {}", way.name, way.moved, self.frames); }
         if let Some(folder) = &args.out {
             write_animated_png(&folder.join(format!("{file}.png")), &self.pictures, PICTURED_PER_SECOND)?;
         }
@@ -286,6 +292,7 @@ impl Way {
             smoothed: Smoothed::default(),
             carried: Vec::new(),
             times_ms: Vec::new(),
+            moved: 0,
         })
     }
 
@@ -296,6 +303,7 @@ impl Way {
         let start = std::time::Instant::now();
         self.session.smooth(frame, &mut self.smoothed)?;
         self.times_ms.push(ms_since(start));
+        self.moved += u64::from(self.session.camera_motion().is_some());
         let statuses = self.smoothed.status.as_deref().unwrap_or_default();
         self.carried = statuses.iter().map(|status| *status == Status::Carried).collect();
         Ok(())
@@ -364,6 +372,7 @@ fn print(video: &Video) {
     line("  wander (deviation while still), median, mm", &both(|range| range.wander_mm));
     line("  wander of the noisiest 5 %, mm", &both(|range| range.wander_95_mm));
     let share = |value: Option<f64>| value.map(percent);
+    line("distance from the plane of 8x8 pixels, median, mm", &|way| mm(way.flatness_mm));
     line("moving object: its pixels that show it", &|way| share(way.found_share));
     line("surfaces that have just appeared, but do not show", &|way| share(way.late_share));
     line("pixels that an object has just left, but still show it", &|way| share(way.left_share));
