@@ -208,8 +208,9 @@ impl TemporalReference {
     fn update_tiles(&mut self, measured: &[Measured], knows_motion: bool) {
         let changes: Vec<Option<f64>> =
             (0..self.tiles.len()).map(|number| self.change_of_tile(number, measured)).collect();
-        let persistence = if knows_motion { 0.0 } else { self.persistence(&changes) };
-        let of_camera = 1.0 / (1.0 + (persistence / 0.55).powi(8));
+        let (persistence, agreement) = if knows_motion { (0.0, 0.5) } else { self.common_change(&changes) };
+        let by_place = (f64::max(agreement - 0.5, 0.0) / 0.12).powi(4);
+        let of_camera = 1.0 / (1.0 + (persistence / 0.55).powi(8) + by_place);
         let gate = if knows_motion { 2.0 } else { 1.0 };
         for (tile, change) in self.tiles.iter_mut().zip(changes) {
             let Some(mean) = change else {
@@ -221,28 +222,44 @@ impl TemporalReference {
             tile.bias += (mean - tile.bias) / 4.0;
             let of_change = (mean / (3.0 * gate * deviation)).powi(4);
             tile.weight = of_camera / (1.0 + of_change + (tile.bias / (1.5 * gate * deviation)).powi(4));
-            if persistence <= 0.5 {
+            if persistence <= 0.5 && agreement <= 0.58 {
                 let learnt = 0.875 * from_bias.powi(2) - tile.variance;
                 tile.variance = (tile.variance + learnt / 16.0).clamp(0.0025, 1.0);
             }
         }
     }
 
-    /// P of equation (16.6): 0 with few tiles or small changes.
-    fn persistence(&self, changes: &[Option<f64>]) -> f64 {
+    /// P and A of equation (16.6): 0 and 1/2 with few tiles or small changes.
+    fn common_change(&self, changes: &[Option<f64>]) -> (f64, f64) {
         let of_tiles = self.tiles.iter().zip(changes).filter_map(|(tile, change)| Some((tile, (*change)?)));
         let (mut biases, mut magnitudes): (Vec<f64>, Vec<f64>) = of_tiles
             .map(|(tile, change)| ((tile.bias + (change - tile.bias) / 4.0).abs(), change.abs()))
             .unzip();
         if biases.len() < 150 {
-            return 0.0;
+            return (0.0, 0.5);
         }
         let median = |values: &mut [f64]| {
             values.sort_by(f64::total_cmp);
             values[values.len() / 2]
         };
         let (bias, magnitude) = (median(&mut biases), median(&mut magnitudes));
-        if magnitude > 0.1 { bias / magnitude } else { 0.0 }
+        if magnitude <= 0.1 {
+            return (0.0, 0.5);
+        }
+        let across = self.shape.0.div_ceil(TILE);
+        let place = |i: usize| (i % across, i / across);
+        let is_pair = |i: usize, j: usize| {
+            let ((u, v), (other_u, other_v)) = (place(i), place(j));
+            (v == other_v && u + 3 == other_u) || (u == other_u && v + 3 == other_v)
+        };
+        let (mut same, mut all) = (0.0, 0.0);
+        for (i, j) in (0..changes.len()).flat_map(|i| [(i, i + 3), (i, i + 3 * across)]) {
+            if let (Some(Some(one)), Some(Some(other)), true) = (changes.get(i), changes.get(j), is_pair(i, j)) {
+                all += 1.0;
+                same += f64::from(u8::from((*one > 0.0) == (*other > 0.0)));
+            }
+        }
+        (bias / magnitude, if all > 0.0 { same / all } else { 0.5 })
     }
 
     /// Equations (16.2) to (16.6); returns whether the pixel is calm.

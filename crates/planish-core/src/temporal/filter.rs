@@ -126,7 +126,8 @@ impl TemporalFilter {
             self.move_state(motion)?;
         }
         self.measure_changes();
-        update_tiles(&mut self.tiles, &self.planes.tiles, motion.is_some(), &mut self.planes.sorted);
+        let across = pitch / TILE;
+        update_tiles(&mut self.tiles, across, &self.planes.tiles, motion.is_some(), &mut self.planes.sorted);
         self.update();
         if self.params.hold_frames > 0 {
             self.hold();

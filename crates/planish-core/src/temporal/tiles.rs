@@ -12,6 +12,13 @@ const BIAS: f32 = 1.5;
 const PERSISTENT: f32 = 0.55;
 /// Above this ratio, changes are not learnt as noise.
 const PERSISTENT_NOISE: f32 = 0.5;
+/// Tiles this far apart have independent noise: windows are narrower.
+const PAIR: usize = 3;
+/// Share over one half of pairs of distant tiles that change alike that halves the weight of all pixels. Noise has 0.05
+/// at most, a moving camera up to 0.4.
+const AGREEING: f32 = 0.12;
+/// Above this share, changes are not learnt as noise.
+const AGREEING_NOISE: f32 = 0.58;
 /// With fewer tiles the ratio is uncertain, and not used.
 const LEAST_TILES: usize = 150;
 /// Median change in sigmas below which it is not used either: too small to blur anything.
@@ -40,26 +47,49 @@ impl Default for Tile {
     }
 }
 
-/// Updates all tiles from the sums of the clipped changes of their pixels, and their numbers. `sorted` is a buffer.
-pub(super) fn update_tiles(tiles: &mut [Tile], sums: &[[f32; 2]], knows_motion: bool, sorted: &mut Vec<f32>) {
+/// Updates all tiles, `across` in a row, from the sums of the clipped changes of their pixels, and their numbers.
+/// `sorted` is a buffer.
+pub(super) fn update_tiles(
+    tiles: &mut [Tile],
+    across: usize,
+    sums: &[[f32; 2]],
+    knows_motion: bool,
+    sorted: &mut Vec<f32>,
+) {
     for (tile, &[sum, count]) in tiles.iter_mut().zip(sums) {
         tile.counts = count > FEW;
         tile.change = if tile.counts { sum / count } else { 0.0 };
     }
-    let median_change = median(tiles, |tile| tile.change, sorted);
-    let before = |tile: &Tile| tile.bias + LEAK * (tile.change - tile.bias);
-    let median_bias = median(tiles, before, sorted);
-    // Noise differs from frame to frame; a moving camera changes tiles the same way for some time.
-    let persistence = match (median_change, median_bias) {
-        (Some(change), Some(bias)) if !knows_motion && change > LEAST_CHANGE => bias / change,
-        _ => 0.0,
+    // Noise differs from frame to frame and between distant tiles; a moving camera changes tiles the same way for some
+    // time, and distant ones alike.
+    let (persistence, agreement) = match median(tiles, |tile| tile.change, sorted) {
+        Some(change) if !knows_motion && change > LEAST_CHANGE => {
+            let next_bias = |tile: &Tile| tile.bias + LEAK * (tile.change - tile.bias);
+            (median(tiles, next_bias, sorted).unwrap_or(0.0) / change, agreement(tiles, across))
+        }
+        _ => (0.0, 0.5),
     };
-    let ratio = persistence / PERSISTENT;
-    let of_camera = 1.0 / (1.0 + fourth_power(ratio * ratio));
+    let by_time = (persistence / PERSISTENT).powi(8);
+    let by_place = fourth_power((agreement - 0.5).max(0.0) / AGREEING);
+    let of_camera = 1.0 / (1.0 + by_time + by_place);
     let gate = if knows_motion { 2.0 } else { 1.0 };
+    let is_noise = persistence <= PERSISTENT_NOISE && agreement <= AGREEING_NOISE;
     for tile in tiles {
-        tile.update(of_camera, gate, persistence <= PERSISTENT_NOISE);
+        tile.update(of_camera, gate, is_noise);
     }
+}
+
+/// Returns the share of the pairs of tiles, three apart in a row or column, that change in the same direction; 0.5
+/// without pairs.
+fn agreement(tiles: &[Tile], across: usize) -> f32 {
+    let in_row = (0..tiles.len()).filter(|i| i % across + PAIR < across).map(|i| (i, i + PAIR));
+    let in_column = (0..tiles.len().saturating_sub(PAIR * across)).map(|i| (i, i + PAIR * across));
+    let (mut same, mut all) = (0u32, 0u32);
+    for (i, j) in in_row.chain(in_column).filter(|&(i, j)| tiles[i].counts && tiles[j].counts) {
+        all += 1;
+        same += u32::from((tiles[i].change > 0.0) == (tiles[j].change > 0.0));
+    }
+    if all == 0 { 0.5 } else { same as f32 / all as f32 }
 }
 
 impl Tile {
