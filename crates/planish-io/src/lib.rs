@@ -46,6 +46,7 @@ mod settings_file;
 mod text;
 #[cfg(feature = "scans")]
 pub mod tiles;
+mod trajectory;
 mod write;
 mod xyz_text;
 
@@ -74,6 +75,7 @@ pub use read::{
     FileRead, decode, decode_with, read, read_depth_frame, read_file, read_organized, read_with, summarize_depth,
 };
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
+pub use trajectory::{Trajectory, read_trajectory};
 pub use write::{check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
 
 /// For planish's other crates and tests; it may change with every version.

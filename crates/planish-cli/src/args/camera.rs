@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
-use planish::{Camera, SensorPose, io};
+use anyhow::{Context, Result, bail};
+use planish::io::{Trajectory, read_trajectory};
+use planish::{Camera, SensorPose, Settings, io};
 
 use super::CAMERA;
 
@@ -23,6 +24,30 @@ pub struct CameraArgs {
     /// The inverse of librealsense's depth scale.
     #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true, hide_short_help = true, help_heading = CAMERA)]
     pub depth_units_per_metre: Option<f64>,
+}
+
+#[derive(clap::Args)]
+pub struct PosesArgs {
+    /// Poses of a moving camera, with --temporal: TUM's groundtruth.txt, by time, or trajectory.log, by frame
+    ///
+    /// TUM's: time stamp in seconds, position in metres and quaternion x, y, z, w of the camera in the world. Names of
+    /// files in a folder are then times in seconds.
+    #[arg(long, value_name = "FILE", hide_short_help = true, help_heading = CAMERA)]
+    pub poses: Option<PathBuf>,
+}
+
+impl PosesArgs {
+    /// Reads the poses, if given.
+    pub fn read(&self, settings: &Settings) -> Result<Option<Trajectory>> {
+        let Some(file) = &self.poses else { return Ok(None) };
+        if settings.temporal_params().is_none() {
+            bail!("--poses has an effect only on smoothing over time; add --temporal steady");
+        }
+        if settings.tracks_camera() {
+            bail!("--poses and --track contradict each other; the poses say how the camera moved");
+        }
+        Ok(Some(read_trajectory(file)?))
+    }
 }
 
 #[derive(clap::Args)]

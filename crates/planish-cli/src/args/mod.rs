@@ -17,7 +17,7 @@ use planish::io::Encoding;
 use planish::source::{Alignment, StreamMode};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
-pub use camera::{CameraArgs, Direction, PoseArgs};
+pub use camera::{CameraArgs, Direction, PoseArgs, PosesArgs};
 pub use clean::CleanArgs;
 pub use memory::MemoryArgs;
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
@@ -130,6 +130,8 @@ pub struct SmoothArgs {
     #[command(flatten)]
     pub pose: PoseArgs,
     #[command(flatten)]
+    pub poses: PosesArgs,
+    #[command(flatten)]
     pub topics: TopicArgs,
     /// Topic for an additional cloud per depth image
     #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = RECORDINGS)]
@@ -210,6 +212,8 @@ pub struct StreamArgs {
     pub source: SourceArgs,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub poses: PosesArgs,
     #[command(flatten)]
     pub gpus: GpusArgs,
     /// Folder or ROS 2 recording (.mcap) for the results
@@ -376,6 +380,8 @@ pub struct EvaluateArgs {
     /// Number of frames of each video
     #[arg(long, value_name = "N", requires = "sequence", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub frames: Option<u64>,
+    #[command(flatten)]
+    pub poses: PosesArgs,
     /// Folder for report.json, error-over-z.svg, and error maps of the first seed's frames, or animated pictures
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -71,6 +71,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
             args.input.display()
         );
     }
+    if args.poses.poses.is_some() && !args.input.is_dir() {
+        bail!("{}: --poses applies to folders and streams", args.input.display());
+    }
     #[cfg(feature = "mcap")]
     if let Some(code) = bag::run(args)? {
         return Ok(code);
@@ -91,7 +94,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         );
     }
     if worker.settings.temporal_params().is_some() {
-        errln!("{}: --temporal has no effect on a single frame", args.input.display());
+        errln!("{}: --temporal and --track have no effect on a single frame", args.input.display());
     }
     check_output(&args.output, args.encoding.is_some())?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;

@@ -25,6 +25,10 @@ struct Report {
     unreadable: u64,
     dropped_by_sinks: u64,
     failed_sinks: u64,
+    /// Frames without a pose, with --poses.
+    without_pose: u64,
+    /// Gaps in time after which smoothing over time began again.
+    gaps: u64,
     seconds: f64,
     fps: f64,
     latency_ms: LatencyMs,
@@ -81,8 +85,10 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         outputs.points = true;
     }
     settings.outputs = Some(outputs);
+    let poses = args.poses.read(&settings)?;
     let options = StreamOptions::from_settings(settings)
         .map_err(by_option_of_error)?
+        .with_poses(poses)
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
     // Opening may take seconds; until then a signal ends the command at once.
@@ -149,6 +155,8 @@ fn report(statistics: &StreamStatistics) -> Report {
         unreadable: statistics.unreadable,
         dropped_by_sinks: statistics.dropped_by_sinks,
         failed_sinks: statistics.failed_sinks,
+        without_pose: statistics.without_pose,
+        gaps: statistics.gaps,
         seconds: statistics.duration().as_secs_f64(),
         fps: statistics.fps(),
         latency_ms: LatencyMs { p50: ms(p50), p95: ms(p95), p99: ms(p99), max: ms(max) },
@@ -165,6 +173,12 @@ fn print_report(report: &Report) {
     let Report { frames_in, frames_out, dropped, unreadable, seconds, fps, latency_ms, engine, .. } = report;
     outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} per second, engine {engine}");
     outln!("  {frames_in} frames received, {dropped} replaced by newer ones, {unreadable} unreadable");
+    if report.without_pose > 0 {
+        outln!("  {} frames without a pose in --poses, smoothed as if the camera stood still", report.without_pose);
+    }
+    if report.gaps > 0 {
+        outln!("  {} gaps in time, after which smoothing over time began again", report.gaps);
+    }
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
     let StageMs { capture, smooth, sinks } = report.stage_ms;

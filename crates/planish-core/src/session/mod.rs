@@ -441,6 +441,7 @@ impl Session {
         self.lattice = None;
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
         self.restart_video();
+        self.video.close();
         self.pending.clear();
         self.ready.clear();
         self.watch.set(None);

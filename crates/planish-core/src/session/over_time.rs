@@ -16,6 +16,9 @@ use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tra
 use crate::threads::Threads;
 use crate::view::SmoothedView;
 
+/// A longer time between frames begins a new video, in seconds and in intervals.
+const LONGEST_INTERVAL_S: f64 = 1.0;
+const MOST_INTERVALS: f64 = 5.0;
 /// Pixels handled by a task.
 const TASK: usize = 1 << 14;
 
@@ -43,7 +46,8 @@ impl Sight {
         let has_transform = |sight: &Self| sight.geometry.cloud_from_sensor.is_some();
         let is_same_place = self.geometry.cloud_from_sensor == other.geometry.cloud_from_sensor
             || (self.pose.is_some() && other.pose.is_some() && has_transform(self) == has_transform(other));
-        self.sensor == other.sensor && self.camera == other.camera && is_same_place
+        let is_same_video = self.video == other.video;
+        is_same_video && self.sensor == other.sensor && self.camera == other.camera && is_same_place
     }
 }
 
@@ -57,7 +61,8 @@ struct Begun {
     camera: Option<Camera>,
     /// The last frame and what aligns others with it, if the motion of the camera is estimated.
     tracking: Option<(Tracker, Surface)>,
-    /// How the camera moved before the last frame, if that is known.
+    /// The pose of the last frame, and how the camera moved before it, if known.
+    last_pose: Option<SensorPose>,
     motion: Option<CameraMotion>,
 }
 
@@ -65,11 +70,14 @@ struct Begun {
 #[derive(Default)]
 pub(super) struct OverTime {
     begun: Option<Begun>,
-    /// Number of the video.
+    /// Number of the video that the next frame belongs to, and how many were begun because of time stamps.
     number: u64,
-    /// The pose stated for the next frames, and that of the last frame.
+    gaps: u64,
+    /// The pose stated for the next frames.
     pose: Option<SensorPose>,
-    last_pose: Option<SensorPose>,
+    /// Time stamp of the last frame, and the time before it.
+    last_time_s: Option<f64>,
+    last_interval_s: Option<f64>,
     ranges_m: Vec<f32>,
     /// The ranges of the frame before the filter.
     single_m: Vec<f32>,
@@ -158,15 +166,16 @@ impl Session {
         let Chosen::Settings(settings) = &self.chosen else { return Ok(()) };
         let Some(params) = settings.temporal_params() else { return Ok(()) };
         // Without a position of the sensor there are no ranges.
-        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) || sight.video != self.video.number {
+        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
             return Ok(());
         }
-        let OverTime { begun, ranges_m, single_m, last_pose, .. } = &mut self.video;
+        let OverTime { begun, ranges_m, single_m, .. } = &mut self.video;
         if begun.as_ref().is_none_or(|begun| !begun.sight.is_like(sight)) {
             *begun = Some(Begun::new(*sight, params, self.options.threads, smoothed)?);
-            *last_pose = None;
         }
-        let Some(Begun { filter, threads, camera, tracking, motion: last_motion, .. }) = begun else { return Ok(()) };
+        let Some(Begun { filter, threads, camera, tracking, last_pose, motion: last_motion, .. }) = begun else {
+            return Ok(());
+        };
         let last_pose = std::mem::replace(last_pose, sight.pose);
         threads.install(|| {
             let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
@@ -208,11 +217,34 @@ impl Session {
         Ok(())
     }
 
-    /// Forgets all frames of a video; call it after a gap in time or when the camera was moved. Frames in flight are
-    /// then smoothed in space only. Only for sessions that smooth over time.
+    /// Begins a new video with the next frame that is smoothed or submitted, as after a gap in time or when the camera
+    /// was moved. Only for sessions that smooth over time.
     pub fn restart_video(&mut self) {
-        let OverTime { number, pose, .. } = self.video;
-        self.video = OverTime { number: number + 1, pose, ..OverTime::default() };
+        self.video.number += 1;
+        (self.video.last_time_s, self.video.last_interval_s) = (None, None);
+    }
+
+    /// Sets the time stamp of the next frame in seconds, if it has one. A new video begins after more than a second
+    /// that is also more than five times the interval before, and when time runs backwards. Without time stamps, only
+    /// [`restart_video`](Self::restart_video) does so.
+    pub fn set_frame_time(&mut self, timestamp_s: Option<f64>) {
+        let Some(now_s) = timestamp_s.filter(|time_s| time_s.is_finite()) else { return };
+        if let Some(last_s) = self.video.last_time_s {
+            let interval_s = now_s - last_s;
+            let usual_s = self.video.last_interval_s.unwrap_or(0.0);
+            if interval_s < 0.0 || interval_s > f64::max(LONGEST_INTERVAL_S, MOST_INTERVALS * usual_s) {
+                self.restart_video();
+                self.video.gaps += 1;
+            } else {
+                self.video.last_interval_s = Some(interval_s);
+            }
+        }
+        self.video.last_time_s = Some(now_s);
+    }
+
+    /// Returns how many new videos were begun because of [time stamps](Self::set_frame_time).
+    pub fn gaps_in_time(&self) -> u64 {
+        self.video.gaps
     }
 
     /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
@@ -228,6 +260,14 @@ impl Session {
     }
 }
 
+impl OverTime {
+    /// Frees its memory.
+    pub(super) fn close(&mut self) {
+        self.begun = None;
+        (self.ranges_m, self.single_m, self.smoothed) = Default::default();
+    }
+}
+
 impl Begun {
     fn new(
         sight: Sight,
@@ -240,7 +280,7 @@ impl Begun {
         let camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
         let tracking = camera.filter(|_| sight.is_tracked);
         let tracking = tracking.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking, motion: None })
+        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking, last_pose: None, motion: None })
     }
 }
 

@@ -20,6 +20,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::source::{OwnedFrame, Source, WithoutFloating};
+use planish_io::Trajectory;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
     CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, SensorModel,
@@ -81,6 +82,8 @@ pub struct StreamOptions {
     pub max_frames: Option<u64>,
     /// Stop after this time.
     pub max_duration: Option<Duration>,
+    /// Poses of the camera, by the time stamps or the numbers of frames.
+    pub poses: Option<Trajectory>,
 }
 
 /// The origin of a stream's parameters.
@@ -155,6 +158,11 @@ impl StreamOptions {
     /// Sets the maximum number of frames.
     pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
         Self { max_frames, ..self }
+    }
+
+    /// Sets the poses of the camera, with which a video of a moving camera is smoothed over time.
+    pub fn with_poses(self, poses: Option<Trajectory>) -> Self {
+        Self { poses, ..self }
     }
 
     /// Sets the maximum duration.
@@ -266,12 +274,14 @@ fn run(
             sinks,
             statistics: StreamStatistics::start(),
             smooth_time: TimeSpent::default(),
+            submitted: 0,
         };
         let result = stream.run(&mailbox, stop, &mut tell);
         // Frames that arrive while the engine is closed are not missed.
         mailbox.close();
-        let Running { sinks, mut statistics, smooth_time, .. } = stream;
+        let Running { sinks, mut statistics, smooth_time, session, .. } = stream;
         statistics.time_smoothing = smooth_time.total();
+        statistics.gaps = session.gaps_in_time();
         for sink in sinks {
             if let Some(warning) = sink.finish(&mut statistics) {
                 tell(StreamEvent::Warning(warning));
@@ -350,6 +360,8 @@ struct Running<'a> {
     sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
+    /// Number of frames submitted.
+    submitted: u64,
 }
 
 /// A frame that was submitted.
@@ -424,6 +436,14 @@ impl Running<'_> {
 
     fn submit(&mut self, in_flight: InFlight, tell: &mut impl FnMut(StreamEvent<'_>)) -> Result<(), Error> {
         let frame = Arc::clone(&in_flight.frame);
+        let timestamp_s = frame.timestamp_s();
+        self.session.set_frame_time(timestamp_s);
+        if let Some(poses) = &self.options.poses {
+            let pose = poses.pose(self.submitted, timestamp_s, in_flight.name.as_deref());
+            self.statistics.without_pose += u64::from(pose.is_none());
+            self.session.set_camera_pose(pose)?;
+        }
+        self.submitted += 1;
         let submitted = self.smooth_time.on(|| self.session.submit(frame, Smoothed::default()));
         self.tell_events(tell);
         match submitted {

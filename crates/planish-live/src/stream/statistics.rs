@@ -22,6 +22,10 @@ pub struct StreamStatistics {
     pub dropped_by_sinks: u64,
     /// Sinks that failed.
     pub failed_sinks: u64,
+    /// Frames without a pose, if poses were given.
+    pub without_pose: u64,
+    /// Gaps in the time stamps after which smoothing over time began again; known at the end.
+    pub gaps: u64,
     /// Time spent in the source, including the wait for a live frame. Known at the end, like the next two.
     pub time_capturing: Duration,
     /// Time spent handing frames to the engine and waiting for results.
@@ -61,6 +65,8 @@ impl StreamStatistics {
             unreadable: 0,
             dropped_by_sinks: 0,
             failed_sinks: 0,
+            without_pose: 0,
+            gaps: 0,
             time_capturing: Duration::ZERO,
             time_smoothing: Duration::ZERO,
             time_in_sinks: Duration::ZERO,

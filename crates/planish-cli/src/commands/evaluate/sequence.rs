@@ -1,5 +1,6 @@
 //! `planish evaluate --sequence`: how steady and how prompt smoothing over time is.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,8 @@ struct Video {
     video: String,
     frames: u64,
     ways: Vec<VideoReport>,
+    /// Frames before which the motion of the camera was known, by the names of the ways.
+    moved_frames: BTreeMap<&'static str, u64>,
 }
 
 /// A way to smooth a video.
@@ -87,10 +90,16 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     if source.is_live() {
         bail!("{}: a live source shows every frame only once; record it first", input.display());
     }
+    let mut settings = args.smoothing.settings()?;
+    settings.temporal = Some(TemporalChoice::Steady);
+    let poses = args.poses.read(&settings)?;
     let mut evaluated = Evaluated::new(args, None, &[])?;
     let bar = progress(args.frames)?;
     while args.frames.is_none_or(|most| evaluated.frames < most) {
         let Some(frame) = source.next_frame()? else { break };
+        let name = source.frame_name();
+        evaluated.pose =
+            poses.as_ref().and_then(|poses| poses.pose(evaluated.frames, frame.timestamp_s(), name.as_deref()));
         match &frame {
             OwnedFrame::Depth(depth) => {
                 let raw_m: Vec<f32> = depth.raw.iter().map(|&raw| depth.camera.depth_m(raw)).collect();
@@ -112,6 +121,9 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
 
 /// Measures on the simulated videos.
 fn on_simulated(args: &EvaluateArgs, videos: SequenceArg) -> Result<Vec<Video>> {
+    if args.poses.poses.is_some() {
+        bail!("--poses needs --input; simulated cameras have poses of their own");
+    }
     let sensor = sensor_of(args)?;
     let frames = args.frames.unwrap_or(FRAMES);
     let events = match videos {
@@ -195,6 +207,8 @@ impl Evaluated {
         }
         if event == Some(Event::MovingCamera) {
             ways.push(Way::new("steady, true poses", steady, true)?);
+        } else if args.poses.poses.is_some() {
+            ways.push(Way::new("steady, poses", steady, true)?);
         }
         let folders: Vec<&PathBuf> =
             if event.is_some() { results.iter().collect() } else { args.results.iter().collect() };
@@ -273,11 +287,11 @@ impl Evaluated {
         if ways.len() > 1 {
             ways.swap(0, 1);
         }
-        for way in self.ways { eprintln!("{} {} of {}", way.name, way.moved, self.frames); }
         if let Some(folder) = &args.out {
             write_animated_png(&folder.join(format!("{file}.png")), &self.pictures, PICTURED_PER_SECOND)?;
         }
-        Ok(Video { video: name.to_owned(), frames: self.frames, ways })
+        let moved = self.ways.iter().filter(|way| way.moved > 0).map(|way| (way.name, way.moved));
+        Ok(Video { video: name.to_owned(), frames: self.frames, ways, moved_frames: moved.collect() })
     }
 }
 
@@ -377,6 +391,9 @@ fn print(video: &Video) {
     line("surfaces that have just appeared, but do not show", &|way| share(way.late_share));
     line("pixels that an object has just left, but still show it", &|way| share(way.left_share));
     line("lag of moving surfaces, mean, mm", &|way| mm(way.lag_mm));
+    line("frames before which the camera's motion is known", &|way| {
+        video.moved_frames.get(&*way.name).map(u64::to_string)
+    });
     line("points carried over from earlier frames, and marked", &|way| share(Some(way.carried_share)));
     line("  of which off by over 5 %", &|way| share(way.carried_wrong_share));
     outln!();

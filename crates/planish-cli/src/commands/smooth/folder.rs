@@ -11,7 +11,7 @@ use std::thread;
 
 use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use planish::io;
+use planish::io::{self, Trajectory};
 use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
 use planish_bench::{errln, outln};
 
@@ -36,6 +36,7 @@ type Job = (PathBuf, PathBuf);
 pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let args = worker.args;
     let jobs = jobs(args)?;
+    let mut poses = Poses { trajectory: args.poses.read(&worker.settings)?, unknown: 0 };
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden automatically if standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
@@ -46,6 +47,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let mut next = 0;
     while next < jobs.len() && !stop.load(Ordering::Relaxed) {
         let (input, output) = &jobs[next];
+        poses.set(&mut worker.session, next, input)?;
         done[next] = Some(told(worker.smooth_file(input, output), &bar));
         next += 1;
         // The first frames report sensor and engine for all others.
@@ -63,6 +65,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         }
     }
     bar.finish_and_clear();
+    poses.report(&args.input);
     let mut report = FolderReport { frames: Vec::new(), failed: Vec::new(), interrupted: false };
     for ((input, _), done) in jobs.into_iter().zip(done) {
         match done {
@@ -86,6 +89,37 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     } else {
         ExitCode::from(1)
     })
+}
+
+/// The poses of the camera, if given.
+struct Poses {
+    trajectory: Option<Trajectory>,
+    /// Number of frames without a pose.
+    unknown: usize,
+}
+
+impl Poses {
+    /// Sets the pose of a frame.
+    fn set(&mut self, session: &mut Session, number: usize, input: &Path) -> Result<()> {
+        if let Some(trajectory) = &self.trajectory {
+            let name = input.file_stem().map(|name| name.to_string_lossy());
+            let pose = trajectory.pose(number as u64, None, name.as_deref());
+            self.unknown += usize::from(pose.is_none());
+            session.set_camera_pose(pose)?;
+        }
+        Ok(())
+    }
+
+    fn report(&self, folder: &Path) {
+        if self.unknown > 0 {
+            errln!(
+                "{}: --poses has none for {} frames, which were smoothed as if the camera stood still; poses over time \
+                 need files named by their time in seconds",
+                folder.display(),
+                self.unknown
+            );
+        }
+    }
 }
 
 /// Prints an error, and counts the frame.

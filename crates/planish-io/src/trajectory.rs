@@ -1,0 +1,188 @@
+//! Poses of a moving camera: TUM's `groundtruth.txt` (time stamp, position, quaternion x, y, z, w) and the
+//! `trajectory.log` of Redwood and Open3D (three numbers and a 4x4 matrix per frame). Detected from their contents.
+
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+use planish_core::{FormatError, IoError, SensorPose};
+
+use super::{FormatResult, ReadOptions};
+
+const HELP: &str = "expected poses as text: lines of time, x, y, z, qx, qy, qz, qw (TUM), or blocks of three numbers \
+                    and a 4x4 matrix (trajectory.log)";
+/// The largest file accepted, in bytes.
+const MAX_BYTES: u64 = 1 << 28;
+/// Poses are interpolated over at most this time, in seconds.
+const LONGEST_GAP_S: f64 = 0.2;
+
+/// The poses of a camera in the world over time, or frame by frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trajectory {
+    /// In seconds, ascending; `None` if poses are those of frames by their number.
+    times_s: Option<Vec<f64>>,
+    poses: Vec<SensorPose>,
+}
+
+/// Reads the poses of a camera.
+///
+/// # Errors
+/// If the file is unreadable, is no such file, or contains an invalid pose.
+pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
+    let read = || {
+        let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
+        let text = String::from_utf8(bytes).map_err(|_| malformed("not text"))?;
+        parse(&text)
+    };
+    read().map_err(IoError::at(path))
+}
+
+impl Trajectory {
+    /// Returns the number of poses.
+    pub fn len(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// Returns true if there are no poses.
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
+    }
+
+    /// Returns true if the poses have time stamps, rather than belonging to frames by their number.
+    pub fn has_times(&self) -> bool {
+        self.times_s.is_some()
+    }
+
+    /// Returns the pose of a frame, by its number from 0 or by its time stamp, interpolated between poses at most 0.2 s
+    /// apart; `None` if it is not known. Without a time stamp, the frame's name is taken for its time in seconds, as in
+    /// data sets in TUM layout.
+    pub fn pose(&self, number: u64, timestamp_s: Option<f64>, name: Option<&str>) -> Option<SensorPose> {
+        let Some(times_s) = &self.times_s else { return self.poses.get(usize::try_from(number).ok()?).copied() };
+        let at_s = timestamp_s.or_else(|| name?.parse().ok()).filter(|time_s: &f64| time_s.is_finite())?;
+        let next = times_s.partition_point(|&time_s| time_s < at_s);
+        if times_s.get(next).is_some_and(|&time_s| time_s == at_s) {
+            return Some(self.poses[next]);
+        }
+        let before = next.checked_sub(1)?;
+        let (from_s, to_s) = (times_s[before], *times_s.get(next)?);
+        if to_s - from_s > LONGEST_GAP_S {
+            return None;
+        }
+        let share = (at_s - from_s) / (to_s - from_s);
+        let [from, to] = [&self.poses[before], &self.poses[next]];
+        let position = DVec3::from(from.position_m).lerp(to.position_m.into(), share);
+        let turn = |pose: &SensorPose| {
+            let [w, x, y, z] = pose.orientation;
+            DQuat::from_xyzw(x, y, z, w).normalize()
+        };
+        Some(SensorPose::from_xyzw(position.to_array(), turn(from).slerp(turn(to), share).to_array()))
+    }
+}
+
+fn parse(text: &str) -> FormatResult<Trajectory> {
+    let lines = text.lines().enumerate().map(|(number, line)| (number + 1, line.trim()));
+    let mut rows = Vec::new();
+    for (number, line) in lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#')) {
+        let values: Result<Vec<f64>, _> =
+            line.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty()).map(str::parse).collect();
+        let values = values.map_err(|_| malformed(&format!("line {number} is not made of numbers")))?;
+        if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+            return Err(malformed(&format!("line {number} contains {value}")));
+        }
+        rows.push((number, values));
+    }
+    let trajectory = match rows.first().map(|(_, values)| values.len()) {
+        Some(8) => with_times(&rows)?,
+        Some(3) => by_frame(&rows)?,
+        Some(count) => return Err(malformed(&format!("the first line has {count} numbers"))),
+        None => return Err(malformed("contains no pose")),
+    };
+    for pose in &trajectory.poses {
+        pose.validate()?;
+    }
+    Ok(trajectory)
+}
+
+fn with_times(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
+    let mut times_s: Vec<f64> = Vec::with_capacity(rows.len());
+    let mut poses = Vec::with_capacity(rows.len());
+    for (number, values) in rows {
+        let &[time_s, x, y, z, qx, qy, qz, qw] = values.as_slice() else {
+            return Err(malformed(&format!("line {number} has {} numbers instead of 8", values.len())));
+        };
+        if times_s.last().is_some_and(|&last_s| time_s <= last_s) {
+            return Err(malformed(&format!("the time stamp in line {number} is not later than the one before")));
+        }
+        times_s.push(time_s);
+        poses.push(SensorPose::from_xyzw([x, y, z], [qx, qy, qz, qw]));
+    }
+    Ok(Trajectory { times_s: Some(times_s), poses })
+}
+
+fn by_frame(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
+    let pose = |block: &[(usize, Vec<f64>)]| {
+        let number = block[0].0;
+        let numbers: Vec<&[f64]> = block.iter().map(|(_, values)| values.as_slice()).collect();
+        let &[[_, _, _], [a, b, c, x], [d, e, f, y], [g, h, i, z], [.., one]] = numbers.as_slice() else {
+            return Err(malformed(&format!("line {number} does not start three numbers and a 4x4 matrix")));
+        };
+        let rotation = [[*a, *b, *c], [*d, *e, *f], [*g, *h, *i]];
+        let pose = SensorPose::from_rotation([*x, *y, *z], rotation).filter(|_| *one == 1.0);
+        pose.ok_or_else(|| malformed(&format!("the matrix after line {number} is not a rotation and a position")))
+    };
+    Ok(Trajectory { times_s: None, poses: rows.chunks(5).map(pose).collect::<FormatResult<_>>()? })
+}
+
+fn malformed(what: &str) -> FormatError {
+    FormatError::Malformed(format!("{what}; {HELP}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_over_time_are_interpolated_but_not_over_gaps() {
+        let text = "# ground truth\n10.0 0 0 1 0 0 0 1\n10.1 0.2 0 1 0 0 0.70710678 0.70710678\n\n11.0 1 1 1 0 0 0 1\n";
+        let trajectory = parse(text).unwrap();
+        assert!(trajectory.has_times() && trajectory.len() == 3);
+        assert_eq!(trajectory.pose(7, None, Some("10.0")).unwrap().position_m, [0.0, 0.0, 1.0]);
+        let between = trajectory.pose(0, Some(10.05), Some("10")).unwrap();
+        assert!((between.position_m[0] - 0.1).abs() < 1e-9, "{between:?}");
+        // Half of a quarter turn about z.
+        assert!((between.orientation[3] - 22.5f64.to_radians().sin()).abs() < 1e-6, "{between:?}");
+        for unknown in [Some(10.5), Some(9.9), Some(11.1), Some(f64::NAN), None] {
+            assert_eq!(trajectory.pose(0, unknown, Some("frame")), None, "{unknown:?}");
+        }
+    }
+
+    #[test]
+    fn logs_have_a_matrix_per_frame() {
+        let text = "0 0 1\n0 0 1 0.5\n1 0 0 -2\n0 1 0 3\n0 0 0 1\n1 1 2\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n";
+        let trajectory = parse(text).unwrap();
+        assert!(!trajectory.has_times() && trajectory.len() == 2);
+        let pose = trajectory.pose(0, Some(1e9), None).unwrap();
+        assert_eq!(pose.position_m, [0.5, -2.0, 3.0]);
+        let differences = pose.rotation().into_iter().flatten().zip([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        assert!(differences.into_iter().all(|(a, b): (f64, f64)| (a - b).abs() < 1e-9), "{pose:?}");
+        assert_eq!(trajectory.pose(2, None, None), None);
+    }
+
+    #[test]
+    fn damaged_files_are_refused_with_their_line() {
+        let cases = [
+            ("", "contains no pose"),
+            ("1 2 3 4\n", "the first line has 4 numbers"),
+            ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0\n", "line 2 has 7 numbers"),
+            ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2 is not later"),
+            ("1 0 0 0 0 0 0 nan\n", "line 1 contains NaN"),
+            ("1 0 0 0 0 0 0 x\n", "line 1 is not made of numbers"),
+            ("1 0 0 0 0 0 0 0.5\n", "length 1"),
+            ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not start"),
+            ("0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "not a rotation"),
+        ];
+        for (text, expected) in cases {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.contains(expected), "{text:?}: {error}");
+        }
+    }
+}
