@@ -51,7 +51,7 @@ for preset in ("paper", "default"):
     smoother = planish.Smoother(preset=preset, engine="cpu", outputs=outputs)
     arrays = smoother.smooth(frame.array)
     written = {name: getattr(arrays, name) for name in outputs}
-    library = lambda: smoother._engine.time_library(frame.array, False, (None, None, None), written, 1)[0]
+    library = lambda: smoother._engine.time_library(frame.array, False, (None, None, None, None), written, 1)[0]
     found = {"library": [], "own": [], "new": []}
     for _ in range(rounds):
         found["library"].append(library())

@@ -76,6 +76,24 @@ def gallery(data: Path, folder: Path) -> None:
         )
 
 
+def video(folder: Path) -> None:
+    """Frames of a camera that is carried: measured, smoothed one by one, and steady."""
+    command = ["planish", "evaluate", "--sequence", "moving-camera", "--sensor", "d435", "--frames", "40", "--out", folder]
+    subprocess.run(command, check=True, capture_output=True)
+    animation = Image.open(folder / "moving-camera.png")
+    frames = []
+    for number in range(12):
+        animation.seek(number)
+        # Three panels of 320x240 pixels with lines of 4 pixels between them.
+        cells = [animation.convert("L").crop((324 * k + 60, 30, 324 * k + 260, 180)) for k in range(3)]
+        frame = Image.new("L", (608, 150), 255)
+        for k, cell in enumerate(cells):
+            frame.paste(cell, (204 * k, 0))
+        # Fewer shades make a smaller file.
+        frames.append(frame.point(lambda shade: shade // 12 * 12))
+    frames[0].save(HERE / "video.png", save_all=True, append_images=frames[1:], duration=80, loop=0)
+
+
 def parameters(folder: Path) -> None:
     frame = planish.simulate("shapes", seed=2)
     path = folder / "shapes.png"
@@ -102,5 +120,6 @@ def parameters(folder: Path) -> None:
 
 with tempfile.TemporaryDirectory() as work:
     parameters(Path(work))
+    video(Path(work))
     if len(sys.argv) > 1:
         gallery(Path(sys.argv[1]), Path(work))

@@ -13,8 +13,7 @@ use super::format::Format;
 pub fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
     let at = |error| IoError { path: folder.to_path_buf(), problem: FormatError::Os(error) };
     let entries = std::fs::read_dir(folder).map_err(at)?;
-    let mut files =
-        entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(at)?;
+    let mut files = entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(at)?;
     files.retain(|path| path.is_file() && Format::is_of_frames(path));
     files.sort_by_cached_key(|path| in_order_of_numbers(path));
     Ok(files)

@@ -82,8 +82,11 @@ fn parse(text: &str) -> FormatResult<Trajectory> {
     let lines = text.lines().enumerate().map(|(number, line)| (number + 1, line.trim()));
     let mut rows = Vec::new();
     for (number, line) in lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#')) {
-        let values: Result<Vec<f64>, _> =
-            line.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty()).map(str::parse).collect();
+        let values: Result<Vec<f64>, _> = line
+            .split(|c: char| c.is_whitespace() || c == ',')
+            .filter(|word| !word.is_empty())
+            .map(str::parse)
+            .collect();
         let values = values.map_err(|_| malformed(&format!("line {number} is not made of numbers")))?;
         if let Some(value) = values.iter().find(|value| !value.is_finite()) {
             return Err(malformed(&format!("line {number} contains {value}")));

@@ -4,7 +4,9 @@ use std::sync::{Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use planish::{Camera, Error, Frame, Outputs, Session, Settings, Smoothed, SmoothedMut, SmoothedView, Status};
+use planish::{
+    Camera, Error, Frame, Outputs, SensorPose, Session, Settings, Smoothed, SmoothedMut, SmoothedView, Status,
+};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -29,8 +31,8 @@ struct State {
 #[pyclass(frozen, name = "Engine", module = "planish._planish")]
 pub struct PySmoother(Mutex<State>);
 
-/// Camera, sensor pose and origin of a frame, if known.
-type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>);
+/// Camera, sensor pose and origin of a frame, and the camera's pose in the world, if known.
+type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>, Option<[f64; 7]>);
 
 /// Neighbours, edges, passes and noise; then height and width of a grid.
 type ChosenForCloud = (Option<(u32, &'static str, u32, Option<f32>)>, Option<(usize, usize)>);
@@ -41,12 +43,19 @@ struct Given<'py> {
     camera: Option<Camera>,
     pose: Option<[f64; 7]>,
     origin_m: Option<[f64; 3]>,
+    camera_pose: Option<[f64; 7]>,
 }
 
 impl<'py> Given<'py> {
-    fn new(array: &Bound<'py, PyAny>, is_depth: bool, (camera, pose, origin_m): Place<'py>) -> PyResult<Self> {
+    fn new(array: &Bound<'py, PyAny>, is_depth: bool, place: Place<'py>) -> PyResult<Self> {
+        let (camera, pose, origin_m, camera_pose) = place;
         let camera = camera.map(|camera| camera.0);
-        Ok(Self { input: Input::new(array, is_depth)?, camera, pose, origin_m })
+        Ok(Self { input: Input::new(array, is_depth)?, camera, pose, origin_m, camera_pose })
+    }
+
+    /// Tells the session where the camera is in the world.
+    fn set_camera_pose(&self, session: &mut Session) -> PyResult<()> {
+        session.set_camera_pose(self.camera_pose.map(SensorPose::from_viewpoint)).map_err(to_py)
     }
 
     fn frame(&self) -> PyResult<Frame<'_>> {
@@ -130,6 +139,12 @@ impl PySmoother {
         Ok(())
     }
 
+    /// Returns how the camera moved before the last frame: x, y, z, qw, qx, qy, qz.
+    fn camera_motion(&self) -> PyResult<Option<[f64; 7]>> {
+        let motion = self.lock()?.session.camera_motion();
+        Ok(motion.map(|motion| motion.previous_from_current.viewpoint()))
+    }
+
     /// Returns the names of the given settings that have no effect on points without a grid.
     fn unused_by_clouds(&self) -> PyResult<Vec<&'static str>> {
         Ok(self.lock()?.session.settings().map(Settings::unused_by_clouds).unwrap_or_default())
@@ -151,6 +166,7 @@ impl PySmoother {
         let mut slices = buffers.slices()?;
         let mut state = self.lock()?;
         state.check_idle()?;
+        given.set_camera_pose(&mut state.session)?;
         state.smooth(py, frame, outputs, &mut slices)
     }
 
@@ -170,6 +186,7 @@ impl PySmoother {
         let mut state = self.lock()?;
         let session = &mut state.session;
         session.set_outputs(outputs);
+        given.set_camera_pose(session)?;
         py.detach(|| session.submit_in_place(frame)).map_err(to_py)
     }
 
@@ -209,6 +226,7 @@ impl PySmoother {
         }
         let camera: Option<Camera> = camera.map(|camera| camera.0);
         let mut state = self.lock()?;
+        state.session.set_camera_pose(None).map_err(to_py)?;
         state.check_idle()?;
         for (arrays, outs) in arrays.chunks(FRAMES_AT_ONCE).zip(outs.chunks(FRAMES_AT_ONCE)) {
             py.check_signals()?;

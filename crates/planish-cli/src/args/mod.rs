@@ -11,10 +11,10 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use planish::simulate::Event;
-use planish::{Outputs, ParamError};
 use planish::io::Encoding;
+use planish::simulate::Event;
 use planish::source::{Alignment, StreamMode};
+use planish::{Outputs, ParamError};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs, PosesArgs};

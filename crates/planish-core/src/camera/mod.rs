@@ -120,9 +120,8 @@ impl Camera {
         let sample = || (0..width * height).step_by((width * height).div_ceil(SAMPLE).max(1));
         let sample = || sample().filter(|&i| points.is_finite(i) && points.get(i)[2] > 0.0);
         let line = |axis: usize, pixel: &dyn Fn(usize) -> usize| -> Option<[f64; 2]> {
-            let pairs = || {
-                sample().map(|i| (f64::from(points.get(i)[axis]) / f64::from(points.get(i)[2]), pixel(i) as f64))
-            };
+            let pairs =
+                || sample().map(|i| (f64::from(points.get(i)[axis]) / f64::from(points.get(i)[2]), pixel(i) as f64));
             let count = pairs().count();
             let mean = |value: &dyn Fn((f64, f64)) -> f64| pairs().map(value).sum::<f64>() / count as f64;
             let (x, u) = (mean(&|pair| pair.0), mean(&|pair| pair.1));
@@ -149,7 +148,7 @@ impl Camera {
     }
 
     /// Projects the direction (x/z, y/z) to image coordinates (u, v).
-    #[inline]
+    #[inline(always)]
     pub(crate) fn project_ray(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         if self.distortion.is_none() {
             return [self.fx as f32 * x + self.cx as f32, self.fy as f32 * y + self.cy as f32];

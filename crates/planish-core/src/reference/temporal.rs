@@ -126,7 +126,7 @@ impl TemporalReference {
         }
     }
 
-    /// Equations (16.8) to (16.10): the state of pixel i as the current camera sees it.
+    /// Equations (16.9) to (16.11): the state of pixel i as the current camera sees it.
     fn look_up(&self, camera: &Camera, previous_from_current: &RigidTransform, i: usize, depth_m: f64) -> Pixel {
         let (width, height) = self.shape;
         let depth_m = match depth_m {
@@ -161,15 +161,11 @@ impl TemporalReference {
                 bias += weight * pixel.bias;
             }
         }
-        let nearest = Pixel { is_carried: false, ..self.pixels[place((u + 0.5).floor(), (v + 0.5).floor())] };
-        let found = if weights > 0.2 {
-            Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest }
-        } else {
-            Pixel { bias: 0.0, ..nearest }
-        };
-        if found.frames <= 0.0 {
+        if weights <= 0.2 {
             return Pixel::UNKNOWN;
         }
+        let nearest = Pixel { is_carried: false, ..self.pixels[place((u + 0.5).floor(), (v + 0.5).floor())] };
+        let found = Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest };
         let now = previous_from_current.to_sensor(before / before.z * self.depth_m(found.mean));
         if now.z < 0.05 { Pixel::UNKNOWN } else { Pixel { mean: self.value(now.z).0, ..found } }
     }
@@ -232,9 +228,8 @@ impl TemporalReference {
     /// P and A of equation (16.6): 0 and 1/2 with few tiles or small changes.
     fn common_change(&self, changes: &[Option<f64>]) -> (f64, f64) {
         let of_tiles = self.tiles.iter().zip(changes).filter_map(|(tile, change)| Some((tile, (*change)?)));
-        let (mut biases, mut magnitudes): (Vec<f64>, Vec<f64>) = of_tiles
-            .map(|(tile, change)| ((tile.bias + (change - tile.bias) / 4.0).abs(), change.abs()))
-            .unzip();
+        let (mut biases, mut magnitudes): (Vec<f64>, Vec<f64>) =
+            of_tiles.map(|(tile, change)| ((tile.bias + (change - tile.bias) / 4.0).abs(), change.abs())).unzip();
         if biases.len() < 150 {
             return (0.0, 0.5);
         }
@@ -262,7 +257,7 @@ impl TemporalReference {
         (bias / magnitude, if all > 0.0 { same / all } else { 0.5 })
     }
 
-    /// Equations (16.2) to (16.6); returns whether the pixel is calm.
+    /// Equations (16.2) to (16.4) and (16.7); returns whether the pixel is calm.
     fn update(&mut self, i: usize, measured: &[Measured], depth_m: &mut f64) -> bool {
         let (width, _) = self.shape;
         let tile_weight = self.tiles[i / width / TILE * width.div_ceil(TILE) + i % width / TILE].weight;
@@ -312,7 +307,7 @@ impl TemporalReference {
         is_calm
     }
 
-    /// Equation (16.7).
+    /// Equation (16.8).
     fn hold(&mut self, i: usize, measured: &[Measured], calm: &[bool], depth_m: &mut f64) {
         let pixel = self.pixels[i];
         let is_recent = (1..=self.params.hold_frames).contains(&pixel.idle);

@@ -12,7 +12,7 @@ use crate::pose::SensorPose;
 use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
-use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tracker};
+use crate::temporal::{CameraMotion, Surface, SurfaceRef, TemporalFilter, TemporalParams, Tracker};
 use crate::threads::Threads;
 use crate::view::SmoothedView;
 
@@ -180,9 +180,7 @@ impl Session {
         threads.install(|| {
             let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
                 // Many writers state the same pose for every frame, wherever the camera is.
-                (_, Some(previous), Some(current), Some(camera))
-                    if !(sight.is_pose_of_file && previous == current) =>
-                {
+                (_, Some(previous), Some(current), Some(camera)) if !(sight.is_pose_of_file && previous == current) => {
                     Some(CameraMotion::between(*camera, &previous, &current)?)
                 }
                 (Some((tracker, previous)), ..) => sight.track(tracker, previous, smoothed),
@@ -269,18 +267,21 @@ impl OverTime {
 }
 
 impl Begun {
-    fn new(
-        sight: Sight,
-        params: TemporalParams,
-        threads: Option<usize>,
-        smoothed: &Smoothed,
-    ) -> Result<Self, Error> {
+    fn new(sight: Sight, params: TemporalParams, threads: Option<usize>, smoothed: &Smoothed) -> Result<Self, Error> {
         let threads = Threads::open(threads)?;
         let is_of_camera = matches!(sight.geometry.rule, RangeRule::Depth { .. });
         let camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
         let tracking = camera.filter(|_| sight.is_tracked);
         let tracking = tracking.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        Ok(Self { sight, filter: TemporalFilter::new(params, sight.sensor)?, threads, camera, tracking, last_pose: None, motion: None })
+        Ok(Self {
+            sight,
+            filter: TemporalFilter::new(params, sight.sensor)?,
+            threads,
+            camera,
+            tracking,
+            last_pose: None,
+            motion: None,
+        })
     }
 }
 
@@ -297,9 +298,15 @@ impl Sight {
         if previous.points.is_empty() {
             return None;
         }
-        let mut current = Surface::default();
-        self.keep(smoothed, &mut current);
-        let motion = tracker.track(previous, &current)?;
+        let mut moved = Surface::default();
+        let current = match (&self.geometry.cloud_from_sensor, &smoothed.normals) {
+            (None, Some(normals)) => SurfaceRef { points: &smoothed.points, normals },
+            _ => {
+                self.keep(smoothed, &mut moved);
+                moved.borrow()
+            }
+        };
+        let motion = tracker.track(previous, current)?;
         let previous_from_current = SensorPose::from_transform(&motion);
         Some(CameraMotion { camera: tracker.camera(), previous_from_current })
     }
@@ -313,9 +320,7 @@ impl Sight {
         }
         if let Some(transform) = &self.geometry.cloud_from_sensor {
             let to_sensor = |point: [f32; 3]| transform.to_sensor(glam::Vec3::from_array(point).as_dvec3());
-            let turned = |normal: [f32; 3]| {
-                transform.rotation.transpose() * glam::Vec3::from_array(normal).as_dvec3()
-            };
+            let turned = |normal: [f32; 3]| transform.rotation.transpose() * glam::Vec3::from_array(normal).as_dvec3();
             surface.points = surface.points.iter().map(|point| to_sensor(point).as_vec3().to_array()).collect();
             surface.normals = surface.normals.iter().map(|normal| turned(normal).as_vec3().to_array()).collect();
         }
@@ -388,7 +393,16 @@ mod tests {
     fn last_of_video(status: Status, last_m: f32) -> Smoothed {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
-        let sight = Sight { geometry, sensor: SensorModel::KINECT_V1, camera: None, outputs, video: 0, pose: None, is_pose_of_file: false, is_tracked: false };
+        let sight = Sight {
+            geometry,
+            sensor: SensorModel::KINECT_V1,
+            camera: None,
+            outputs,
+            video: 0,
+            pose: None,
+            is_pose_of_file: false,
+            is_tracked: false,
+        };
         let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
         let mut last = Smoothed::default();
         for t in 0..6 {

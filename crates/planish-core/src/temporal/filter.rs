@@ -205,9 +205,8 @@ impl TemporalFilter {
         if self.moved.mean.len() != self.state.mean.len() {
             self.moved.reset(self.state.mean.len());
         }
-        let (rule, pitch) = (self.rule, self.pitch);
-        let lookup = Lookup { rule, camera: &motion.camera, rays: &self.rays, motion: transform, pitch };
-        lookup.move_state(&self.planes.depth_m, &self.state, &mut self.moved);
+        let lookup = Lookup::new(self.rule, self.level, &motion.camera, &self.rays, self.pitch);
+        lookup.move_state(&transform, &self.planes.depth_m, &self.state, &mut self.moved);
         std::mem::swap(&mut self.state, &mut self.moved);
         Ok(())
     }

@@ -12,7 +12,7 @@ mod track;
 pub use filter::TemporalFilter;
 pub use motion::CameraMotion;
 pub use params::TemporalParams;
-pub(crate) use track::{Surface, Tracker};
+pub(crate) use track::{Surface, SurfaceRef, Tracker};
 
 /// The averaged quantity: inverse depth or depth, whichever has the more constant noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +31,7 @@ impl Domain {
     }
 
     /// Returns the depth of a value.
+    #[inline(always)]
     fn depth_m(self, value: f32) -> f32 {
         match self {
             Self::InverseDepth => 1.0 / value,

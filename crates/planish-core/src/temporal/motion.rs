@@ -1,14 +1,16 @@
-//! Moves the state into the view of a camera that has moved (docs/method.md, equations 16.8 to 16.10).
+//! Moves the state into the view of a camera that has moved (docs/method.md, equations 16.9 to 16.11).
 //!
 //! Each pixel of the current frame looks up where its point was in the frame before, and takes the mean of the four
 //! pixels there that are on the same surface. That mean is a point on a ray of the previous camera; its depth as the
 //! current one sees it is the new state. Holes look up by their remembered depth.
 
+use fearless_simd::{Level, Simd, dispatch};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::rows::Rule;
 use super::state::{Pixel, State};
-use crate::camera::{Camera, Rays};
+use crate::camera::{Camera, Rays, RowRays, RowRaysY};
 use crate::error::FrameError;
 use crate::pose::{RigidTransform, SensorPose};
 
@@ -16,7 +18,7 @@ use crate::pose::{RigidTransform, SensorPose};
 const SAME_SURFACE: f32 = 5.0;
 /// What the slope of a surface adds, relative to the value.
 const SLOPE: f32 = 0.004;
-/// Weight of the pixels of the same surface above which they count; otherwise the nearest pixel does.
+/// Weight of the pixels of the same surface above which they count; otherwise the pixel is new.
 const LEAST_WEIGHT: f32 = 0.2;
 /// Nearest depth in metres at which points are looked up.
 const NEAREST_M: f32 = 0.05;
@@ -46,79 +48,129 @@ impl CameraMotion {
 }
 
 /// A motion in the numbers of the filter.
+#[derive(Clone, Copy)]
 pub(super) struct Lookup<'a> {
-    pub(super) rule: Rule,
-    pub(super) camera: &'a Camera,
-    pub(super) rays: &'a Rays,
+    rule: Rule,
+    level: Level,
+    camera: &'a Camera,
+    rays: &'a Rays,
     /// previous_from_current.
-    pub(super) motion: RigidTransform,
+    rotation: Mat3,
+    translation: Vec3,
+    /// fx, fy, cx and cy.
+    intrinsics: [f32; 4],
+    is_distorted: bool,
+    width: usize,
+    height: usize,
     /// Pixels of a row of the state.
-    pub(super) pitch: usize,
+    pitch: usize,
 }
 
-impl Lookup<'_> {
+impl<'a> Lookup<'a> {
+    pub(super) fn new(rule: Rule, level: Level, camera: &'a Camera, rays: &'a Rays, pitch: usize) -> Self {
+        let (rotation, translation) = (Mat3::IDENTITY, Vec3::ZERO);
+        let Camera { width, height, fx, fy, cx, cy, distortion, .. } = *camera;
+        let (intrinsics, is_distorted) = ([fx, fy, cx, cy].map(|value| value as f32), !distortion.is_none());
+        Self { rule, level, camera, rays, rotation, translation, intrinsics, is_distorted, width, height, pitch }
+    }
+
     /// Computes the state as the current camera sees it; `depth_m` is the current frame, row by row of `pitch`.
-    pub(super) fn move_state(&self, depth_m: &[f32], before: &State, after: &mut State) {
+    pub(super) fn move_state(&self, motion: &RigidTransform, depth_m: &[f32], before: &State, after: &mut State) {
+        let (rotation, translation) = (motion.rotation.as_mat3(), motion.translation.as_vec3());
+        let lookup = Self { rotation, translation, ..*self };
         let rows = after.mean.par_chunks_mut(self.pitch).zip(after.frames_variance.par_chunks_mut(self.pitch));
         let rows = rows.zip(after.bias_idle.par_chunks_mut(self.pitch));
         rows.enumerate().for_each(|(v, ((mean, frames_variance), bias_idle))| {
-            for u in 0..self.camera.width {
-                let pixel = self.look_up([u, v], depth_m[v * self.pitch + u], before);
-                (mean[u], frames_variance[u], bias_idle[u]) = pixel.packed();
-            }
+            // Compiled for each instruction set: rounding is a call without SSE4.1.
+            dispatch!(self.level, simd => lookup.move_row(simd, v, depth_m, before, (mean, frames_variance, bias_idle)));
         });
     }
 
-    fn look_up(&self, [u, v]: [usize; 2], depth_m: f32, before: &State) -> Pixel {
-        let here = before.pixel(v * self.pitch + u);
-        let depth_m = match depth_m {
-            _ if self.rule.is_valid(depth_m) => depth_m,
-            _ if here.frames > 0.0 => self.rule.domain.depth_m(here.mean),
-            _ => return Pixel::UNKNOWN,
+    #[inline(always)]
+    fn move_row<S: Simd>(
+        &self,
+        _: S,
+        v: usize,
+        depth_m: &[f32],
+        before: &State,
+        (mean, frames_variance, bias_idle): (&mut [f32], &mut [u32], &mut [u32]),
+    ) {
+        let RowRays { x, y } = self.rays.row(v);
+        for u in 0..self.width {
+            let y = match y {
+                RowRaysY::Same(y) => y,
+                RowRaysY::Each(y) => y[u],
+            };
+            let pixel = self.look_up(v * self.pitch + u, [x[u], y], depth_m[v * self.pitch + u], before);
+            (mean[u], frames_variance[u], bias_idle[u]) = pixel.packed();
+        }
+    }
+
+    /// Returns column and row of a ray.
+    #[inline(always)]
+    fn project(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        let [fx, fy, cx, cy] = self.intrinsics;
+        if self.is_distorted { self.camera.project_ray([x, y]) } else { [fx * x + cx, fy * y + cy] }
+    }
+
+    #[inline(always)]
+    fn look_up(&self, at: usize, [x, y]: [f32; 2], depth_m: f32, before: &State) -> Pixel {
+        let depth_m = if self.rule.is_valid(depth_m) {
+            depth_m
+        } else {
+            let here = before.pixel(at);
+            if here.frames <= 0.0 {
+                return Pixel::UNKNOWN;
+            }
+            self.rule.domain.depth_m(here.mean)
         };
         // The point as the camera saw it before.
-        let [x, y] = self.rays.at(u, v);
-        let rotation = self.motion.rotation.as_mat3();
-        let translation = self.motion.translation.as_vec3();
-        let seen = rotation * (glam::Vec3::new(x, y, 1.0) * depth_m) + translation;
+        let seen = self.rotation * (Vec3::new(x, y, 1.0) * depth_m) + self.translation;
         if seen.z.is_nan() || seen.z < NEAREST_M {
             return Pixel::UNKNOWN;
         }
         let ray = seen / seen.z;
-        let Camera { width, height, .. } = *self.camera;
-        let [column, row] = self.camera.project_ray([ray.x, ray.y]);
-        let is_inside = column > -0.5 && row > -0.5 && column < width as f32 - 0.5 && row < height as f32 - 0.5;
+        let [column, row] = self.project([ray.x, ray.y]);
+        let (last_u, last_v) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
+        let is_inside = column > -0.5 && row > -0.5 && column < last_u + 0.5 && row < last_v + 0.5;
         if !is_inside {
             return Pixel::UNKNOWN;
         }
         let (value, sigma) = self.rule.value(seen.z);
-        let mut sums = [0.0; 4];
         let (left, above) = (column.floor(), row.floor());
-        for (corner_u, corner_v) in [(left, above), (left + 1.0, above), (left, above + 1.0), (left + 1.0, above + 1.0)] {
-            let weight = (1.0 - (column - corner_u).abs()) * (1.0 - (row - corner_v).abs());
-            let place = |at: f32, size: usize| at.clamp(0.0, size as f32 - 1.0) as usize;
-            let pixel = before.pixel(place(corner_v, height) * self.pitch + place(corner_u, width));
-            let band = SAME_SURFACE * sigma * (1.0 + 1.0 / pixel.frames.max(1.0)).sqrt() + SLOPE * value;
-            if pixel.frames > 0.0 && (pixel.mean - value).abs() < band {
-                let values = [1.0, pixel.mean, pixel.frames, pixel.bias];
-                sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
-            }
+        let (share_u, share_v) = (column - left, row - above);
+        let place = |at: f32, last: f32| at.max(0.0).min(last) as usize;
+        let columns = [place(left, last_u), place(left + 1.0, last_u)];
+        let rows = [place(above, last_v), place(above + 1.0, last_v)].map(|row| row * self.pitch);
+        let corners = [
+            ((1.0 - share_u) * (1.0 - share_v), rows[0] + columns[0]),
+            (share_u * (1.0 - share_v), rows[0] + columns[1]),
+            ((1.0 - share_u) * share_v, rows[1] + columns[0]),
+            (share_u * share_v, rows[1] + columns[1]),
+        ];
+        let (mut weights, mut mean, mut frames, mut bias) = (0.0, 0.0, 0.0, 0.0);
+        for (weight, at) in corners {
+            let pixel = before.pixel(at);
+            // off < 5 sigma sqrt(1 + 1/n), without root and division.
+            let off = ((pixel.mean - value).abs() - SLOPE * value).max(0.0);
+            let known = pixel.frames.max(1.0);
+            let is_same =
+                pixel.frames > 0.0 && off * off * known < SAME_SURFACE * SAME_SURFACE * sigma * sigma * (known + 1.0);
+            let weight = if is_same { weight } else { 0.0 };
+            weights += weight;
+            mean += weight * pixel.mean;
+            frames += weight * pixel.frames;
+            bias += weight * pixel.bias;
         }
-        let nearest = [column, row].map(|at| (at + 0.5).floor());
-        let place = |at: f32, size: usize| at.clamp(0.0, size as f32 - 1.0) as usize;
-        let nearest = before.pixel(place(nearest[1], height) * self.pitch + place(nearest[0], width));
-        let [weight, ..] = sums;
-        let found = if weight > LEAST_WEIGHT {
-            Pixel { mean: sums[1] / weight, frames: sums[2] / weight, bias: sums[3] / weight, ..nearest }
-        } else {
-            Pixel { bias: 0.0, ..nearest }
-        };
-        if found.frames <= 0.0 {
+        if weights <= LEAST_WEIGHT {
             return Pixel::UNKNOWN;
         }
+        let nearest = corners[2 * usize::from(share_v >= 0.5) + usize::from(share_u >= 0.5)].1;
+        let nearest = before.pixel(nearest);
+        let found = Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest };
         // Its point as the camera sees it now.
-        let forward = rotation.z_axis;
-        let depth_m = self.rule.domain.depth_m(found.mean) * forward.dot(ray) - forward.dot(translation);
+        let forward = self.rotation.z_axis;
+        let depth_m = self.rule.domain.depth_m(found.mean) * forward.dot(ray) - forward.dot(self.translation);
         if depth_m.is_nan() || depth_m < NEAREST_M {
             return Pixel::UNKNOWN;
         }

@@ -129,11 +129,13 @@ impl Rule {
     }
 
     /// Returns false for holes.
+    #[inline(always)]
     pub(super) fn is_valid(&self, depth_m: f32) -> bool {
         depth_m > 0.0 && depth_m < MOST_DEPTH_M
     }
 
     /// Returns the averaged quantity and its standard deviation at one depth.
+    #[inline(always)]
     pub(super) fn value(&self, depth_m: f32) -> (f32, f32) {
         let [c0, c1, c2] = self.sigma;
         let (value, noise) = match self.domain {

@@ -66,6 +66,7 @@ impl State {
     }
 
     /// Returns the state of a pixel.
+    #[inline(always)]
     pub(super) fn pixel(&self, i: usize) -> Pixel {
         Pixel {
             mean: self.mean[i],
@@ -105,6 +106,7 @@ impl Pixel {
     pub(super) const UNKNOWN: Self = Self { mean: 0.0, frames: 0.0, variance: FIRST_VARIANCE, bias: 0.0, idle: 0 };
 
     /// Returns mean, frames and variance, and bias and idle frames, as [`State`] stores them.
+    #[inline(always)]
     pub(super) fn packed(self) -> (f32, u32, u32) {
         let steps = |value: f32, per_unit: f32| (value * per_unit + 0.5) as u32;
         let frames_variance = steps(self.frames, PER_UNIT) | (steps(self.variance, PER_VARIANCE) << 16);

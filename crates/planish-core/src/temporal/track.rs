@@ -5,7 +5,8 @@
 //! Gauss-Newton steps with robust weights minimise the distances, on every eighth pixel, then every fourth, then every
 //! second. Directions in which the scene does not hold the camera, such as along a wall, stay as predicted.
 
-use glam::{DMat3, DVec3, Vec3};
+use fearless_simd::{Level, Simd, dispatch};
+use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
@@ -13,8 +14,9 @@ use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::xyz::Xyz;
 
-/// Distances between the pixels used, and the most steps with each.
-const LEVELS: [(usize, usize); 3] = [(8, 8), (4, 5), (2, 3)];
+/// Distances between the pixels used, the most steps with each, and a step so small (radians and metres) that it ends
+/// them.
+const LEVELS: [(usize, usize, f64); 3] = [(8, 8, 2e-4), (4, 5, 5e-5), (2, 3, 2e-5)];
 /// Rows of a level that are a task.
 const TASK_ROWS: usize = 8;
 /// Largest difference of depth between matching points, relative to it.
@@ -26,8 +28,6 @@ const LEAST_SCALE: f64 = 0.3;
 const CAUCHY: f64 = 2.0;
 /// Directions with less than this share of the largest information are not corrected.
 const LEAST_INFORMATION: f64 = 1e-3;
-/// A step this small ends a level: radians and metres.
-const SMALL_STEP: f64 = 2e-6;
 /// Share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
 const LEAST_MATCHED: f64 = 0.5;
 const MOST_SCALE: f64 = 3.0;
@@ -37,6 +37,19 @@ const MOST_SCALE: f64 = 3.0;
 pub(crate) struct Surface {
     pub(crate) points: Xyz,
     pub(crate) normals: Xyz,
+}
+
+/// The same, borrowed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SurfaceRef<'a> {
+    pub(crate) points: &'a Xyz,
+    pub(crate) normals: &'a Xyz,
+}
+
+impl Surface {
+    pub(crate) fn borrow(&self) -> SurfaceRef<'_> {
+        SurfaceRef { points: &self.points, normals: &self.normals }
+    }
 }
 
 /// How well a motion aligns two frames.
@@ -67,19 +80,20 @@ type Sums = [f64; 27];
 pub(crate) struct Tracker {
     camera: Camera,
     sensor: SensorModel,
+    level: Level,
     /// The last motion, which predicts the next.
     last: RigidTransform,
 }
 
 impl Tracker {
     pub(crate) fn new(camera: Camera, sensor: SensorModel) -> Self {
-        Self { camera, sensor, last: RigidTransform::IDENTITY }
+        Self { camera, sensor, level: Level::new(), last: RigidTransform::IDENTITY }
     }
 
     /// Estimates previous_from_current; `None` if no motion is certain.
-    pub(crate) fn track(&mut self, previous: &Surface, current: &Surface) -> Option<RigidTransform> {
+    pub(crate) fn track(&mut self, previous: &Surface, current: SurfaceRef<'_>) -> Option<RigidTransform> {
         // Whichever prediction is better: at rest, or moving on.
-        let (step, _) = LEVELS[0];
+        let (step, ..) = LEVELS[0];
         let score = |motion: &RigidTransform| {
             let (alignment, _) = self.align(previous, current, motion, step);
             alignment.scale * alignment.points as f64 / alignment.matched.max(1) as f64
@@ -89,14 +103,15 @@ impl Tracker {
             motion = self.last;
         }
         let mut alignment = None;
-        for (step, steps) in LEVELS {
+        for (step, steps, small) in LEVELS {
             for _ in 0..steps {
                 let (found, matches) = self.align(previous, current, &motion, step);
                 alignment = Some(found);
-                let Some(change) = solve(&matches, found.scale) else { break };
+                let Some(change) = solve(self.level, &matches, found.scale) else { break };
                 motion = RigidTransform { rotation: change.rotation, translation: change.translation }.after(motion);
-                let angle = (change.rotation - DMat3::IDENTITY).to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
-                if angle < SMALL_STEP && change.translation.abs().max_element() < SMALL_STEP {
+                let angle =
+                    (change.rotation - DMat3::IDENTITY).to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
+                if angle < small && change.translation.abs().max_element() < small {
                     break;
                 }
             }
@@ -118,40 +133,60 @@ impl Tracker {
     fn align(
         &self,
         previous: &Surface,
-        current: &Surface,
+        current: SurfaceRef<'_>,
         motion: &RigidTransform,
         step: usize,
     ) -> (Alignment, Vec<Match>) {
-        let Camera { width, height, .. } = self.camera;
+        let height = self.camera.height;
         let rows: Vec<usize> = (0..height).step_by(step).collect();
+        // Compiled for each instruction set: rounding is a call without SSE4.1.
         let tasks: Vec<(usize, Vec<Match>)> = rows
             .par_chunks(TASK_ROWS)
-            .map(|rows| {
-                let (mut points, mut matches) = (0, Vec::new());
-                for i in rows.iter().flat_map(|v| (0..width).step_by(step).map(move |u| v * width + u)) {
-                    if current.points.is_finite(i) && current.normals.is_finite(i) {
-                        points += 1;
-                        matches.extend(self.find(previous, current, motion, i));
-                    }
-                }
-                (points, matches)
-            })
+            .map(|rows| dispatch!(self.level, simd => self.find_rows(simd, previous, current, motion, (rows, step))))
             .collect();
         let points = tasks.iter().map(|(points, _)| points).sum();
         let matches: Vec<Match> = tasks.into_iter().flat_map(|(_, matches)| matches).collect();
         let mut ratios: Vec<f32> = matches.iter().map(|found| (found.residual_m / found.sigma_m).abs()).collect();
         let middle = ratios.len() / 2;
-        let median = if ratios.is_empty() {
-            f32::INFINITY
-        } else {
-            *ratios.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
+        let median =
+            if ratios.is_empty() { f32::INFINITY } else { *ratios.select_nth_unstable_by(middle, f32::total_cmp).1 };
         let scale = LEAST_SCALE.max(1.4826 * f64::from(median));
         (Alignment { matched: matches.len(), points, scale }, matches)
     }
 
-    fn find(&self, previous: &Surface, current: &Surface, motion: &RigidTransform, i: usize) -> Option<Match> {
+    /// Matches every `step`th pixel of these rows; returns the number of points too.
+    #[inline(always)]
+    fn find_rows<S: Simd>(
+        &self,
+        _: S,
+        previous: &Surface,
+        current: SurfaceRef<'_>,
+        motion: &RigidTransform,
+        (rows, step): (&[usize], usize),
+    ) -> (usize, Vec<Match>) {
+        let width = self.camera.width;
         let (rotation, translation) = (motion.rotation.as_mat3(), motion.translation.as_vec3());
+        let (mut points, mut matches) = (0, Vec::with_capacity(rows.len() * width.div_ceil(step)));
+        for &v in rows {
+            for i in (v * width..(v + 1) * width).step_by(step) {
+                if current.points.is_finite(i) && current.normals.is_finite(i) {
+                    points += 1;
+                    matches.extend(self.find(previous, current, rotation, translation, i));
+                }
+            }
+        }
+        (points, matches)
+    }
+
+    #[inline(always)]
+    fn find(
+        &self,
+        previous: &Surface,
+        current: SurfaceRef<'_>,
+        rotation: Mat3,
+        translation: Vec3,
+        i: usize,
+    ) -> Option<Match> {
         let point = rotation * Vec3::from_array(current.points.get(i)) + translation;
         let turned = rotation * Vec3::from_array(current.normals.get(i));
         if point.z.is_nan() || point.z <= 0.0 {
@@ -171,7 +206,7 @@ impl Tracker {
 }
 
 /// Returns the Gauss-Newton step of the matches, to be applied after the motion so far.
-fn solve(matches: &[Match], scale: f64) -> Option<RigidTransform> {
+fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> {
     if matches.len() < 6 {
         return None;
     }
@@ -181,41 +216,18 @@ fn solve(matches: &[Match], scale: f64) -> Option<RigidTransform> {
     let extent_m = (matches.iter().map(|found| found.point.as_dvec3().distance_squared(centre)).sum::<f64>() / count)
         .sqrt()
         .max(1e-3);
-    let partial = |matches: &[Match]| -> Sums {
-        let mut sums = [0.0; 27];
-        for found in matches {
-            let (normal, residual_m) = (found.normal.as_dvec3(), f64::from(found.residual_m));
-            let sigma_m = scale * f64::from(found.sigma_m);
-            let weight = 1.0 / (1.0 + (residual_m / (CAUCHY * sigma_m)).powi(2)) / (sigma_m * sigma_m);
-            let turn = (found.point.as_dvec3() - centre).cross(normal) / extent_m;
-            let jacobian = [turn.x, turn.y, turn.z, normal.x, normal.y, normal.z];
-            let mut k = 0;
-            for (row, value) in jacobian.iter().enumerate() {
-                for other in &jacobian[row..] {
-                    sums[k] += weight * value * other;
-                    k += 1;
-                }
-            }
-            for (row, value) in jacobian.iter().enumerate() {
-                sums[21 + row] += weight * value * residual_m;
-            }
-        }
-        sums
-    };
     // Fixed parts, summed in order: the number of threads changes no bit.
-    let parts: Vec<Sums> = matches.par_chunks(4096).map(partial).collect();
+    let parts: Vec<Sums> = matches
+        .par_chunks(4096)
+        .map(|matches| dispatch!(level, simd => partial_sums(simd, matches, scale, centre, extent_m)))
+        .collect();
     let sums = parts.into_iter().fold([0.0; 27], |mut sums, part| {
         sums.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
         sums
     });
-    let mut information = [[0.0; 6]; 6];
-    let mut k = 0;
-    for row in 0..6 {
-        for column in row..6 {
-            (information[row][column], information[column][row]) = (sums[k], sums[k]);
-            k += 1;
-        }
-    }
+    // Row `a` of the upper triangle begins after the a longer rows above it.
+    let entry = |a: usize, b: usize| sums[a * 6 - a * (a + 1) / 2 + b];
+    let information = std::array::from_fn(|a| std::array::from_fn(|b| entry(a.min(b), a.max(b))));
     let (values, vectors) = symmetric_eigen_6(information);
     let largest = values.iter().copied().fold(0.0, f64::max);
     let mut step = [0.0; 6];
@@ -231,6 +243,30 @@ fn solve(matches: &[Match], scale: f64) -> Option<RigidTransform> {
     let translation = DVec3::new(x, y, z) + centre - rotation * centre;
     let is_finite = rotation.is_finite() && translation.is_finite();
     is_finite.then_some(RigidTransform { rotation, translation })
+}
+
+/// Returns the sums of the normal equations over some matches, with turns about a centre in units of an extent.
+#[inline(always)]
+fn partial_sums<S: Simd>(_: S, matches: &[Match], scale: f64, centre: DVec3, extent_m: f64) -> Sums {
+    let mut sums = [0.0; 27];
+    for found in matches {
+        let (normal, residual_m) = (found.normal.as_dvec3(), f64::from(found.residual_m));
+        let sigma_m = scale * f64::from(found.sigma_m);
+        let ratio = residual_m / (CAUCHY * sigma_m);
+        let weight = 1.0 / ((1.0 + ratio * ratio) * (sigma_m * sigma_m));
+        let turn = (found.point.as_dvec3() - centre).cross(normal) / extent_m;
+        let jacobian = [turn.x, turn.y, turn.z, normal.x, normal.y, normal.z];
+        let weighted = jacobian.map(|value| weight * value);
+        let mut k = 0;
+        for row in 0..6 {
+            for column in row..6 {
+                sums[k] += weighted[row] * jacobian[column];
+                k += 1;
+            }
+            sums[21 + row] += weighted[row] * residual_m;
+        }
+    }
+    sums
 }
 
 /// Returns eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
@@ -302,7 +338,7 @@ mod tests {
         let previous = surface(&camera, &RigidTransform::IDENTITY, &CORNER);
         let current = surface(&camera, &moved(), &CORNER);
         let mut tracker = Tracker::new(camera, SensorModel::KINECT_V1);
-        let found = tracker.track(&previous, &current).unwrap();
+        let found = tracker.track(&previous, current.borrow()).unwrap();
         assert!((found.translation - moved().translation).length() < 1e-4, "{found:?}");
         let turn = found.rotation.transpose() * moved().rotation - DMat3::IDENTITY;
         assert!(turn.to_cols_array().iter().all(|value| value.abs() < 5e-5), "{turn:?}");
@@ -315,18 +351,19 @@ mod tests {
         let previous = surface(&camera, &RigidTransform::IDENTITY, &wall);
         let current = surface(&camera, &moved(), &wall);
         let mut tracker = Tracker::new(camera, SensorModel::KINECT_V1);
-        let found = tracker.track(&previous, &current).unwrap();
+        let found = tracker.track(&previous, current.borrow()).unwrap();
         // The wall shows one distance and two turns.
         assert!((found.translation.z - moved().translation.z).abs() < 1e-3, "{found:?}");
         assert!(found.translation.truncate().length() < 0.03, "{found:?}");
         let far = surface(&camera, &RigidTransform::IDENTITY, &[(DVec3::Z, 3.0)]);
-        assert_eq!(tracker.track(&previous, &far), None);
+        assert_eq!(tracker.track(&previous, far.borrow()), None);
     }
 
     #[test]
     fn eigenvectors_diagonalise_the_matrix() {
-        let a: [[f64; 6]; 6] =
-            std::array::from_fn(|i| std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64) + f64::from(u8::from(i == j))));
+        let a: [[f64; 6]; 6] = std::array::from_fn(|i| {
+            std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64) + f64::from(u8::from(i == j)))
+        });
         let (values, vectors) = symmetric_eigen_6(a);
         for (value, vector) in values.iter().zip(&vectors) {
             for (row, entry) in a.iter().zip(vector) {

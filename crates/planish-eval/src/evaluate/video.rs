@@ -240,11 +240,13 @@ impl VideoEvaluation {
                     method.lag_m.0 -= f64::from(off_m * moved_m.signum());
                     method.lag_m.1 += 1;
                 }
-                if settled && flat[i] && off_m.abs() <= OUTLIER * true_m {
-                    if let Some(range) = range_of(true_m) {
-                        method.errors[range].0 += f64::from(off_m).powi(2);
-                        method.errors[range].1 += 1;
-                    }
+                if settled
+                    && flat[i]
+                    && off_m.abs() <= OUTLIER * true_m
+                    && let Some(range) = range_of(true_m)
+                {
+                    method.errors[range].0 += f64::from(off_m).powi(2);
+                    method.errors[range].1 += 1;
                 }
             }
         }

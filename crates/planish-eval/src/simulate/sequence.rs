@@ -211,7 +211,8 @@ mod tests {
                 if let Some(Pose { position, world_from_camera }) = last.replace(pose) {
                     moved_m += (pose.position - position).length() / 35.0;
                     let turn: DMat3 = world_from_camera.transpose() * pose.world_from_camera;
-                    turned_deg += (0.5 * (turn.col(0).x + turn.col(1).y + turn.col(2).z) - 0.5).acos().to_degrees() / 35.0;
+                    turned_deg +=
+                        (0.5 * (turn.col(0).x + turn.col(1).y + turn.col(2).z) - 0.5).acos().to_degrees() / 35.0;
                 }
             }
             let is_carried = event == Event::MovingCamera;

@@ -20,12 +20,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::source::{OwnedFrame, Source, WithoutFloating};
-use planish_io::Trajectory;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
     CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, SensorModel,
     Session, Settings, Smoothed, SmoothedView, SmootherOptions,
 };
+use planish_io::Trajectory;
 
 #[cfg(feature = "rerun")]
 pub(crate) use self::rerun::Recording;

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 VERSION: str
 
-_Place = tuple[Camera | None, tuple[float, ...] | None, tuple[float, ...] | None]
+_Place = tuple[
+    Camera | None, tuple[float, ...] | None, tuple[float, ...] | None, tuple[float, ...] | None
+]
 
 class Camera:
     """A pinhole camera, with OpenCV's distortion.
@@ -67,6 +69,7 @@ class Engine:
         self, array: NDArray[Any], is_depth: bool, place: _Place, out: dict[str, NDArray[Any]]
     ) -> list[str]: ...
     def restart_video(self) -> None: ...
+    def camera_motion(self) -> list[float] | None: ...
     def unused_by_clouds(self) -> list[str]: ...
     def submit(
         self, array: NDArray[Any], is_depth: bool, place: _Place, outputs: dict[str, NDArray[Any]]

@@ -131,6 +131,7 @@ class Smoother:
         out: Smoothed | Mapping[str, NDArray[Any]] | None = None,
         *,
         pose: Pose | None = None,
+        camera_pose: Pose | None = None,
     ) -> Smoothed:
         """Smooth a frame.
 
@@ -144,6 +145,9 @@ class Smoother:
             C-contiguous arrays to write into instead of new ones; they determine the outputs.
         pose : sequence of 7 floats, optional
             Pose of the sensor in the frame of the points: x, y, z, qw, qx, qy, qz.
+        camera_pose : sequence of 7 floats, optional
+            With ``temporal="steady"``: pose of a moving camera in the world, for depth and for points in the camera's frame. Each pixel then
+            follows its surface over time.
 
         Returns
         -------
@@ -168,16 +172,17 @@ class Smoother:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
         arrays = _new_arrays(self._outputs, kind) if out is None else _given_arrays(out, kind)
         if is_depth and pose is not None:
-            raise ValueError("pose: depth images are in their camera's frame; give the pose with points")
+            raise ValueError("pose: depth images are in their camera's frame; give the pose with points, or camera_pose")
         if out is not None and any(np.may_share_memory(array, other) for other in arrays.values()):
             raise ValueError("out: an array overlaps the input")
         # The engine writes float32; points of other types are converted.
         written = {name: _written(name, array) for name, array in arrays.items()}
-        for event in self._engine.smooth(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), written):
+        place = (self._camera, _checked_pose(pose), kind.origin, self._checked_camera_pose(camera_pose))
+        for event in self._engine.smooth(array, is_depth, place, written):
             warnings.warn(event, RuntimeWarning, stacklevel=2)
         return _finished(arrays, written, array, kind)
 
-    def submit(self, frame: Any, *, pose: Pose | None = None) -> None:
+    def submit(self, frame: Any, *, pose: Pose | None = None, camera_pose: Pose | None = None) -> None:
         """Submit a frame without waiting for its result; a GPU computes it asynchronously.
 
         The frame may be modified as soon as this returns. At most `max_in_flight` frames may be in flight.
@@ -186,7 +191,8 @@ class Smoother:
         kind = _kind_of(array, is_depth)
         kinds = {name: np.empty(0, _OUTPUTS[name][0]) for name in self._outputs}
         with self._order:
-            self._engine.submit(array, is_depth, (self._camera, _checked_pose(pose), kind.origin), kinds)
+            place = (self._camera, _checked_pose(pose), kind.origin, self._checked_camera_pose(camera_pose))
+            self._engine.submit(array, is_depth, place, kinds)
             self._in_flight.append((kind, array.copy() if kind.points == np.float64 else None))
 
     def receive(self) -> Smoothed | None:
@@ -257,9 +263,21 @@ class Smoother:
             self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
         return Smoothed(**arrays)
 
+    @property
+    def camera_motion(self) -> tuple[float, ...] | None:
+        """Motion of the camera before the last frame, as given or estimated with ``track=True``: pose of the current camera in the frame of the
+        previous one (x, y, z, qw, qx, qy, qz). ``None`` if it is not known."""
+        motion = self._engine.camera_motion()
+        return None if motion is None else tuple(motion)
+
     def restart_video(self) -> None:
         """With ``temporal="steady"``, forget all frames before, as after a gap in time or when the camera was moved."""
         self._engine.restart_video()
+
+    def _checked_camera_pose(self, pose: Pose | None) -> tuple[float, ...] | None:
+        if pose is not None and (self._settings.get("temporal") != "steady" or self._settings.get("track")):
+            raise ValueError('camera_pose: has an effect only with temporal="steady", without track')
+        return _checked_pose(pose, "camera_pose")
 
     def close(self) -> None:
         """Close the engine and free its memory; the next frame opens it again."""
@@ -347,12 +365,12 @@ def _checked_outputs(outputs: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def _checked_pose(pose: Pose | None) -> tuple[float, ...] | None:
+def _checked_pose(pose: Pose | None, name: str = "pose") -> tuple[float, ...] | None:
     if pose is None:
         return None
     values = tuple(float(value) for value in pose)
     if len(values) != 7:
-        raise ValueError(f"pose: 7 numbers are expected (x, y, z, qw, qx, qy, qz), not {len(values)}")
+        raise ValueError(f"{name}: 7 numbers are expected (x, y, z, qw, qx, qy, qz), not {len(values)}")
     return values
 
 

@@ -1,6 +1,7 @@
 //! The engines: results of each, and agreement between them.
 
 mod analytic;
+mod camera_motion;
 mod clean;
 mod cpu_parity;
 mod edges;

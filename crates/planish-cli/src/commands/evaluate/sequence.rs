@@ -13,8 +13,8 @@ use planish::render::{difference_normals, half_size, relief, side_by_side};
 use planish::simulate::{DepthNoise, Event, Sequence, Truth};
 use planish::source::{OwnedFrame, SourceOptions};
 use planish::{
-    Camera, DepthImage, Error, Frame, FrameParams, IntoFrame, Outputs, Params, SensorPose, Session, Settings, Smoothed, Status,
-    TemporalChoice,
+    Camera, DepthImage, Error, Frame, FrameParams, IntoFrame, Outputs, Params, SensorPose, Session, Settings, Smoothed,
+    Status, TemporalChoice,
 };
 use planish_bench::{out, outln};
 use serde::Serialize;
@@ -38,6 +38,8 @@ struct Video {
     ways: Vec<VideoReport>,
     /// Frames before which the motion of the camera was known, by the names of the ways.
     moved_frames: BTreeMap<&'static str, u64>,
+    /// Median time per frame in milliseconds, by the names of the ways.
+    frame_ms: BTreeMap<&'static str, f64>,
 }
 
 /// A way to smooth a video.
@@ -257,7 +259,8 @@ impl Evaluated {
             let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
             others_m.push(depth_in(file, camera, raw_m.len())?);
         }
-        let depth = |way: &Way| -> Result<Vec<f32>> { Ok(way.smoothed.depth_m.clone().context("depth was requested")?) };
+        let depth =
+            |way: &Way| -> Result<Vec<f32>> { Ok(way.smoothed.depth_m.clone().context("depth was requested")?) };
         let ways_m = self.ways.iter().map(depth).collect::<Result<Vec<_>>>()?;
         let mut depths =
             vec![VideoDepth { depth_m: &ways_m[0], carried: &[] }, VideoDepth { depth_m: raw_m, carried: &[] }];
@@ -291,7 +294,14 @@ impl Evaluated {
             write_animated_png(&folder.join(format!("{file}.png")), &self.pictures, PICTURED_PER_SECOND)?;
         }
         let moved = self.ways.iter().filter(|way| way.moved > 0).map(|way| (way.name, way.moved));
-        Ok(Video { video: name.to_owned(), frames: self.frames, ways, moved_frames: moved.collect() })
+        let moved_frames = moved.collect();
+        let median_ms = |way: Way| {
+            let Way { name, mut times_ms, .. } = way;
+            times_ms.sort_by(f64::total_cmp);
+            Some((name, *times_ms.get(times_ms.len() / 2)?))
+        };
+        let frame_ms = self.ways.into_iter().filter_map(median_ms).collect();
+        Ok(Video { video: name.to_owned(), frames: self.frames, ways, moved_frames, frame_ms })
     }
 }
 
@@ -345,10 +355,9 @@ fn depth_in(file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>
 
 /// Draws the relief of measured, smoothed and steady depth side by side, at half their size.
 fn picture((width, height): (usize, usize), camera: Option<&Camera>, depths_m: [&[f32]; 3]) -> RgbImage {
-    let camera = camera.copied().unwrap_or_else(|| Camera::new((width, height), [width as f64; 2], [
-        width as f64 / 2.0,
-        height as f64 / 2.0,
-    ]));
+    let camera = camera
+        .copied()
+        .unwrap_or_else(|| Camera::new((width, height), [width as f64; 2], [width as f64 / 2.0, height as f64 / 2.0]));
     let reliefs = depths_m.map(|depth_m| {
         let points = camera.deproject_m(depth_m.iter().copied());
         half_size(&relief(width, height, &difference_normals(width, height, &points)))
@@ -396,5 +405,6 @@ fn print(video: &Video) {
     });
     line("points carried over from earlier frames, and marked", &|way| share(Some(way.carried_share)));
     line("  of which off by over 5 %", &|way| share(way.carried_wrong_share));
+    line("time per frame, median, ms", &|way| video.frame_ms.get(&*way.name).map(|ms| format!("{ms:.1}")));
     outln!();
 }
