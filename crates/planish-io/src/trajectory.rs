@@ -18,7 +18,7 @@ const LONGEST_GAP_S: f64 = 0.2;
 /// The poses of a camera in the world over time, or frame by frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trajectory {
-    /// In seconds, ascending; `None` if poses are those of frames by their number.
+    /// In seconds, ascending; `None` if poses belong to frames by their number.
     times_s: Option<Vec<f64>>,
     poses: Vec<SensorPose>,
 }
@@ -26,7 +26,7 @@ pub struct Trajectory {
 /// Reads the poses of a camera.
 ///
 /// # Errors
-/// If the file is unreadable, is no such file, or contains an invalid pose.
+/// If the file is unreadable, has another format, or contains an invalid pose.
 pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
     let read = || {
         let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
@@ -53,8 +53,8 @@ impl Trajectory {
     }
 
     /// Returns the pose of a frame, by its number from 0 or by its time stamp, interpolated between poses at most 0.2 s
-    /// apart; `None` if it is not known. Without a time stamp, the frame's name is taken for its time in seconds, as in
-    /// data sets in TUM layout.
+    /// apart; `None` if it is not known. Without a time stamp, the frame's name is its time in seconds, as in data sets in
+    /// TUM layout.
     pub fn pose(&self, number: u64, timestamp_s: Option<f64>, name: Option<&str>) -> Option<SensorPose> {
         let Some(times_s) = &self.times_s else { return self.poses.get(usize::try_from(number).ok()?).copied() };
         let at_s = timestamp_s.or_else(|| name?.parse().ok()).filter(|time_s: &f64| time_s.is_finite())?;

@@ -370,7 +370,7 @@ pub struct EvaluateArgs {
     /// With --sequence: a folder of frames, a data set or a recording (.mcap).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed"])]
     pub input: Option<PathBuf>,
-    /// Measure smoothing over time on simulated videos, all or the named one, or on that of --input
+    /// Measure smoothing over time on all simulated videos, the named one, or --input
     ///
     /// Reports jitter, slow changes, errors against the truth, and how late or long moving objects show. With --out,
     /// animated pictures show the measured, the smoothed and the steady frames. Names: still, fixed-pattern,

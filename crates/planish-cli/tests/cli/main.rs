@@ -11,6 +11,7 @@ mod mutation;
 mod outputs;
 mod rigs;
 mod settings;
+mod video;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

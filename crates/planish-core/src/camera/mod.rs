@@ -109,8 +109,8 @@ impl Camera {
         (1.0 / self.depth_units_per_metre) as f32
     }
 
-    /// Returns the camera without distortion on whose pixels organized points in its frame are; `None` if they are on
-    /// those of no such camera, or few.
+    /// Finds the camera of organized points in its frame, from their pixels; `None` if they are few, or fit no camera
+    /// without distortion.
     pub(crate) fn of_points((width, height): (usize, usize), points: &crate::xyz::Xyz) -> Option<Self> {
         /// Pixels that a sample is taken of, and the fewest of it that are points.
         const SAMPLE: usize = 4096;

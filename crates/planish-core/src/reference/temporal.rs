@@ -47,6 +47,8 @@ struct Measured {
     /// e; `None` for unknown pixels and holes.
     change: Option<f64>,
     is_candidate: bool,
+    /// Whether the change is so large that neighbours with the same sign confirm it at once.
+    is_large: bool,
 }
 
 /// The filter of section 16.
@@ -181,8 +183,9 @@ impl TemporalReference {
             return Measured { value: Some(value), ..Measured::default() };
         }
         let change = (value - pixel.mean) / (sigma * (1.0 + 1.0 / pixel.frames.max(1.0)).sqrt());
-        let is_candidate = change.abs() > 4.0 * pixel.variance.sqrt().max(0.7);
-        Measured { value: Some(value), change: Some(change), is_candidate }
+        let deviation = pixel.variance.sqrt().max(0.7);
+        let (is_candidate, is_large) = (change.abs() > 4.0 * deviation, change.abs() > 5.0 * deviation);
+        Measured { value: Some(value), change: Some(change), is_candidate, is_large }
     }
 
     /// m_t of equation (16.5); `None` with few updated pixels.
@@ -264,11 +267,12 @@ impl TemporalReference {
         let changes: Vec<f64> =
             self.around(i, 2).filter_map(|k| measured[k].change).map(|change| change.clamp(-8.0, 8.0)).collect();
         let mean_change = changes.iter().sum::<f64>() / changes.len().max(1) as f64;
-        let Measured { value, change, is_candidate } = measured[i];
+        let Measured { value, change, is_candidate, is_large } = measured[i];
         let sign_of = |k: usize| measured[k].change.filter(|_| measured[k].is_candidate).map_or(0.0, f64::signum);
         let sign_sum: f64 = self.around(i, 1).map(sign_of).sum();
         let old = self.pixels[i];
-        let waits = is_candidate && sign_of(i) * sign_sum < 3.0 && old.idle == 0 && old.frames >= 3.0;
+        let is_certain = sign_of(i) * sign_sum >= 3.0 && is_large;
+        let waits = is_candidate && !is_certain && old.idle == 0 && old.frames >= 3.0;
         let mut new = Pixel { is_carried: waits, ..old };
         let deviation = old.variance.sqrt();
         let is_calm = match (value, change) {

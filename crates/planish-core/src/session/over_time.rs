@@ -51,7 +51,7 @@ impl Sight {
     }
 }
 
-/// What was begun with the first frame of a video.
+/// The state of a video since its first frame.
 struct Begun {
     /// The sight of that frame.
     sight: Sight,

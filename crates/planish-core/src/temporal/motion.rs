@@ -16,7 +16,7 @@ use crate::pose::{RigidTransform, SensorPose};
 
 /// Sigmas by which pixels of one surface differ at most.
 const SAME_SURFACE: f32 = 5.0;
-/// What the slope of a surface adds, relative to the value.
+/// Allowance for the slope of a surface, relative to the value.
 const SLOPE: f32 = 0.004;
 /// Weight of the pixels of the same surface above which they count; otherwise the pixel is new.
 const LEAST_WEIGHT: f32 = 0.2;

@@ -25,6 +25,9 @@ const CLIP_OF_TILE: f32 = 4.0;
 const CANDIDATE: f32 = 4.0;
 /// Deviations are at least this when single pixels are compared, in sigmas.
 const LEAST_DEVIATION: f32 = 0.7;
+/// A supported candidate whose change exceeds this many deviations is a new surface at once. Real noise exceeds
+/// [`CANDIDATE`] now and then, for one frame.
+const AT_ONCE: f32 = 5.0;
 /// A candidate with this much support in 3x3 pixels, itself included, is a new surface at once.
 const SUPPORT: f32 = 3.0;
 /// Frames that a pixel must have for a single change to wait.
@@ -233,7 +236,8 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
         let sign = change.simd_lt(zero).select(-one, one);
         let is_supported: Mask<S> = (sign * (load(a) + load(b) + load(c))).simd_ge(splat(simd, SUPPORT));
         let may_wait = old.idle.simd_lt(one) & old.frames.simd_ge(splat(simd, FRAMES_TO_WAIT));
-        let waits = is_candidate & !is_supported & may_wait;
+        let is_large: Mask<S> = change.abs().simd_gt(splat(simd, AT_ONCE) * single);
+        let waits = is_candidate & !(is_supported & is_large) & may_wait;
         let is_reset = is_candidate & !waits;
         let is_update = is_both & !is_candidate;
         // An update: frames fade where the surroundings or the pixel itself changed.

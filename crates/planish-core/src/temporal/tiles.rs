@@ -4,7 +4,7 @@
 pub(super) const TILE: usize = 16;
 /// Tiles with at most this many pixels keep a weight of 1.
 const FEW: f32 = 64.0;
-/// Deviations of a tile's change, and of its bias, that halve its weight; twice as many if the camera's motion is known.
+/// Deviations of a tile's change, and of its bias, that halve its weight; doubled if the camera's motion is known.
 const CHANGE: f32 = 3.0;
 const BIAS: f32 = 1.5;
 /// Median bias of all tiles over their median change that halves the weight of all pixels. Noise has about 0.35, a

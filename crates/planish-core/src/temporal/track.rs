@@ -205,7 +205,7 @@ impl Tracker {
     }
 }
 
-/// Returns the Gauss-Newton step of the matches, to be applied after the motion so far.
+/// Returns the Gauss-Newton step of the matches, to be applied after the current estimate.
 fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> {
     if matches.len() < 6 {
         return None;
@@ -258,12 +258,12 @@ fn partial_sums<S: Simd>(_: S, matches: &[Match], scale: f64, centre: DVec3, ext
         let jacobian = [turn.x, turn.y, turn.z, normal.x, normal.y, normal.z];
         let weighted = jacobian.map(|value| weight * value);
         let mut k = 0;
-        for row in 0..6 {
-            for column in row..6 {
-                sums[k] += weighted[row] * jacobian[column];
+        for (row, weighted) in weighted.into_iter().enumerate() {
+            for value in &jacobian[row..] {
+                sums[k] += weighted * value;
                 k += 1;
             }
-            sums[21 + row] += weighted[row] * residual_m;
+            sums[21 + row] += weighted * residual_m;
         }
     }
     sums

@@ -36,7 +36,7 @@ pub struct VideoRange {
     pub still_pixels: usize,
     /// Median over these of the deviation of differences between frames, over the root of 2.
     pub jitter_mm: Option<f64>,
-    /// The same of the noisiest 5 % of pixels: the 95th percentile.
+    /// Its 95th percentile: that of the noisiest pixels.
     pub jitter_95_mm: Option<f64>,
     /// Median of the deviation while a pixel is still.
     pub wander_mm: Option<f64>,
@@ -58,10 +58,10 @@ pub struct VideoReport {
     pub far: VideoRange,
     /// Share of the measured pixels of the moving object that are within 2 % of its depth.
     pub found_share: Option<f64>,
-    /// Share of the pixels that a surface has newly reached and that do not show it. Without a truth, that of pixels
-    /// which jump by over 2 % and 8 sigmas and are nearer to their depth before.
+    /// Share of the pixels newly covered by a surface that do not show it. Without a truth: share of the jumps over 2 %
+    /// and 8 sigmas after which a pixel is nearer to its depth before.
     pub late_share: Option<f64>,
-    /// Share of the pixels that the moving object has just left and that do not show what is behind it.
+    /// Share of the pixels just left by the moving object that do not show the surface behind it.
     pub left_share: Option<f64>,
     /// Mean distance in millimetres by which moving surfaces are behind; without a truth only below 0.9 m.
     pub lag_mm: Option<f64>,
@@ -381,7 +381,7 @@ mod tests {
         let mut mean_m = vec![0.7; 4096];
         for frame in 0..60 {
             // A jump in the middle, for one half of the pixels.
-            let centre_m = |i: usize| if frame >= 30 && i % 2 == 0 { 0.8 } else { 0.7 };
+            let centre_m = |i: usize| if frame >= 30 && i.is_multiple_of(2) { 0.8 } else { 0.7 };
             let now: Vec<f32> = (0..4096).map(|i| centre_m(i) + 0.0005 * random.normal() as f32).collect();
             for (i, mean_m) in mean_m.iter_mut().enumerate() {
                 *mean_m = if frame == 30 { centre_m(i) } else { *mean_m + 0.25 * (now[i] - *mean_m) };

@@ -11,7 +11,7 @@ use planish_core::{Camera, DepthFrame, FrameError, ParamError};
 
 const STREAM_HOLES: u64 = 1 << 40;
 
-/// What happens in a simulated video.
+/// The event in a simulated video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event {
@@ -76,9 +76,9 @@ impl FromStr for Event {
 /// A frame of a simulated video.
 #[derive(Debug)]
 pub struct SequenceFrame<'a> {
-    /// What a perfect camera sees.
+    /// The view of a perfect camera.
     pub truth: &'a Truth,
-    /// What the camera sees.
+    /// The noisy frame.
     pub frame: DepthFrame,
     /// The camera's pose in the world.
     pub pose: Pose,
@@ -94,7 +94,7 @@ pub struct Sequence {
     scene: Scene,
     pose: Pose,
     simulator: DepthSimulator,
-    /// The last frame, and what it shows.
+    /// Scene, pose and view of the last frame.
     rendered: Option<(Scene, Pose, Truth)>,
 }
 

@@ -79,7 +79,7 @@ pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Measures on a video of one's own.
+/// Measures on the video of `--input`.
 fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     if args.export.is_some() {
         bail!("--export: with --input there is nothing to export");
@@ -259,8 +259,7 @@ impl Evaluated {
             let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
             others_m.push(depth_in(file, camera, raw_m.len())?);
         }
-        let depth =
-            |way: &Way| -> Result<Vec<f32>> { Ok(way.smoothed.depth_m.clone().context("depth was requested")?) };
+        let depth = |way: &Way| way.smoothed.depth_m.clone().context("depth was requested");
         let ways_m = self.ways.iter().map(depth).collect::<Result<Vec<_>>>()?;
         let mut depths =
             vec![VideoDepth { depth_m: &ways_m[0], carried: &[] }, VideoDepth { depth_m: raw_m, carried: &[] }];
