@@ -53,8 +53,8 @@ impl Trajectory {
     }
 
     /// Returns the pose of a frame, by its number from 0 or by its time stamp, interpolated between poses at most 0.2 s
-    /// apart; `None` if it is not known. Without a time stamp, the frame's name is its time in seconds, as in data sets in
-    /// TUM layout.
+    /// apart; `None` if it is not known. A frame without a time stamp is named by its time in seconds, as in data sets
+    /// in TUM layout.
     pub fn pose(&self, number: u64, timestamp_s: Option<f64>, name: Option<&str>) -> Option<SensorPose> {
         let Some(times_s) = &self.times_s else { return self.poses.get(usize::try_from(number).ok()?).copied() };
         let at_s = timestamp_s.or_else(|| name?.parse().ok()).filter(|time_s: &f64| time_s.is_finite())?;

@@ -6,6 +6,7 @@
 
 #[cfg(feature = "mcap")]
 mod bag;
+mod capture;
 mod frames;
 mod mailbox;
 #[cfg(feature = "rerun")]
@@ -20,6 +21,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::source::{OwnedFrame, Source, WithoutFloating};
+use capture::capture;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
     CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, SensorModel,
@@ -303,51 +305,6 @@ fn run(
         statistics.end();
         statistics
     })
-}
-
-/// Ends a mailbox when it is dropped, also by a panic.
-struct EndOf<'a>(&'a Mailbox);
-
-impl Drop for EndOf<'_> {
-    fn drop(&mut self) {
-        self.0.end();
-    }
-}
-
-/// The capture thread: moves frames from the source into the mailbox until either ends.
-fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
-    let _end = EndOf(mailbox);
-    // A live source that fails repeatedly counts as gone; other sources end on their own.
-    let mut failures = 0;
-    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A
-    // source may know of them only with the frame after them.
-    let (mut is_ready, mut missed_before) = (false, Some(0));
-    while !mailbox.is_closed() {
-        if let Some(missed) = missed_before {
-            mailbox.set_dropped_by_source(source.dropped().saturating_sub(missed));
-        }
-        match mailbox.capture_time.on(|| source.next_frame()) {
-            Ok(Some(frame)) => {
-                failures = 0;
-                missed_before = missed_before.or_else(|| Some(source.dropped()));
-                mailbox.put(Ok(Arrived { frame, name: source.frame_name(), since: Instant::now() }));
-                if source.is_live() && !is_ready {
-                    mailbox.wait_ready();
-                    missed_before = None;
-                    is_ready = true;
-                }
-            }
-            Ok(None) => break,
-            Err(error) => {
-                failures += 1;
-                let is_over = matches!(error, Error::Device(_)) || (source.is_live() && failures >= 100);
-                mailbox.put(Err((error, is_over)));
-                if is_over {
-                    break;
-                }
-            }
-        }
-    }
 }
 
 struct Running<'a> {
