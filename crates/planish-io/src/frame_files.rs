@@ -19,9 +19,14 @@ pub fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
     Ok(files)
 }
 
-/// Returns what sorts names by their numbers.
+/// Returns what sorts names by their numbers; a name that is one number with decimals, a time, by its value.
 fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let is_digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    if let Some((whole, decimals)) = stem.split_once('.').filter(|(a, b)| is_digits(a) && is_digits(b)) {
+        return vec![(whole.parse().unwrap_or(u128::MAX), decimals.to_owned())];
+    }
     let mut parts = Vec::new();
     let mut rest = &*name;
     while !rest.is_empty() {
@@ -37,4 +42,24 @@ fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
         rest = after;
     }
     parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_and_times_are_in_order() {
+        let sorted = |names: &[&str]| {
+            let mut names: Vec<&Path> = names.iter().map(Path::new).collect();
+            names.sort_by_cached_key(|path| in_order_of_numbers(path));
+            names.into_iter().map(|name| name.to_string_lossy().into_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(sorted(&["f10.png", "f2.png", "f1.png"]), ["f1.png", "f2.png", "f10.png"]);
+        assert_eq!(sorted(&["a.10.png", "a.2.png"]), ["a.2.png", "a.10.png"]);
+        assert_eq!(
+            sorted(&["10.15.png", "10.1.png", "9.5.png", "10.05.png"]),
+            ["9.5.png", "10.05.png", "10.1.png", "10.15.png"]
+        );
+    }
 }

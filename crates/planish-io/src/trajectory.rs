@@ -31,7 +31,7 @@ pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
     let read = || {
         let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
         let text = String::from_utf8(bytes).map_err(|_| malformed("not text"))?;
-        parse(&text)
+        parse(text.trim_start_matches('\u{feff}'))
     };
     read().map_err(IoError::at(path))
 }
@@ -115,6 +115,9 @@ fn with_times(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
         if times_s.last().is_some_and(|&last_s| time_s <= last_s) {
             return Err(malformed(&format!("the time stamp in line {number} is not later than the one before")));
         }
+        if [qx, qy, qz, qw] == [0.0; 4] {
+            return Err(malformed(&format!("the quaternion in line {number} is zero")));
+        }
         times_s.push(time_s);
         poses.push(SensorPose::from_xyzw([x, y, z], [qx, qy, qz, qw]));
     }
@@ -180,6 +183,7 @@ mod tests {
             ("1 0 0 0 0 0 0 nan\n", "line 1 contains NaN"),
             ("1 0 0 0 0 0 0 x\n", "line 1 is not made of numbers"),
             ("1 0 0 0 0 0 0 0.5\n", "length 1"),
+            ("1 0 0 0 0 0 0 0\n", "line 1 is zero"),
             ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not start"),
             ("0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "not a rotation"),
         ];

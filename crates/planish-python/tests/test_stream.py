@@ -230,3 +230,5 @@ def test_a_video_of_a_moving_camera() -> None:
         smoother.smooth(frames[0], camera_pose=poses[0])
     with planish.Smoother(camera, temporal="steady") as smoother, pytest.raises(ValueError, match="7 numbers"):
         smoother.smooth(frames[0], camera_pose=poses[0][:3])
+    with pytest.warns(RuntimeWarning, match="track: no effect on a single frame"):
+        planish.smooth(frames[0], camera, track=True)

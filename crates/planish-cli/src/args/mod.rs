@@ -392,18 +392,18 @@ pub struct EvaluateArgs {
     /// Number of frames of a static camera over which to measure jitter; below 2 disables it
     ///
     /// With --general this takes most of the time.
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export"], hide_short_help = true)]
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export", "sequence"], hide_short_help = true)]
     pub still_frames: u64,
     /// Smooth the simulated frames as unorganized clouds, next to the default on the grid
     #[arg(long, conflicts_with_all = ["input", "export", "results"], hide_short_help = true)]
     pub general: bool,
-    /// Folder to write the simulated frames to as organized clouds, for other programs to smooth
+    /// Folder to write the simulated frames to for other programs to smooth: organized clouds, videos as depth images
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"], hide_short_help = true, help_heading = OTHER_PROGRAMS)]
     pub export: Option<PathBuf>,
     /// Results of another program to measure: a folder with the exported names; with --input a file
     ///
     /// Organized clouds, with or without normals. With --sequence: folders of depth images or clouds; repeat the option
-    /// for several programs.
+    /// for several programs. Depth in whole millimetres looks rougher than in .npy or .tiff.
     #[arg(long, value_name = "DIR|FILE", hide_short_help = true, help_heading = OTHER_PROGRAMS)]
     pub results: Vec<PathBuf>,
     /// Number of cameras (2 to 8) of simulated rigs around a table, smoothed in every way

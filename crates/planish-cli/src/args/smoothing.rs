@@ -200,8 +200,8 @@ pub struct SmoothingArgs {
     #[arg(long, value_enum, help_heading = TUNING)]
     pub temporal: Option<TemporalArg>,
     /// Smooth video from a moving camera over time: its motion is estimated from frame to frame
-    #[arg(long, help_heading = TUNING)]
-    pub track: bool,
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", help_heading = TUNING)]
+    pub track: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]
     pub degree: Option<u32>,
@@ -323,7 +323,7 @@ impl SmoothingArgs {
             ("grid", named(self.grid.as_ref())),
             ("even", self.even.into()),
             ("temporal", named(self.temporal.as_ref())),
-            ("track", self.track.then_some(true).into()),
+            ("track", self.track.into()),
             ("degree", self.degree.into()),
             ("bandwidth_m", self.bandwidth.into()),
             ("ridge", self.ridge.into()),

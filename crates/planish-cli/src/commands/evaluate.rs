@@ -63,8 +63,8 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     if let Some(videos) = args.sequence {
         return sequence::evaluate(args, videos);
     }
-    if args.poses.poses.is_some() {
-        bail!("--poses applies to evaluate --sequence --input");
+    if args.poses.poses.is_some() || args.frames.is_some() {
+        bail!("--poses and --frames apply to evaluate --sequence");
     }
     if args.results.len() > 1 {
         bail!("--results: only --sequence measures the results of several programs at once");

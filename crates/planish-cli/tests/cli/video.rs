@@ -43,6 +43,9 @@ fn videos_are_measured_simulated_exported_and_from_folders() {
 
     assert!(refused(&["evaluate", "--sequence", "standing"]).contains("still, fixed-pattern"));
     assert!(refused(&["evaluate", "--sequence", "still", "--input", str(&still)]).contains("contradicts --input"));
+    assert!(refused(&["evaluate", "--sequence", "--input", str(&still.join("0000.png"))]).contains("is one frame"));
+    assert!(refused(&["evaluate", "--sequence", "--temporal", "off"]).contains("--temporal off"));
+    assert!(refused(&["evaluate", "--frames", "3"]).contains("--sequence"));
     assert!(refused(&["evaluate", "--results", "a", "--results", "b"]).contains("only --sequence"));
     let message = refused(&["evaluate", "--sequence", "--input", str(&still)]);
     assert!(message.contains("needs its camera"), "{message}");
@@ -62,9 +65,20 @@ fn poses_of_a_folder_are_read_and_checked() {
     let smooth = [&smooth[..], &["--poses", str(&poses)]].concat();
     let given = [&smooth[..], &["--temporal", "steady"]].concat();
     fs::write(&poses, (0..3).map(block).collect::<String>()).unwrap();
-    let output = planish(&given);
+    assert!(refused(&given).contains("has 3 poses without time stamps") && !smoothed.exists());
+    fs::write(&poses, (0..4).map(block).collect::<String>()).unwrap();
+    ok(&given);
+    let by_time = folder.path().join("poses.txt");
+    fs::write(&by_time, "\u{feff}0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n").unwrap();
+    let output = planish(&[&smooth[..6], &["--poses", str(&by_time), "--temporal", "steady"]].concat());
     let message = text(&output.stderr);
-    assert!(output.status.success() && message.contains("has none for 1 frames"), "{message}");
+    assert!(output.status.success() && message.contains("has none for 3 frames"), "{message}");
+    ok(&given);
+    // The third frame has moved by a centimetre since the second: its past is another one without poses.
+    let without_poses = folder.path().join("without");
+    ok(&["smooth", str(&frames), str(&without_poses), "--camera-file", str(&camera_file), "--temporal", "steady"]);
+    let differs = |name: &str| fs::read(smoothed.join(name)).unwrap() != fs::read(without_poses.join(name)).unwrap();
+    assert!(!differs("0000.png") && differs("0002.png"));
     fs::write(&poses, "0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
     assert!(refused(&given).contains("not a rotation"));
     assert!(refused(&smooth).contains("--temporal steady"));

@@ -117,7 +117,10 @@ impl Camera {
         const LEAST: usize = 100;
         /// Largest root mean square of the distances from the pixels' centres.
         const MOST_OFF_PX: f64 = 0.1;
-        let sample = || (0..width * height).step_by((width * height).div_ceil(SAMPLE).max(1));
+        let step = (width * height).div_ceil(SAMPLE).max(1);
+        // Not one column only.
+        let step = step + usize::from(step.is_multiple_of(width));
+        let sample = || (0..width * height).step_by(step);
         let sample = || sample().filter(|&i| points.is_finite(i) && points.get(i)[2] > 0.0);
         let line = |axis: usize, pixel: &dyn Fn(usize) -> usize| -> Option<[f64; 2]> {
             let pairs =

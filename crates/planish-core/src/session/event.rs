@@ -70,6 +70,8 @@ pub enum SessionEvent {
         /// Height in pixels.
         height: usize,
     },
+    /// The motion of the camera is to be compensated over time, but no camera fits the points of the frames.
+    CameraUnknown,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
         /// What the GPU allows.
@@ -121,6 +123,10 @@ impl fmt::Display for SessionEvent {
             Self::GridRebuilt { width, height } => {
                 write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")
             }
+            Self::CameraUnknown => f.write_str(
+                "the points are on the pixels of no camera without distortion, so the motion of the camera cannot be \
+                 compensated; give the camera",
+            ),
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
             Self::Reopening { error } => write!(f, "{error}; opening it once more"),
             Self::UsingCpu { error } => write!(f, "{error}; continuing with the CPU engine"),

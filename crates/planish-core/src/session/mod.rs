@@ -253,6 +253,9 @@ impl Session {
         (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
         (self.cloud_estimate, self.lattice, self.known_points) = (None, None, 0);
         self.restart_video();
+        if self.pending.is_empty() {
+            self.video.close();
+        }
         Ok(())
     }
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Chosen, Session};
+use super::{Chosen, Session, SessionEvent};
 use crate::camera::Camera;
 use crate::error::Error;
 use crate::frame::{Frame, FrameGeometry, RangeRule};
@@ -31,6 +31,9 @@ pub(super) struct Sight {
     camera: Option<Camera>,
     /// The requested results.
     outputs: Outputs,
+    shape: (usize, usize),
+    /// How it is smoothed over time.
+    params: TemporalParams,
     /// Number of the video that the frame belongs to.
     video: u64,
     /// world_from_camera, if known, and whether the frame itself states it.
@@ -40,29 +43,19 @@ pub(super) struct Sight {
     is_tracked: bool,
 }
 
-impl Sight {
-    /// Returns true if frames of both can be one video.
-    fn is_like(&self, other: &Self) -> bool {
-        let has_transform = |sight: &Self| sight.geometry.cloud_from_sensor.is_some();
-        let is_same_place = self.geometry.cloud_from_sensor == other.geometry.cloud_from_sensor
-            || (self.pose.is_some() && other.pose.is_some() && has_transform(self) == has_transform(other));
-        let is_same_video = self.video == other.video;
-        is_same_video && self.sensor == other.sensor && self.camera == other.camera && is_same_place
-    }
-}
-
 /// The state of a video since its first frame.
 struct Begun {
     /// The sight of that frame.
     sight: Sight,
     filter: TemporalFilter,
     threads: Threads,
-    /// The camera: given, or shown by the points.
+    /// The camera: given, or shown by the points; and whether they show none.
     camera: Option<Camera>,
+    has_no_camera: bool,
     /// The last frame and what aligns others with it, if the motion of the camera is estimated.
     tracking: Option<(Tracker, Surface)>,
-    /// The pose of the last frame, and how the camera moved before it, if known.
-    last_pose: Option<SensorPose>,
+    /// The pose of the last frame, and whether the frame itself stated it; how the camera moved before it, if known.
+    last_pose: Option<(SensorPose, bool)>,
     motion: Option<CameraMotion>,
 }
 
@@ -122,7 +115,9 @@ impl Session {
         };
         let stated = stated.filter(|pose| !pose.is_identity());
         self.sight = match (self.over_time(frame), params) {
-            (Some(_), Params::Frame(params)) => Some(Sight {
+            (Some(over_time), Params::Frame(params)) => Some(Sight {
+                shape: frame.shape(),
+                params: over_time,
                 geometry,
                 sensor: params.sensor,
                 camera,
@@ -163,20 +158,25 @@ impl Session {
     }
 
     fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
-        let Chosen::Settings(settings) = &self.chosen else { return Ok(()) };
-        let Some(params) = settings.temporal_params() else { return Ok(()) };
         // Without a position of the sensor there are no ranges.
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
             return Ok(());
         }
         let OverTime { begun, ranges_m, single_m, .. } = &mut self.video;
-        if begun.as_ref().is_none_or(|begun| !begun.sight.is_like(sight)) {
-            *begun = Some(Begun::new(*sight, params, self.options.threads, smoothed)?);
+        if begun.as_ref().is_none_or(|begun| !begun.goes_on_with(sight)) {
+            *begun = Some(Begun::new(*sight, self.options.threads)?);
+        }
+        if let Some(begun) = begun
+            && begun.find_camera(sight, smoothed)
+        {
+            self.events.push(SessionEvent::CameraUnknown);
         }
         let Some(Begun { filter, threads, camera, tracking, last_pose, motion: last_motion, .. }) = begun else {
             return Ok(());
         };
-        let last_pose = std::mem::replace(last_pose, sight.pose);
+        // Poses of the caller and those of files may be in different worlds.
+        let last_pose = std::mem::replace(last_pose, sight.pose.map(|pose| (pose, sight.is_pose_of_file)));
+        let last_pose = last_pose.filter(|(_, is_of_file)| *is_of_file == sight.is_pose_of_file).map(|(pose, _)| pose);
         threads.install(|| {
             let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
                 // Many writers state the same pose for every frame, wherever the camera is.
@@ -233,9 +233,8 @@ impl Session {
             if interval_s < 0.0 || interval_s > f64::max(LONGEST_INTERVAL_S, MOST_INTERVALS * usual_s) {
                 self.restart_video();
                 self.video.gaps += 1;
-            } else {
-                self.video.last_interval_s = Some(interval_s);
             }
+            self.video.last_interval_s = Some(interval_s.max(0.0));
         }
         self.video.last_time_s = Some(now_s);
     }
@@ -245,16 +244,20 @@ impl Session {
         self.video.gaps
     }
 
+    fn current_video(&self) -> Option<&Begun> {
+        self.video.begun.as_ref().filter(|begun| begun.sight.video == self.video.number)
+    }
+
     /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
     /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
-        self.video.begun.as_ref().and_then(|begun| begun.motion)
+        self.current_video().and_then(|begun| begun.motion)
     }
 
     /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
     /// frame, or if the session does not smooth over time.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
-        self.video.begun.as_ref().map(|begun| &begun.filter)
+        self.current_video().map(|begun| &begun.filter)
     }
 }
 
@@ -267,21 +270,38 @@ impl OverTime {
 }
 
 impl Begun {
-    fn new(sight: Sight, params: TemporalParams, threads: Option<usize>, smoothed: &Smoothed) -> Result<Self, Error> {
-        let threads = Threads::open(threads)?;
+    /// Returns true if a frame belongs to this video.
+    fn goes_on_with(&self, sight: &Sight) -> bool {
+        let first = &self.sight;
+        let has_transform = |sight: &Sight| sight.geometry.cloud_from_sensor.is_some();
+        // A sensor that moves is followed if its motion can be compensated.
+        let is_followed = self.camera.is_some() && first.pose.is_some() && sight.pose.is_some();
+        let is_same_place = first.geometry.cloud_from_sensor == sight.geometry.cloud_from_sensor
+            || (is_followed && has_transform(first) == has_transform(sight));
+        let is_same_camera = first.shape == sight.shape && first.camera == sight.camera && first.sensor == sight.sensor;
+        first.video == sight.video && first.params == sight.params && is_same_camera && is_same_place
+    }
+
+    fn new(sight: Sight, threads: Option<usize>) -> Result<Self, Error> {
+        let (threads, filter) = (Threads::open(threads)?, TemporalFilter::new(sight.params, sight.sensor)?);
+        let (camera, tracking, last_pose, motion) = Default::default();
+        Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
+    }
+
+    /// Finds the camera where its motion matters; returns true once if the motion is wanted, but the points show no camera.
+    fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
+        let needs_camera = sight.is_tracked || sight.pose.is_some();
+        if !needs_camera || self.camera.is_some() || self.has_no_camera {
+            return false;
+        }
         let is_of_camera = matches!(sight.geometry.rule, RangeRule::Depth { .. });
-        let camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
-        let tracking = camera.filter(|_| sight.is_tracked);
-        let tracking = tracking.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        Ok(Self {
-            sight,
-            filter: TemporalFilter::new(params, sight.sensor)?,
-            threads,
-            camera,
-            tracking,
-            last_pose: None,
-            motion: None,
-        })
+        self.camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
+        let tracked = self.camera.filter(|_| sight.is_tracked);
+        self.tracking = tracked.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
+        // A frame of holes shows no camera; the next one may.
+        let has_points = smoothed.points.z().iter().any(|z| z.is_finite());
+        self.has_no_camera = self.camera.is_none() && has_points;
+        self.has_no_camera && (sight.is_tracked || !sight.is_pose_of_file)
     }
 }
 
@@ -394,6 +414,8 @@ mod tests {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
         let sight = Sight {
+            shape: (8, 8),
+            params: TemporalParams::STEADY,
             geometry,
             sensor: SensorModel::KINECT_V1,
             camera: None,

@@ -1,6 +1,6 @@
 //! Settings over settings: options over a file.
 
-use super::Settings;
+use super::{Settings, TemporalChoice};
 use crate::engines::Engine;
 
 impl Settings {
@@ -21,6 +21,9 @@ impl Settings {
         self.radius = self.radius.filter(|_| over.neighbours.is_none());
         if over.devices.is_some() {
             (self.engine, self.adapter) = (None, None);
+        }
+        if over.temporal == Some(TemporalChoice::Off) {
+            self.track = None;
         }
         if over.engine.is_some() || over.adapter.is_some() {
             self.devices = None;

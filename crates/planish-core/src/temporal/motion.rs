@@ -43,7 +43,9 @@ impl CameraMotion {
             true => RigidTransform::IDENTITY,
             false => previous.transform()?.inverse().after(current.transform()?),
         };
-        Ok(Self { camera, previous_from_current: SensorPose::from_transform(&previous_from_current) })
+        let previous_from_current = SensorPose::from_transform(&previous_from_current);
+        previous_from_current.validate()?;
+        Ok(Self { camera, previous_from_current })
     }
 }
 

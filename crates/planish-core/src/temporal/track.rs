@@ -28,7 +28,10 @@ const LEAST_SCALE: f64 = 0.3;
 const CAUCHY: f64 = 2.0;
 /// Directions with less than this share of the largest information are not corrected.
 const LEAST_INFORMATION: f64 = 1e-3;
-/// Share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
+/// Distance between the pixels that check the motion.
+const CHECKED: usize = 4;
+/// Fewest matches, share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
+const LEAST_MATCHES: usize = 25;
 const LEAST_MATCHED: f64 = 0.5;
 const MOST_SCALE: f64 = 3.0;
 
@@ -102,11 +105,9 @@ impl Tracker {
         if !self.last.is_identity() && score(&self.last) < score(&motion) {
             motion = self.last;
         }
-        let mut alignment = None;
         for (step, steps, small) in LEVELS {
             for _ in 0..steps {
                 let (found, matches) = self.align(previous, current, &motion, step);
-                alignment = Some(found);
                 let Some(change) = solve(self.level, &matches, found.scale) else { break };
                 motion = RigidTransform { rotation: change.rotation, translation: change.translation }.after(motion);
                 let angle =
@@ -116,11 +117,10 @@ impl Tracker {
                 }
             }
         }
-        let is_sure = alignment.is_some_and(|alignment| {
-            alignment.matched as f64 >= LEAST_MATCHED * alignment.points as f64
-                && alignment.matched >= 100
-                && alignment.scale <= MOST_SCALE
-        });
+        let (alignment, _) = self.align(previous, current, &motion, CHECKED);
+        let is_sure = alignment.matched as f64 >= LEAST_MATCHED * alignment.points as f64
+            && alignment.matched >= LEAST_MATCHES
+            && alignment.scale <= MOST_SCALE;
         self.last = if is_sure { motion } else { RigidTransform::IDENTITY };
         is_sure.then_some(motion)
     }

@@ -88,8 +88,6 @@ pub struct VideoEvaluation {
     sensor: SensorModel,
     frames: u64,
     methods: Vec<Method>,
-    /// Number of frames for which each pixel has been still.
-    still: Vec<u16>,
     /// The frame before, smoothed in space.
     before_m: Vec<f32>,
     before_that_m: Vec<f32>,
@@ -99,6 +97,8 @@ pub struct VideoEvaluation {
 /// Sums of a pixel while it is still, and over all the times that it was.
 #[derive(Clone, Copy, Default)]
 struct Pixel {
+    /// Frames since it was last not still.
+    frames: u16,
     last_m: f32,
     mean_m: f32,
     squares: f32,
@@ -145,8 +145,8 @@ impl VideoEvaluation {
     /// Starts to measure ways to smooth; the first of them smooths each frame alone and decides which pixels are still.
     pub fn new(sensor: SensorModel, names: &[&str]) -> Self {
         let methods = names.iter().map(|name| Method { name: (*name).to_owned(), ..Method::default() }).collect();
-        let (still, before_m, before_that_m) = Default::default();
-        Self { sensor, frames: 0, methods, still, before_m, before_that_m, truth_before: None }
+        let (before_m, before_that_m) = Default::default();
+        Self { sensor, frames: 0, methods, before_m, before_that_m, truth_before: None }
     }
 
     /// Measures how flat every tenth frame is, on the tiles that are flat in its first way; call it before
@@ -169,8 +169,7 @@ impl VideoEvaluation {
     pub fn add(&mut self, depths: &[VideoDepth<'_>], truth: Option<(&Truth, Option<u16>)>) {
         let Some(alone) = depths.first() else { return };
         let len = alone.depth_m.len();
-        if self.still.len() != len {
-            self.still = vec![0; len];
+        if self.before_m.len() != len {
             (self.before_m, self.before_that_m) = (vec![f32::NAN; len], vec![f32::NAN; len]);
             self.methods.iter_mut().for_each(|method| method.pixels = vec![Pixel::default(); len]);
         }
@@ -186,11 +185,10 @@ impl VideoEvaluation {
             for (method, depth) in self.methods.iter_mut().zip(depths) {
                 let pixel = &mut method.pixels[i];
                 if !is_still {
-                    pixel.finish(self.still[i]);
+                    pixel.finish();
                 }
-                pixel.take(depth.depth_m[i], if is_still { self.still[i] } else { 0 });
+                pixel.take(depth.depth_m[i]);
             }
-            self.still[i] = if is_still { self.still[i].saturating_add(1) } else { 1 };
         }
         match truth {
             Some((truth, object)) => self.against_truth(depths, truth, object),
@@ -265,7 +263,9 @@ impl VideoEvaluation {
             for (method, depth) in self.methods.iter_mut().zip(depths) {
                 let off_m = depth.depth_m[i] - now_m;
                 if is_jump {
-                    method.late.add(off_m.abs() > 0.5 * change_m.abs());
+                    // Holes count as late.
+                    let is_there = off_m.abs() <= 0.5 * change_m.abs();
+                    method.late.add(!is_there);
                 }
                 if moves && off_m.is_finite() {
                     method.lag_m.0 -= f64::from(off_m * change_m.signum());
@@ -278,37 +278,41 @@ impl VideoEvaluation {
     /// Returns the scores of every way.
     pub fn reports(mut self) -> Vec<VideoReport> {
         for method in &mut self.methods {
-            for (pixel, still) in method.pixels.iter_mut().zip(&self.still) {
-                pixel.finish(*still);
-            }
+            method.pixels.iter_mut().for_each(Pixel::finish);
         }
         self.methods.iter().map(|method| method.report(self.frames)).collect()
     }
 }
 
 impl Pixel {
-    /// Takes the depth of a frame, after `still` others of the same time.
-    fn take(&mut self, depth_m: f32, still: u16) {
-        if still == 0 || !self.mean_m.is_finite() {
+    /// Takes the depth of a frame; a hole ends the time for which the pixel was still.
+    fn take(&mut self, depth_m: f32) {
+        if depth_m.is_nan() || depth_m <= 0.0 {
+            self.finish();
+            return;
+        }
+        if self.frames == 0 {
             (self.mean_m, self.squares, self.differences) = (depth_m, 0.0, 0.0);
         } else {
             self.differences += (depth_m - self.last_m).powi(2);
             let off_m = depth_m - self.mean_m;
-            self.mean_m += off_m / (f32::from(still) + 1.0);
+            self.mean_m += off_m / (f32::from(self.frames) + 1.0);
             self.squares += off_m * (depth_m - self.mean_m);
         }
+        self.frames = self.frames.saturating_add(1);
         self.last_m = depth_m;
     }
 
     /// Ends a time for which the pixel was still.
-    fn finish(&mut self, still: u16) {
-        if still >= LEAST_STILL && self.squares.is_finite() {
+    fn finish(&mut self) {
+        if self.frames >= LEAST_STILL {
             self.all_squares += self.squares;
             self.all_differences += self.differences;
-            self.all_frames = self.all_frames.saturating_add(still);
+            self.all_frames = self.all_frames.saturating_add(self.frames);
             self.all_times += 1;
             self.range_m = self.mean_m;
         }
+        self.frames = 0;
     }
 }
 

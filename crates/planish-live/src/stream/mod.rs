@@ -24,8 +24,8 @@ use crate::source::{OwnedFrame, Source, WithoutFloating};
 use capture::capture;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{
-    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, SensorChoice, SensorModel,
-    Session, Settings, Smoothed, SmoothedView, SmootherOptions,
+    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, ParamError, SensorChoice,
+    SensorModel, Session, Settings, Smoothed, SmoothedView, SmootherOptions,
 };
 use planish_io::Trajectory;
 
@@ -254,6 +254,10 @@ fn run(
     mut tell: impl FnMut(StreamEvent<'_>),
 ) -> Result<StreamStatistics, Error> {
     let live = source.is_live();
+    if live && options.poses.as_ref().is_some_and(|poses| !poses.has_times()) {
+        let allowed = "poses with time stamps for a live source, which drops frames";
+        return Err(ParamError { field: "poses", value: "one per frame".into(), allowed }.into());
+    }
     let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
     let ended = Arc::new(AtomicBool::new(false));
     source.end_with(Arc::clone(&ended));
@@ -276,7 +280,7 @@ fn run(
             sinks,
             statistics: StreamStatistics::start(),
             smooth_time: TimeSpent::default(),
-            submitted: 0,
+            number: 0,
         };
         let result = stream.run(&mailbox, stop, &mut tell);
         // Frames that arrive while the engine is closed are not missed.
@@ -317,8 +321,8 @@ struct Running<'a> {
     sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
-    /// Number of frames submitted.
-    submitted: u64,
+    /// Number of the next frame of the source.
+    number: u64,
 }
 
 /// A frame that was submitted.
@@ -368,7 +372,11 @@ impl Running<'_> {
                         }
                         return Err(error);
                     }
-                    Err((error, false)) => tell(StreamEvent::Warning(error.to_string())),
+                    Err((error, false)) => {
+                        // It has a number, too.
+                        self.number += 1;
+                        tell(StreamEvent::Warning(error.to_string()));
+                    }
                 },
                 mailbox::Taken::Nothing if in_flight > 0 => self.receive(tell)?,
                 mailbox::Taken::Nothing => {}
@@ -396,11 +404,11 @@ impl Running<'_> {
         let timestamp_s = frame.timestamp_s();
         self.session.set_frame_time(timestamp_s);
         if let Some(poses) = &self.options.poses {
-            let pose = poses.pose(self.submitted, timestamp_s, in_flight.name.as_deref());
+            let pose = poses.pose(self.number, timestamp_s, in_flight.name.as_deref());
             self.statistics.without_pose += u64::from(pose.is_none());
             self.session.set_camera_pose(pose)?;
         }
-        self.submitted += 1;
+        self.number += 1;
         let submitted = self.smooth_time.on(|| self.session.submit(frame, Smoothed::default()));
         self.tell_events(tell);
         match submitted {

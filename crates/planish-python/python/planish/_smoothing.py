@@ -350,6 +350,9 @@ def smooth(
     >>> bool(np.std(result.points[:, 2]) < 0.5 * np.std(points[:, 2]))
     True
     """
+    over_time = [name for name in ("temporal", "track") if settings.get(name) not in (None, "off", False)]
+    if over_time:
+        warnings.warn(f"{', '.join(over_time)}: no effect on a single frame; use a Smoother", RuntimeWarning, stacklevel=2)
     with _SingleFrame(camera, outputs=outputs, **settings) as smoother:
         return smoother.smooth(frame, pose=pose)
 

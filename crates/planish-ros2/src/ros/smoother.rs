@@ -194,6 +194,7 @@ impl MessageSmoother {
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
         let pixels = message.pixels(&self.read)?;
+        self.session.set_frame_time(Some(message.header().stamp.seconds()));
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
         let Outputs { normals, curvature, .. } = self.outputs;
@@ -219,6 +220,7 @@ impl MessageSmoother {
     pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
+        self.session.set_frame_time(Some(cloud.header.stamp.seconds()));
         let Outputs { normals, curvature, .. } = self.outputs;
         let view: PointsView<'_> = cloud.view()?;
         if view.is_empty() {

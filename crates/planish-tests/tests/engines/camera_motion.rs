@@ -2,10 +2,13 @@
 
 use planish::evaluate::flat_pixels;
 use planish::internal::{RigidTransform, TemporalReference};
+use planish::io::read_trajectory;
 use planish::simulate::{DepthNoise, Event, Sequence, Truth};
+use planish::source::{OwnedFrame, Source};
+use planish::stream::{Stream, StreamOptions};
 use planish::{
-    Camera, CameraMotion, DepthFrame, OrganizedCloud, Outputs, SensorModel, SensorPose, Session, Settings, Smoothed,
-    TemporalFilter, TemporalParams, Xyz,
+    Camera, CameraMotion, DepthFrame, Distortion, Error, OrganizedCloud, Outputs, SensorModel, SensorPose, Session,
+    Settings, Smoothed, TemporalFilter, TemporalParams, Xyz,
 };
 
 const CAMERA: Camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
@@ -18,7 +21,11 @@ struct Seen {
 }
 
 fn video(event: Event, frames: u64) -> Vec<Seen> {
-    let mut sequence = Sequence::new(event, CAMERA, DepthNoise::default(), 2);
+    video_of(CAMERA, event, frames)
+}
+
+fn video_of(camera: Camera, event: Event, frames: u64) -> Vec<Seen> {
+    let mut sequence = Sequence::new(event, camera, DepthNoise::default(), 2);
     let seen = |number| {
         let seen = sequence.frame(number).unwrap();
         Seen { truth: seen.truth.clone(), frame: seen.frame.clone(), pose: seen.pose.sensor_pose().unwrap() }
@@ -65,11 +72,18 @@ fn rms_m(video: &[Seen], depths_m: &[Vec<f32>]) -> f64 {
 
 #[test]
 fn moving_state_and_the_test_for_motion_equal_the_reference() {
-    let video = video(Event::MovingCamera, 16);
-    let alone = smoothed_depth(&video, "", false);
-    for (knows_motion, sensor) in
-        [(true, SensorModel::KINECT_V1), (true, SensorModel::AZURE_KINECT), (false, SensorModel::KINECT_V1)]
-    {
+    // Rows that are no multiple of a vector, and a lens with distortion.
+    let odd = Camera::new((309, 230), [262.5; 2], [159.5, 119.5]);
+    let distortion = Distortion::from_opencv(&[0.08, -0.05, 0.001, -0.002, 0.01]).unwrap();
+    let cases = [
+        (true, SensorModel::KINECT_V1, CAMERA),
+        (true, SensorModel::AZURE_KINECT, odd),
+        (true, SensorModel::KINECT_V1, odd.with_distortion(distortion)),
+        (false, SensorModel::KINECT_V1, CAMERA),
+    ];
+    for (knows_motion, sensor, camera) in cases {
+        let video = video_of(camera.with_distortion(Distortion::NONE), Event::MovingCamera, 12);
+        let alone = smoothed_depth(&video, "", false);
         let mut fast = TemporalFilter::new(TemporalParams::STEADY, sensor).unwrap();
         let mut reference = TemporalReference::new(TemporalParams::STEADY, sensor);
         let (mut off, mut all, mut averaged) = (0, 0, 0);
@@ -77,13 +91,13 @@ fn moving_state_and_the_test_for_motion_equal_the_reference() {
             let mut found = depth_m.clone();
             let mut expected: Vec<f64> = depth_m.iter().map(|&z| f64::from(z)).collect();
             if knows_motion {
-                let motion = CameraMotion::between(CAMERA, &video[t.saturating_sub(1)].pose, &video[t].pose).unwrap();
+                let motion = CameraMotion::between(camera, &video[t.saturating_sub(1)].pose, &video[t].pose).unwrap();
                 fast.smooth_moved(&motion, &mut found).unwrap();
                 let previous_from_current = motion.previous_from_current.transform().unwrap();
-                reference.smooth_moved(&CAMERA, &previous_from_current, &mut expected);
+                reference.smooth_moved(&camera, &previous_from_current, &mut expected);
             } else {
-                fast.smooth(CAMERA.width, CAMERA.height, &mut found).unwrap();
-                reference.smooth(CAMERA.width, CAMERA.height, &mut expected);
+                fast.smooth(camera.width, camera.height, &mut found).unwrap();
+                reference.smooth(camera.width, camera.height, &mut expected);
             }
             for (i, (&found, &expected)) in found.iter().zip(&expected).enumerate() {
                 let same = found.is_nan() == expected.is_nan() && fast.is_carried(i) == reference.is_carried(i);
@@ -181,6 +195,7 @@ fn gaps_in_time_begin_a_new_video_but_slow_frames_and_equal_stamps_do_not() {
     assert_eq!(frames_after(&[Some(5.0), Some(5.033), Some(4.9), Some(4.933)]), (2.0, 1));
     // One frame every two seconds, stamps that are all 0 or missing.
     assert_eq!(frames_after(&[Some(0.0), Some(0.9), Some(2.9), Some(4.9)]), (4.0, 0));
+    assert_eq!(frames_after(&[Some(0.0), Some(2.0), Some(4.0), Some(6.0)]), (3.0, 1));
     assert_eq!(frames_after(&[Some(0.0); 4]), (4.0, 0));
     assert_eq!(frames_after(&[None, Some(f64::NAN), None, Some(9.0)]), (4.0, 0));
 }
@@ -198,4 +213,72 @@ fn bad_poses_and_contradictions_are_refused() {
     assert_eq!(error, "track = true is not allowed: only with temporal=steady");
     let error = "track=true".parse::<Settings>().unwrap().check_no_video().unwrap_err().to_string();
     assert!(error.starts_with("track = true is not allowed: only for the frames of one camera"), "{error}");
+}
+
+#[test]
+fn clouds_of_other_shapes_begin_again_and_a_blank_first_frame_hides_no_camera() {
+    let cloud = |camera: Camera, depth_m: f32| {
+        let raw = vec![(1000.0 * depth_m) as u16; camera.width * camera.height];
+        let points = DepthFrame::new(camera, raw).unwrap().deproject().unwrap().positions().clone();
+        OrganizedCloud::from_positions(camera.width, camera.height, points).unwrap()
+    };
+    let (mut session, mut smoothed) = (session("track=true"), Smoothed::default());
+    session.set_outputs(Outputs::POINTS);
+    let tall = Camera::new((240, 320), [262.5; 2], [119.5, 159.5]);
+    let small = Camera::new((160, 120), [131.25; 2], [79.5, 59.5]);
+    for camera in [CAMERA, small, tall, CAMERA] {
+        session.smooth(&cloud(camera, 0.0), &mut smoothed).unwrap();
+        assert!(session.camera_motion().is_none());
+        for frame in 0..3 {
+            session.smooth(&cloud(camera, 1.5 - 0.004 * frame as f32), &mut smoothed).unwrap();
+        }
+        let motion = session.camera_motion().unwrap();
+        assert_eq!((motion.camera.width, motion.camera.height), (camera.width, camera.height));
+        assert!((motion.previous_from_current.position_m[2] - 0.004).abs() < 5e-4, "{motion:?}");
+        assert!(session.take_events().is_empty());
+        session.restart_video();
+        assert!(session.camera_motion().is_none() && session.temporal_filter().is_none());
+    }
+    // Depth over columns and rows of equal width is on the pixels of no camera.
+    let flat: Xyz = (0..160 * 120).map(|i| [0.01 * (i % 160) as f32, 0.01 * (i / 160) as f32, 1.5]).collect();
+    let bent = flat.iter().map(|[x, y, z]| [x * x, y, z + 0.3 * x]).collect();
+    let cloud = OrganizedCloud::from_positions(160, 120, bent).unwrap();
+    for _ in 0..2 {
+        session.smooth(&cloud, &mut smoothed).unwrap();
+    }
+    let events: Vec<String> = session.take_events().iter().map(ToString::to_string).collect();
+    assert!(events.len() == 1 && events[0].contains("give the camera"), "{events:?}");
+}
+
+/// Frames with time stamps.
+struct Stamped(Vec<DepthFrame>, bool);
+
+impl Source for Stamped {
+    fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        Ok(self.0.pop().map(OwnedFrame::Depth))
+    }
+
+    fn is_live(&self) -> bool {
+        self.1
+    }
+}
+
+#[test]
+fn streams_take_poses_by_time_and_count_gaps_and_frames_without_a_pose() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("poses.txt");
+    let line = |k: u32| format!("{} 0 0 {} 0 0 0 1\n", 0.1 * f64::from(k), 0.004 * f64::from(k));
+    std::fs::write(&file, (0..20).map(line).collect::<String>()).unwrap();
+    let run = |file: &std::path::Path, is_live: bool| {
+        let frames = [0.0, 0.1, 0.2, 0.3, 5.0, 5.1]
+            .map(|time_s| video(Event::Still, 1)[0].frame.clone().with_timestamp_s(time_s));
+        let options = StreamOptions::from_settings("temporal=steady engine=cpu preset=light".parse().unwrap()).unwrap();
+        let options = options.with_poses(Some(read_trajectory(file).unwrap()));
+        Stream::new(Box::new(Stamped(frames.into_iter().rev().collect(), is_live)), options).run()
+    };
+    let statistics = run(&file, false).unwrap();
+    assert_eq!((statistics.frames_out, statistics.gaps, statistics.without_pose), (6, 1, 2));
+    std::fs::write(&file, "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
+    assert_eq!(run(&file, false).unwrap().without_pose, 5);
+    assert!(run(&file, true).unwrap_err().to_string().contains("time stamps for a live source"));
 }

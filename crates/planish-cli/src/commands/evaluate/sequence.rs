@@ -14,7 +14,7 @@ use planish::simulate::{DepthNoise, Event, Sequence, Truth};
 use planish::source::{OwnedFrame, SourceOptions};
 use planish::{
     Camera, DepthImage, Error, Frame, FrameParams, IntoFrame, Outputs, Params, SensorPose, Session, Settings, Smoothed,
-    Status, TemporalChoice,
+    Status, TemporalChoice, Xyz,
 };
 use planish_bench::{out, outln};
 use serde::Serialize;
@@ -55,6 +55,14 @@ struct Way {
 }
 
 pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
+    if args.smoothing.settings()?.temporal == Some(TemporalChoice::Off) {
+        bail!("--sequence measures --temporal steady; leave --temporal off out");
+    }
+    if let Some(input) =
+        args.input.as_ref().filter(|input| input.is_file() && io::Format::of_extension(input).is_some())
+    {
+        bail!("{}: is one frame; --sequence needs a folder of frames, a data set or a recording", input.display());
+    }
     for folder in [&args.out, &args.export].into_iter().flatten() {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
@@ -100,6 +108,7 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     while args.frames.is_none_or(|most| evaluated.frames < most) {
         let Some(frame) = source.next_frame()? else { break };
         let name = source.frame_name();
+        evaluated.time_s = frame.timestamp_s();
         evaluated.pose =
             poses.as_ref().and_then(|poses| poses.pose(evaluated.frames, frame.timestamp_s(), name.as_deref()));
         match &frame {
@@ -108,13 +117,20 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
                 evaluated.add(depth.into_frame().map_err(Error::from)?, &raw_m, Some(&depth.camera), None)?;
             }
             OwnedFrame::Cloud { cloud, .. } => {
-                let raw_m = cloud.positions().z().to_vec();
+                let raw_m = depth_of(cloud.positions(), &cloud.points.pose)?;
+                evaluated.sensor_pose = cloud.points.pose;
                 evaluated.add(cloud.into_frame().map_err(Error::from)?, &raw_m, cloud.camera.as_ref(), None)?;
             }
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
+    let frames = evaluated.frames;
+    if let Some(poses) =
+        poses.filter(|poses| !poses.has_times() && args.frames.is_none() && poses.len() as u64 != frames)
+    {
+        bail!("--poses has {} poses without time stamps, but {} has {frames} frames", poses.len(), input.display());
+    }
     if evaluated.frames < 2 {
         bail!("{}: has {} frames; a video of at least 2 is needed", input.display(), evaluated.frames);
     }
@@ -187,6 +203,10 @@ struct Evaluated {
     evaluation: Option<VideoEvaluation>,
     /// The pose of the camera at the current frame.
     pose: Option<SensorPose>,
+    /// Its time stamp.
+    time_s: Option<f64>,
+    /// The pose of the sensor in the frame of the points.
+    sensor_pose: SensorPose,
     pictures: Vec<RgbImage>,
     draws: bool,
 }
@@ -194,6 +214,7 @@ struct Evaluated {
 impl Evaluated {
     fn new(args: &EvaluateArgs, event: Option<Event>, results: &[PathBuf]) -> Result<Self> {
         let settings = args.smoothing.settings()?;
+        let tracks = settings.tracks_camera();
         let with = |temporal| {
             let mut settings = settings.clone();
             settings.temporal = Some(temporal);
@@ -202,7 +223,7 @@ impl Evaluated {
         };
         let (alone, steady) = (with(TemporalChoice::Off), with(TemporalChoice::Steady));
         let mut ways = vec![Way::new("frame by frame", alone, false)?, Way::new("steady", steady.clone(), false)?];
-        if event == Some(Event::MovingCamera) || args.smoothing.track {
+        if event == Some(Event::MovingCamera) || tracks {
             let mut tracked = steady.clone();
             tracked.track = Some(true);
             ways.push(Way::new("steady, tracked", tracked, false)?);
@@ -228,6 +249,8 @@ impl Evaluated {
             others: others.collect::<Result<_>>()?,
             evaluation: None,
             pose: None,
+            time_s: None,
+            sensor_pose: SensorPose::IDENTITY,
             pictures: Vec::new(),
             draws: args.out.is_some(),
         })
@@ -241,6 +264,7 @@ impl Evaluated {
         truth: Option<(&Truth, Option<u16>)>,
     ) -> Result<()> {
         for way in &mut self.ways {
+            way.session.set_frame_time(self.time_s);
             way.smooth(frame, self.pose)?;
         }
         if self.evaluation.is_none() {
@@ -259,7 +283,7 @@ impl Evaluated {
             let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
             others_m.push(depth_in(file, camera, raw_m.len())?);
         }
-        let depth = |way: &Way| way.smoothed.depth_m.clone().context("depth was requested");
+        let depth = |way: &Way| depth_of(&way.smoothed.points, &self.sensor_pose);
         let ways_m = self.ways.iter().map(depth).collect::<Result<Vec<_>>>()?;
         let mut depths =
             vec![VideoDepth { depth_m: &ways_m[0], carried: &[] }, VideoDepth { depth_m: raw_m, carried: &[] }];
@@ -292,7 +316,8 @@ impl Evaluated {
         if let Some(folder) = &args.out {
             write_animated_png(&folder.join(format!("{file}.png")), &self.pictures, PICTURED_PER_SECOND)?;
         }
-        let moved = self.ways.iter().filter(|way| way.moved > 0).map(|way| (way.name, way.moved));
+        let is_moving = |way: &&Way| way.uses_pose || way.moved > 0;
+        let moved = self.ways.iter().filter(is_moving).map(|way| (way.name, way.moved));
         let moved_frames = moved.collect();
         let median_ms = |way: Way| {
             let Way { name, mut times_ms, .. } = way;
@@ -307,7 +332,7 @@ impl Evaluated {
 impl Way {
     fn new(name: &'static str, settings: Settings, uses_pose: bool) -> Result<Self> {
         let mut session = Session::new(settings)?.with_kept_window(true).with_kept_sensor(true);
-        session.set_outputs(Outputs::DEPTH.with_depth(false).with_depth_m(true).with_status(true));
+        session.set_outputs(Outputs::POINTS.with_status(true));
         Ok(Self {
             name,
             session,
@@ -331,6 +356,15 @@ impl Way {
         self.carried = statuses.iter().map(|status| *status == Status::Carried).collect();
         Ok(())
     }
+}
+
+/// Returns the depth of points as their sensor sees it, in metres.
+fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
+    if sensor_pose.is_identity() {
+        return Ok(points.z().to_vec());
+    }
+    let transform = sensor_pose.transform().map_err(Error::from)?;
+    Ok(points.iter().map(|point| transform.to_sensor(point.map(f64::from).into()).z as f32).collect())
 }
 
 /// Reads another program's depth in metres.

@@ -35,8 +35,17 @@ type Job = (PathBuf, PathBuf);
 
 pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let args = worker.args;
+    let trajectory = args.poses.read(&worker.settings)?;
+    let frames = io::frame_files(&args.input).map_err(Error::from)?.len();
+    if let Some(poses) = trajectory.as_ref().filter(|poses| !poses.has_times() && poses.len() != frames) {
+        bail!(
+            "--poses has {} poses without time stamps, but {} has {frames} frames",
+            poses.len(),
+            args.input.display()
+        );
+    }
+    let mut poses = Poses { trajectory, unknown: 0 };
     let jobs = jobs(args)?;
-    let mut poses = Poses { trajectory: args.poses.read(&worker.settings)?, unknown: 0 };
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden automatically if standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
@@ -113,8 +122,8 @@ impl Poses {
     fn report(&self, folder: &Path) {
         if self.unknown > 0 {
             errln!(
-                "{}: --poses has none for {} frames, which were smoothed as if the camera stood still; poses over time \
-                 need files named by their time in seconds",
+                "{}: --poses has none for {} frames, which were smoothed as if the camera stood still; poses need to be \
+                 at most 0.2 s apart, and files named by their time in seconds",
                 folder.display(),
                 self.unknown
             );
