@@ -288,7 +288,8 @@ impl Begun {
         Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
     }
 
-    /// Finds the camera where its motion matters; returns true once if the motion is wanted, but the points show no camera.
+    /// Finds the camera where its motion matters; returns true once if the motion is wanted but the points show no
+    /// camera.
     fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
         let needs_camera = sight.is_tracked || sight.pose.is_some();
         if !needs_camera || self.camera.is_some() || self.has_no_camera {

@@ -30,7 +30,7 @@ const CAUCHY: f64 = 2.0;
 const LEAST_INFORMATION: f64 = 1e-3;
 /// Distance between the pixels that check the motion.
 const CHECKED: usize = 4;
-/// Fewest matches, share of the points that must match, and largest residual scale in sigmas, of a motion that is trusted.
+/// Fewest matches, share of the points that must match, and largest residual scale in sigmas, of a trusted motion.
 const LEAST_MATCHES: usize = 25;
 const LEAST_MATCHED: f64 = 0.5;
 const MOST_SCALE: f64 = 3.0;
