@@ -224,9 +224,10 @@ impl Session {
 
     /// Sets the time stamp of the next frame in seconds, if it has one. A new video begins after more than a second
     /// that is also more than five times the interval before, and when time runs backwards. Without time stamps, only
-    /// [`restart_video`](Self::restart_video) does so.
+    /// [`restart_video`](Self::restart_video) does so. Nothing happens if the session does not smooth over time.
     pub fn set_frame_time(&mut self, timestamp_s: Option<f64>) {
-        let Some(now_s) = timestamp_s.filter(|time_s| time_s.is_finite()) else { return };
+        let is_video = self.settings().is_some_and(|settings| settings.temporal_params().is_some());
+        let Some(now_s) = timestamp_s.filter(|time_s| is_video && time_s.is_finite()) else { return };
         if let Some(last_s) = self.video.last_time_s {
             let interval_s = now_s - last_s;
             let usual_s = self.video.last_interval_s.unwrap_or(0.0);

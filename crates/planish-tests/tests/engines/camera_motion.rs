@@ -197,6 +197,9 @@ fn gaps_in_time_begin_a_new_video_but_slow_frames_and_equal_stamps_do_not() {
     assert_eq!(frames_after(&[Some(0.0), Some(0.9), Some(2.9), Some(4.9)]), (4.0, 0));
     assert_eq!(frames_after(&[Some(0.0), Some(2.0), Some(4.0), Some(6.0)]), (3.0, 1));
     assert_eq!(frames_after(&[Some(0.0); 4]), (4.0, 0));
+    let mut alone = session("temporal=off");
+    [0.0, 5.0].into_iter().for_each(|time_s| alone.set_frame_time(Some(time_s)));
+    assert_eq!(alone.gaps_in_time(), 0);
     assert_eq!(frames_after(&[None, Some(f64::NAN), None, Some(9.0)]), (4.0, 0));
 }
 
