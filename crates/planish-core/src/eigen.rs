@@ -1,18 +1,26 @@
-//! Eigenvalues and eigenvectors of a symmetric 3x3 matrix, by cyclic Jacobi rotations: slow, simple, accurate.
+//! Eigenvalues and eigenvectors of small symmetric matrices, by cyclic Jacobi rotations: slow, simple, accurate.
 
 use glam::{DMat3, DVec3};
 
-/// Eigenvalues in ascending order with their unit eigenvectors.
+/// Returns the eigenvalues of a 3x3 matrix in ascending order with their unit eigenvectors.
 pub fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
+    let (values, vectors) = symmetric_eigen_of(matrix.to_cols_array_2d());
+    let mut order = [0, 1, 2];
+    order.sort_by(|&i, &j| values[i].total_cmp(&values[j]));
+    (order.map(|i| values[i]), order.map(|i| DVec3::from_array(vectors[i]).normalize()))
+}
+
+/// Returns the eigenvalues of a matrix with their unit eigenvectors, in no order.
+pub fn symmetric_eigen_of<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     const SWEEPS: usize = 32;
-    let mut a = matrix.to_cols_array_2d();
-    let mut vectors = DMat3::IDENTITY.to_cols_array_2d();
+    // Row k is the k-th eigenvector.
+    let mut vectors: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+    let pairs = || (0..N).flat_map(|p| (p + 1..N).map(move |q| (p, q)));
     for _ in 0..SWEEPS {
-        let off_diagonal = a[0][1].abs() + a[0][2].abs() + a[1][2].abs();
-        if off_diagonal == 0.0 {
+        if pairs().all(|(p, q)| a[p][q] == 0.0) {
             break;
         }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+        for (p, q) in pairs() {
             if a[p][q] == 0.0 {
                 continue;
             }
@@ -25,16 +33,14 @@ pub fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
                 (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
             }
             for rows in [&mut a, &mut vectors] {
-                let (row_p, row_q) = (DVec3::from_array(rows[p]), DVec3::from_array(rows[q]));
-                rows[p] = (c * row_p - s * row_q).to_array();
-                rows[q] = (s * row_p + c * row_q).to_array();
+                let (row_p, row_q) = (rows[p], rows[q]);
+                rows[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
+                rows[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
             }
             (a[p][q], a[q][p]) = (0.0, 0.0);
         }
     }
-    let mut order = [0, 1, 2];
-    order.sort_by(|&i, &j| a[i][i].total_cmp(&a[j][j]));
-    (order.map(|i| a[i][i]), order.map(|i| DVec3::from_array(vectors[i]).normalize()))
+    (std::array::from_fn(|i| a[i][i]), vectors)
 }
 
 #[cfg(test)]
@@ -64,6 +70,20 @@ mod tests {
             }
             assert!((vectors[0].dot(vectors[1])).abs() < 1e-14);
             assert!((vectors[0].cross(vectors[1]).dot(vectors[2]).abs() - 1.0).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn larger_matrices_are_diagonalised_too() {
+        let matrix: [[f64; 6]; 6] = std::array::from_fn(|i| {
+            std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64) + f64::from(u8::from(i == j)))
+        });
+        let (values, vectors) = symmetric_eigen_of(matrix);
+        for (value, vector) in values.iter().zip(&vectors) {
+            for (row, entry) in matrix.iter().zip(vector) {
+                let product: f64 = row.iter().zip(vector).map(|(a, b)| a * b).sum();
+                assert!((product - value * entry).abs() < 1e-12);
+            }
         }
     }
 }

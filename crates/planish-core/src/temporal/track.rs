@@ -10,6 +10,7 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
+use crate::eigen::symmetric_eigen_of;
 use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::xyz::Xyz;
@@ -227,8 +228,8 @@ fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> 
     });
     // Row `a` of the upper triangle begins after the a longer rows above it.
     let entry = |a: usize, b: usize| sums[a * 6 - a * (a + 1) / 2 + b];
-    let information = std::array::from_fn(|a| std::array::from_fn(|b| entry(a.min(b), a.max(b))));
-    let (values, vectors) = symmetric_eigen_6(information);
+    let information: [[f64; 6]; 6] = std::array::from_fn(|a| std::array::from_fn(|b| entry(a.min(b), a.max(b))));
+    let (values, vectors) = symmetric_eigen_of(information);
     let largest = values.iter().copied().fold(0.0, f64::max);
     let mut step = [0.0; 6];
     for (value, vector) in values.iter().zip(&vectors) {
@@ -267,38 +268,6 @@ fn partial_sums<S: Simd>(_: S, matches: &[Match], scale: f64, centre: DVec3, ext
         }
     }
     sums
-}
-
-/// Returns eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
-fn symmetric_eigen_6(mut a: [[f64; 6]; 6]) -> ([f64; 6], [[f64; 6]; 6]) {
-    const SWEEPS: usize = 32;
-    // Row k is the k-th eigenvector.
-    let mut vectors: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
-    for _ in 0..SWEEPS {
-        let off_diagonal: f64 = (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).map(|(i, j)| a[i][j].abs()).sum();
-        if off_diagonal == 0.0 {
-            break;
-        }
-        for (p, q) in (0..6).flat_map(|p| (p + 1..6).map(move |q| (p, q))) {
-            if a[p][q] == 0.0 {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
-            let c = 1.0 / t.hypot(1.0);
-            let s = t * c;
-            for row in &mut a {
-                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-            }
-            for rows in [&mut a, &mut vectors] {
-                let (row_p, row_q) = (rows[p], rows[q]);
-                rows[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
-                rows[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
-            }
-            (a[p][q], a[q][p]) = (0.0, 0.0);
-        }
-    }
-    (std::array::from_fn(|i| a[i][i]), vectors)
 }
 
 #[cfg(test)]
@@ -357,19 +326,5 @@ mod tests {
         assert!(found.translation.truncate().length() < 0.03, "{found:?}");
         let far = surface(&camera, &RigidTransform::IDENTITY, &[(DVec3::Z, 3.0)]);
         assert_eq!(tracker.track(&previous, far.borrow()), None);
-    }
-
-    #[test]
-    fn eigenvectors_diagonalise_the_matrix() {
-        let a: [[f64; 6]; 6] = std::array::from_fn(|i| {
-            std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64) + f64::from(u8::from(i == j)))
-        });
-        let (values, vectors) = symmetric_eigen_6(a);
-        for (value, vector) in values.iter().zip(&vectors) {
-            for (row, entry) in a.iter().zip(vector) {
-                let product: f64 = row.iter().zip(vector).map(|(a, b)| a * b).sum();
-                assert!((product - value * entry).abs() < 1e-12);
-            }
-        }
     }
 }

@@ -36,7 +36,8 @@ type Job = (PathBuf, PathBuf);
 pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let args = worker.args;
     let trajectory = args.poses.read(&worker.settings)?;
-    let frames = io::frame_files(&args.input).map_err(Error::from)?.len();
+    let inputs = io::frame_files(&args.input).map_err(Error::from)?;
+    let frames = inputs.len();
     if let Some(poses) = trajectory.as_ref().filter(|poses| !poses.has_times() && poses.len() != frames) {
         bail!(
             "--poses has {} poses without time stamps, but {} has {frames} frames",
@@ -45,7 +46,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         );
     }
     let mut poses = Poses { trajectory, unknown: 0 };
-    let jobs = jobs(args)?;
+    let jobs = jobs(args, inputs)?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden automatically if standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
@@ -141,8 +142,7 @@ fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
 }
 
 /// Returns the frames of a folder; refuses what would overwrite an input or write two to one file.
-fn jobs(args: &SmoothArgs) -> Result<Vec<Job>> {
-    let inputs = io::frame_files(&args.input).map_err(Error::from)?;
+fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     if inputs.is_empty() {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
     }
