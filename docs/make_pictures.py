@@ -82,7 +82,7 @@ def video(folder: Path) -> None:
     subprocess.run(command, check=True, capture_output=True)
     animation = Image.open(folder / "moving-camera.png")
     frames = []
-    for number in range(12):
+    for number in range(8):
         animation.seek(number)
         # Three panels of 320x240 pixels with lines of 4 pixels between them.
         cells = [animation.convert("L").crop((324 * k + 60, 30, 324 * k + 260, 180)) for k in range(3)]
@@ -90,7 +90,7 @@ def video(folder: Path) -> None:
         for k, cell in enumerate(cells):
             frame.paste(cell, (204 * k, 0))
         # Fewer shades make a smaller file.
-        frames.append(frame.point(lambda shade: shade // 12 * 12))
+        frames.append(frame.point(lambda shade: shade // 4 * 4))
     frames[0].save(HERE / "video.png", save_all=True, append_images=frames[1:], duration=80, loop=0)
 
 
