@@ -1,5 +1,6 @@
 //! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
 
+mod over_time;
 mod report;
 
 use std::hint::black_box;
@@ -76,7 +77,7 @@ pub struct GpuOptions {
 
 struct Bench<'a> {
     args: &'a GpuOptions,
-    depth: DepthFrame,
+    depth: Arc<DepthFrame>,
     cloud: OrganizedCloud,
 }
 
@@ -87,13 +88,13 @@ struct Bench<'a> {
 pub fn run(args: &GpuOptions) -> Result<()> {
     let (input, depth) = frame(args)?;
     let cloud = depth.deproject().map_err(Error::from)?;
-    let bench = Bench { args, depth, cloud };
+    let bench = Bench { args, depth: Arc::new(depth), cloud };
     let paper = FrameParams::paper();
     let start = Instant::now();
     let mut smoother = bench.open(paper, |_| ())?;
     let open_ms = 1e3 * start.elapsed().as_secs_f64();
     let start = Instant::now();
-    smoother.smooth(&bench.depth, &mut Smoothed::default())?;
+    smoother.smooth(&*bench.depth, &mut Smoothed::default())?;
     let first_frame_ms = 1e3 * start.elapsed().as_secs_f64();
 
     let report = Report {
@@ -103,6 +104,7 @@ pub fn run(args: &GpuOptions) -> Result<()> {
         kernels: if args.only_devices { Vec::new() } else { bench.kernels()? },
         one_at_a_time: if args.only_devices { Vec::new() } else { bench.one_at_a_time()? },
         in_flight: if args.only_devices { Vec::new() } else { bench.in_flight()? },
+        over_time: if args.only_devices { Vec::new() } else { bench.over_time()? },
         batches: if args.only_devices { Vec::new() } else { bench.batches()? },
         fleets: bench.fleets()?,
         open_ms,
@@ -143,8 +145,7 @@ impl Bench<'_> {
 
     /// Holds a setting's result against the reference's.
     fn check(&self, params: FrameParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
-        let frames =
-            [(&self.depth).into_frame().map_err(Error::from)?, (&self.cloud).into_frame().map_err(Error::from)?];
+        let frames = [self.depth.into_frame().map_err(Error::from)?, (&self.cloud).into_frame().map_err(Error::from)?];
         for transfer in [Transfer::Staged, Transfer::Direct] {
             let mut smoother = self.open(params, |options| {
                 options.outputs = Outputs::ALL.with_depth(true);
@@ -206,7 +207,7 @@ impl Bench<'_> {
             let mut reference = Smoothed::default();
             let outputs = Outputs::ALL.with_depth(true);
             let options = SmootherOptions::default().with_engine(Engine::Reference).with_outputs(outputs);
-            Smoother::open_with(params, &options, KINECT_SHAPE)?.smooth(&self.depth, &mut reference)?;
+            Smoother::open_with(params, &options, KINECT_SHAPE)?.smooth(&*self.depth, &mut reference)?;
             let time = |bounds_checks| {
                 self.check(params, &reference, bounds_checks)?;
                 let mut smoother = self.open(params, |options| {
@@ -215,7 +216,7 @@ impl Bench<'_> {
                     options.gpu.bounds_checks = bounds_checks;
                 })?;
                 let mut one = || -> Result<f64> {
-                    smoother.submit_in_place(&self.depth)?;
+                    smoother.submit_in_place(&*self.depth)?;
                     let timings = smoother.receive()?.and_then(|view| view.timings());
                     Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
                 };
@@ -242,9 +243,9 @@ impl Bench<'_> {
                 let mut one = || -> Result<f64> {
                     let start = Instant::now();
                     if take == Take::PointsCopied {
-                        smoother.smooth(&self.depth, &mut smoothed)?;
+                        smoother.smooth(&*self.depth, &mut smoothed)?;
                     } else {
-                        smoother.submit_in_place(&self.depth)?;
+                        smoother.submit_in_place(&*self.depth)?;
                         smoother.receive()?.iter().for_each(Take::touch);
                     }
                     Ok(1e6 * start.elapsed().as_secs_f64())
@@ -282,8 +283,8 @@ impl Bench<'_> {
                             }
                         }
                         match take {
-                            Take::PointsCopied => smoother.submit(&self.depth, spare.pop().unwrap_or_default())?,
-                            _ => smoother.submit_in_place(&self.depth)?,
+                            Take::PointsCopied => smoother.submit(&*self.depth, spare.pop().unwrap_or_default())?,
+                            _ => smoother.submit_in_place(&*self.depth)?,
                         }
                         Ok(())
                     };
@@ -312,7 +313,7 @@ impl Bench<'_> {
     /// Frames a second of the first device alone, and of all, each as a fleet.
     fn fleets(&self) -> Result<Vec<FleetRow>> {
         let mut rows = Vec::new();
-        let frame = Arc::new(self.depth.clone());
+        let frame = Arc::clone(&self.depth);
         let counts = [1, self.args.devices.len()];
         let counts = &counts[..self.args.devices.len().min(2)];
         for (setting, params) in [("paper", FrameParams::paper()), ("default", FrameParams::default())] {
@@ -377,7 +378,7 @@ impl Bench<'_> {
             options.gpu.timestamps = true;
         })?;
         let row = |count: usize| {
-            let frames = vec![(&self.depth).into_frame().map_err(Error::from)?; count];
+            let frames = vec![self.depth.into_frame().map_err(Error::from)?; count];
             let mut out = vec![Smoothed::default(); count];
             let mut one = || -> Result<f64> {
                 smoother.smooth_batch(&frames, &mut out)?;

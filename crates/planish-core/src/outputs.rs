@@ -31,6 +31,9 @@ pub struct Outputs {
     pub status: bool,
     /// The number of neighbours of each pixel.
     pub neighbours: bool,
+    /// How many frames of a video each pixel is the mean of. Only from a [`Session`](crate::Session) that smooths over
+    /// time ([`Settings::temporal`](crate::Settings::temporal)).
+    pub frames: bool,
 }
 
 impl Outputs {
@@ -43,12 +46,13 @@ impl Outputs {
         curvature: false,
         status: false,
         neighbours: false,
+        frames: false,
     };
     /// Points only.
     pub const POINTS: Self = Self { points: true, ..Self::NONE };
     /// Depth only.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
-    /// All outputs except depth, which needs a camera.
+    /// All outputs of every frame or cloud: depth needs a camera, and frames a video.
     pub const ALL: Self =
         Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
 
@@ -92,6 +96,11 @@ impl Outputs {
         Self { neighbours, ..self }
     }
 
+    /// Sets whether the frames of a video are counted that each pixel is the mean of.
+    pub const fn with_frames(self, frames: bool) -> Self {
+        Self { frames, ..self }
+    }
+
     /// Adds the output with this name; `None` for an unknown name.
     pub(crate) fn with_named(self, name: &str) -> Option<Self> {
         Some(match name {
@@ -102,13 +111,14 @@ impl Outputs {
             "curvature" => self.with_curvature(true),
             "status" => self.with_status(true),
             "neighbours" => self.with_neighbours(true),
+            "frames" => self.with_frames(true),
             _ => return None,
         })
     }
 
     /// Returns the names of these outputs.
     pub fn names(self) -> Vec<&'static str> {
-        let Self { points, depth, depth_m, normals, curvature, status, neighbours } = self;
+        let Self { points, depth, depth_m, normals, curvature, status, neighbours, frames } = self;
         let all = [
             ("points", points),
             ("depth", depth),
@@ -117,6 +127,7 @@ impl Outputs {
             ("curvature", curvature),
             ("status", status),
             ("neighbours", neighbours),
+            ("frames", frames),
         ];
         all.into_iter().filter(|(_, is_wanted)| *is_wanted).map(|(name, _)| name).collect()
     }
@@ -272,6 +283,8 @@ pub struct SmoothedMut<'a> {
     pub depth: Option<&'a mut [u16]>,
     /// Depth of the smoothed surface in metres, NaN for holes.
     pub depth_m: Option<&'a mut [f32]>,
+    /// Frames of a video that each pixel is the mean of, 1 or more; 0 for holes.
+    pub frames: Option<&'a mut [f32]>,
 }
 
 impl<'a> SmoothedMut<'a> {
@@ -311,6 +324,9 @@ impl<'a> SmoothedMut<'a> {
             if let (Some(to), Some(from)) = (&mut self.neighbours, &from.neighbours) {
                 to[i] = place.map_or(0, |place| from[place]);
             }
+            if let (Some(to), Some(from)) = (&mut self.frames, &from.frames) {
+                to[i] = place.map_or(0.0, |place| from[place]);
+            }
         }
     }
 
@@ -332,6 +348,7 @@ impl<'a> SmoothedMut<'a> {
         copy(&mut self.neighbours, from.neighbours.as_deref());
         copy(&mut self.depth, from.depth.as_deref());
         copy(&mut self.depth_m, from.depth_m.as_deref());
+        copy(&mut self.frames, from.frames.as_deref());
     }
 
     /// Without buffers.
@@ -374,6 +391,11 @@ impl<'a> SmoothedMut<'a> {
         Self { depth_m: Some(depth_m), ..self }
     }
 
+    /// Sets the buffer for the frames that pixels are means of.
+    pub fn with_frames(self, frames: &'a mut [f32]) -> Self {
+        Self { frames: Some(frames), ..self }
+    }
+
     /// Borrows the buffers for a shorter time.
     pub fn reborrow(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
@@ -384,6 +406,7 @@ impl<'a> SmoothedMut<'a> {
             neighbours: self.neighbours.as_deref_mut(),
             depth: self.depth.as_deref_mut(),
             depth_m: self.depth_m.as_deref_mut(),
+            frames: self.frames.as_deref_mut(),
         }
     }
 
@@ -397,6 +420,7 @@ impl<'a> SmoothedMut<'a> {
             ("neighbours", self.neighbours.is_some(), outputs.neighbours),
             ("depth", self.depth.is_some(), outputs.depth),
             ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
+            ("frames", self.frames.is_some(), outputs.frames),
         ];
         if let Some((output, ..)) = opened.into_iter().find(|(_, given, opened)| *given && !opened) {
             return Err(FrameError::OutputNotOpened { output });
@@ -409,6 +433,7 @@ impl<'a> SmoothedMut<'a> {
             ("the buffer for neighbours", self.neighbours.as_ref().map(|buffer| buffer.len())),
             ("the buffer for depth", self.depth.as_ref().map(|buffer| buffer.len())),
             ("the buffer for depth in metres", self.depth_m.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for frames", self.frames.as_ref().map(|buffer| buffer.len())),
         ];
         lengths.into_iter().try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
     }

@@ -31,6 +31,8 @@ pub struct Smoothed {
     /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
     /// surfaces, the number of neighbours of the surface.
     pub neighbours: Option<Vec<u32>>,
+    /// Frames of a video that each pixel is the mean of, 1 or more; 0 for holes.
+    pub frames: Option<Vec<f32>>,
 }
 
 /// A frame that loses a larger share of its points than this is reported.
@@ -59,6 +61,7 @@ impl Smoothed {
         keep(&mut self.curvature, outputs.curvature, |values| values.resize(len, 0.0));
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
+        keep(&mut self.frames, outputs.frames, |values| values.resize(len, 0.0));
     }
 
     /// Bytes of its buffers.
@@ -70,6 +73,7 @@ impl Smoothed {
             + 4 * self.neighbours.as_ref().map_or(0, Vec::capacity)
             + 2 * self.depth.as_ref().map_or(0, Vec::capacity)
             + 4 * self.depth_m.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.frames.as_ref().map_or(0, Vec::capacity)
     }
 
     /// Returns the buffers, to be written into.
@@ -82,6 +86,7 @@ impl Smoothed {
             neighbours: self.neighbours.as_deref_mut(),
             depth: self.depth.as_deref_mut(),
             depth_m: self.depth_m.as_deref_mut(),
+            frames: self.frames.as_deref_mut(),
         }
     }
 
@@ -145,7 +150,15 @@ impl Smoothed {
     /// Returns the available outputs among `fields`, under the field names of clouds.
     pub fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
         let normals = self.normals.as_ref().map(Xyz::as_slices);
-        named_fields(fields, normals, self.curvature.as_deref(), self.status.as_deref(), self.neighbours.as_deref())
+        let mut found = named_fields(
+            fields,
+            normals,
+            self.curvature.as_deref(),
+            self.status.as_deref(),
+            self.neighbours.as_deref(),
+        );
+        found.extend(self.frames.as_ref().filter(|_| fields.frames).map(|frames| ("frames", frames.clone().into())));
+        found
     }
 }
 
@@ -185,8 +198,8 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
 
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status` and `neighbours`. All other fields are kept. In a file of
-    /// several scans, normals face the scanner of each point.
+    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours` and `frames`. All other fields are kept. In a file
+    /// of several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);

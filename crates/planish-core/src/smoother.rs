@@ -10,7 +10,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{CloudParams, Edges, EngineParams, FrameParams, Params, Radius, Window, WindowSize};
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
+use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use crate::xyz::validate_shape;
@@ -278,6 +278,12 @@ impl Smoother {
         self.opened.smooth(frame, out)
     }
 
+    /// Smooths all frames over time too, if the engine can; returns whether it does. Only for a session, which tells
+    /// where a video begins, and checks buffers.
+    pub(crate) fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
+        self.opened.smooth_over_time(video)
+    }
+
     /// Submits a frame whose shape was checked.
     pub(crate) fn submit_admitted(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
         self.opened.submit(frame, buffer)
@@ -377,7 +383,7 @@ impl Smoother {
         if let (Some(window), Some(pitch_at_1m)) = (self.undecided, geometry.rule.known_pitch_at_1m()) {
             self.set_size(window.at_pitch(pitch_at_1m))?;
         }
-        Ok(AdmittedFrame { frame, geometry })
+        Ok(AdmittedFrame::new(frame, geometry))
     }
 }
 
@@ -424,6 +430,15 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
     }
 }
 
+/// Refuses to count the frames of what is not part of a video.
+pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
+    let allowed = "only for frames on a grid that a session smooths over time (temporal)";
+    match outputs.frames {
+        true => Err(ParamError { field: "outputs", value: "frames".into(), allowed }),
+        false => Ok(()),
+    }
+}
+
 pub(crate) fn check_options(
     params: Params,
     options: &SmootherOptions,
@@ -431,6 +446,7 @@ pub(crate) fn check_options(
 ) -> Result<(), Error> {
     params.validate()?;
     options.outputs.validate()?;
+    check_no_frames(options.outputs)?;
     match grid {
         Some((width, height)) => validate_shape(width, height)?,
         None if options.outputs.needs_camera() => {

@@ -7,7 +7,9 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, FrameGeometry};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::progress::Progress;
+use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
+use crate::temporal::{CameraMotion, TemporalParams};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 
@@ -16,6 +18,37 @@ use crate::view::SmoothedView;
 pub(crate) struct AdmittedFrame<'a> {
     pub(crate) frame: Frame<'a>,
     pub(crate) geometry: FrameGeometry,
+    /// For an engine that also smooths over time.
+    #[cfg_attr(not(feature = "gpu"), allow(dead_code))]
+    pub(crate) step: VideoStep,
+}
+
+/// A video that an engine may smooth over time by itself (docs/method.md, section 16): ranges are depths of a sensor at
+/// the origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Video {
+    pub(crate) params: TemporalParams,
+    pub(crate) sensor: SensorModel,
+    /// The results over time.
+    pub(crate) outputs: Outputs,
+    /// Whether frames may come with a motion of the camera.
+    pub(crate) moves: bool,
+}
+
+/// A frame's place in a video.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct VideoStep {
+    /// Whether it is the first frame.
+    pub(crate) starts: bool,
+    /// How the camera has moved since the frame before, if known.
+    pub(crate) motion: Option<CameraMotion>,
+}
+
+impl<'a> AdmittedFrame<'a> {
+    /// A frame that is not part of a video.
+    pub(crate) fn new(frame: Frame<'a>, geometry: FrameGeometry) -> Self {
+        Self { frame, geometry, step: VideoStep::default() }
+    }
 }
 
 /// An open engine with its buffers. Frames have the shape that it was opened for; buffers have the lengths of the
@@ -32,6 +65,12 @@ pub(crate) trait SmoothingEngine: Send {
 
     /// Waits for the result of the oldest frame in flight.
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
+
+    /// Smooths all frames from now on over time too, if the engine can; returns whether it does. Results then have the
+    /// outputs of the video, and [`AdmittedFrame::step`] counts.
+    fn smooth_over_time(&mut self, _: &Video) -> Result<bool, Error> {
+        Ok(false)
+    }
 
     /// Prepares everything else that the second frame in flight would wait for.
     fn prepare_in_flight(&mut self) {}

@@ -25,6 +25,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn curvature(&self) -> Option<&[f32]>;
     fn depth_rows(&self) -> Option<Rows<'_, u16>>;
     fn depth_m(&self) -> Option<&[f32]>;
+    fn frames(&self) -> Option<&[f32]>;
     /// Returns the code of each pixel's status.
     fn status_rows(&self) -> Option<Rows<'_, u8>>;
     fn neighbours_rows(&self) -> Option<Rows<'_, u8>>;
@@ -128,6 +129,14 @@ impl SmoothedView {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.depth_m.as_deref(),
             Storage::InPlace(result) => result.depth_m(),
+        }
+    }
+
+    /// Frames of a video that each pixel is the mean of, row by row, 0 for holes; `None` if they were not requested.
+    pub fn frames(&self) -> Option<&[f32]> {
+        match &self.result {
+            Storage::Owned(smoothed) => smoothed.frames.as_deref(),
+            Storage::InPlace(result) => result.frames(),
         }
     }
 

@@ -149,6 +149,7 @@ pub struct Buffers<'py> {
     normals: Option<PyReadwriteArrayDyn<'py, f32>>,
     curvature: Option<PyReadwriteArrayDyn<'py, f32>>,
     depth_m: Option<PyReadwriteArrayDyn<'py, f32>>,
+    frames: Option<PyReadwriteArrayDyn<'py, f32>>,
     depth: Option<PyReadwriteArrayDyn<'py, u16>>,
     neighbours: Option<PyReadwriteArrayDyn<'py, u32>>,
     status: Option<PyReadwriteArrayDyn<'py, u8>>,
@@ -161,6 +162,7 @@ pub struct Slices<'a> {
     pub normals: Option<&'a mut [[f32; 3]]>,
     pub curvature: Option<&'a mut [f32]>,
     pub depth_m: Option<&'a mut [f32]>,
+    pub frames: Option<&'a mut [f32]>,
     pub depth: Option<&'a mut [u16]>,
     pub neighbours: Option<&'a mut [u32]>,
     /// Codes of [`Status`].
@@ -192,6 +194,7 @@ impl<'py> Buffers<'py> {
                 "normals" => buffers.normals = Some(writable(&name, &array)?),
                 "curvature" => buffers.curvature = Some(writable(&name, &array)?),
                 "depth_m" => buffers.depth_m = Some(writable(&name, &array)?),
+                "frames" => buffers.frames = Some(writable(&name, &array)?),
                 "depth" => buffers.depth = Some(writable(&name, &array)?),
                 "neighbours" => buffers.neighbours = Some(writable(&name, &array)?),
                 "status" => buffers.status = Some(writable(&name, &array)?),
@@ -208,6 +211,7 @@ impl<'py> Buffers<'py> {
             .with_normals(self.normals.is_some())
             .with_curvature(self.curvature.is_some())
             .with_depth_m(self.depth_m.is_some())
+            .with_frames(self.frames.is_some())
             .with_depth(self.depth.is_some())
             .with_neighbours(self.neighbours.is_some())
             .with_status(self.status.is_some())
@@ -229,6 +233,7 @@ impl<'py> Buffers<'py> {
             normals: slice("normals", &mut self.normals)?.map(|values| values.as_chunks_mut().0),
             curvature: slice("curvature", &mut self.curvature)?,
             depth_m: slice("depth_m", &mut self.depth_m)?,
+            frames: slice("frames", &mut self.frames)?,
             depth: slice("depth", &mut self.depth)?,
             neighbours: slice("neighbours", &mut self.neighbours)?,
             status: slice("status", &mut self.status)?,
@@ -248,6 +253,7 @@ impl<'a> Slices<'a> {
         out.normals = self.normals.as_deref_mut().map(Into::into);
         out.curvature = self.curvature.as_deref_mut();
         out.depth_m = self.depth_m.as_deref_mut();
+        out.frames = self.frames.as_deref_mut();
         out.depth = self.depth.as_deref_mut();
         out.neighbours = self.neighbours.as_deref_mut();
         out

@@ -362,7 +362,9 @@ fn copy(view: &SmoothedView, out: &mut Slices<'_>) -> Result<(), Error> {
             to.iter_mut().zip(x.iter().zip(y).zip(z)).for_each(|(to, ((&x, &y), &z))| *to = [x, y, z]);
         }
     }
-    for (from, to) in [(view.curvature(), &mut out.curvature), (view.depth_m(), &mut out.depth_m)] {
+    let channels =
+        [(view.curvature(), &mut out.curvature), (view.depth_m(), &mut out.depth_m), (view.frames(), &mut out.frames)];
+    for (from, to) in channels {
         if let (Some(from), Some(to)) = (from, to) {
             check_len(to.len(), from.len())?;
             to.copy_from_slice(from);

@@ -32,6 +32,7 @@ struct Delivered {
     neighbours: Option<Vec<u32>>,
     depth: Option<Vec<u16>>,
     depth_m: Option<Vec<f32>>,
+    frames: Option<Vec<f32>>,
 }
 
 /// A frame as it was measured.
@@ -66,6 +67,7 @@ impl Delivered {
             neighbours: smoothed.neighbours.clone(),
             depth: smoothed.depth.clone(),
             depth_m: smoothed.depth_m.clone(),
+            frames: smoothed.frames.clone(),
         }
     }
 
@@ -94,6 +96,7 @@ impl Delivered {
         put(&result, "neighbours", self.neighbours, shape)?;
         put(&result, "depth", self.depth, shape)?;
         put(&result, "depth_m", self.depth_m, shape)?;
+        put(&result, "frames", self.frames, shape)?;
         found.set_item("smoothed", result)?;
         match self.frame {
             Frame::Depth { raw, rgb, camera } => {

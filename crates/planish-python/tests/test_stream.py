@@ -197,6 +197,12 @@ def test_a_video_of_a_camera_at_rest() -> None:
             np.testing.assert_array_equal(smoother.smooth(frames[0]).depth_m, results[0])
         deviations[temporal] = np.std(np.diff(results[10:], axis=0))
     assert deviations["steady"] < 0.3 * deviations["off"], deviations
+    with planish.Smoother(camera, outputs=["points", "frames"], temporal="steady") as smoother:
+        counts = [smoother.smooth(frame).frames for frame in frames]
+    assert counts[0].max() == 1 and counts[-1].dtype == np.float32
+    assert counts[-1].shape == (120, 160) and np.median(counts[-1]) > 10
+    with planish.Smoother(camera, outputs=["frames"]) as smoother, pytest.raises(ValueError, match="temporal"):
+        smoother.smooth(frames[0])
     with pytest.raises(ValueError, match="off or steady"):
         planish.Smoother(camera, temporal="often")  # type: ignore[arg-type]
     assert planish.Status.CARRIED == 7

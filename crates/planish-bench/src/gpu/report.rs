@@ -12,6 +12,7 @@ pub(super) struct Report {
     pub(super) kernels: Vec<KernelRow>,
     pub(super) one_at_a_time: Vec<LatencyRow>,
     pub(super) in_flight: Vec<ThroughputRow>,
+    pub(super) over_time: Vec<OverTimeRow>,
     pub(super) batches: Vec<BatchRow>,
     pub(super) fleets: Vec<FleetRow>,
     /// Time to open a smoother on an open device, including compilation and allocation.
@@ -45,6 +46,17 @@ pub(super) struct ThroughputRow {
     pub(super) transfer: String,
     pub(super) slots: usize,
     pub(super) frames_per_second: f64,
+}
+
+/// Frames per second are with six in flight.
+#[derive(Serialize)]
+pub(super) struct OverTimeRow {
+    pub(super) way: &'static str,
+    pub(super) transfer: String,
+    pub(super) kernel_us: Spread,
+    pub(super) points_in_place: f64,
+    pub(super) points_copied: f64,
+    pub(super) depth_in_place: f64,
 }
 
 #[derive(Serialize)]
@@ -98,6 +110,16 @@ pub(super) fn print_text(report: &Report) {
     crate::outln!("\n| frames in flight | setting | transfer | slots | frames per second |\n|---|---|---|---|---|");
     for ThroughputRow { setting, what, transfer, slots, frames_per_second } in &report.in_flight {
         crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
+    }
+    crate::outln!(
+        "\n| over time, default | transfer | kernel, µs | points in place, frames per second | points copied | depth in \
+         place |\n|---|---|---|---|---|---|"
+    );
+    for OverTimeRow { way, transfer, kernel_us, points_in_place, points_copied, depth_in_place } in &report.over_time {
+        crate::outln!(
+            "| {way} | {transfer} | {:.1} | {points_in_place:.0} | {points_copied:.0} | {depth_in_place:.0} |",
+            kernel_us.median
+        );
     }
     print_fleets(&report.fleets);
     crate::outln!("\n| batch | setting | kernel, µs | kernel per frame, µs |\n|---|---|---|---|");

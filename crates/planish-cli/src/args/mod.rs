@@ -450,6 +450,8 @@ pub enum FieldArg {
     /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated, 7
     /// carried over from the frame before
     Status,
+    /// Frames of a video that the point is the mean of, with --temporal: 1 to 16; 0 for holes
+    Frames,
     /// No field (the default)
     None,
 }
@@ -478,6 +480,7 @@ pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
         .with_normals(wants(FieldArg::Normals))
         .with_curvature(wants(FieldArg::Curvature))
         .with_status(wants(FieldArg::Status))
+        .with_frames(wants(FieldArg::Frames))
 }
 
 impl SmoothArgs {

@@ -265,6 +265,7 @@ pub fn by_option_of_error(error: planish::Error) -> anyhow::Error {
 pub fn option_of(setting: &str) -> String {
     let name = match setting {
         "devices" => "gpus",
+        "outputs" => "fields",
         setting => setting.trim_end_matches("_m"),
     };
     format!("--{}", name.replace('_', "-"))

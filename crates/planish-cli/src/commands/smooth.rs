@@ -47,7 +47,11 @@ fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     // Options that contradict each other are refused whatever the input turns out to be.
     check_one_reads_standard_input(args)?;
-    let settings = args.smoothing.settings_with(&args.gpus)?;
+    let mut settings = args.smoothing.settings_with(&args.gpus)?;
+    if !args.fields.is_empty() {
+        settings.outputs = Some(args.outputs());
+        settings.validate().map_err(by_option)?;
+    }
     let mut worker = Worker {
         args,
         session: Session::new(settings.clone())?
@@ -282,8 +286,9 @@ impl Worker<'_> {
     /// Returns the fields to write: `--fields`, or the outputs of the settings.
     fn outputs(&self) -> Outputs {
         match self.settings.outputs.filter(|_| self.args.fields.is_empty()) {
-            Some(Outputs { normals, curvature, status, .. }) => {
-                Outputs::POINTS.with_normals(normals).with_curvature(curvature).with_status(status)
+            Some(Outputs { normals, curvature, status, frames, .. }) => {
+                let outputs = Outputs::POINTS.with_normals(normals).with_curvature(curvature);
+                outputs.with_status(status).with_frames(frames)
             }
             None => self.args.outputs(),
         }

@@ -40,8 +40,11 @@ impl StatusLine {
         }
         self.last.set(Instant::now());
         let Latency { p50, p99, .. } = statistics.latency();
+        let flicker = statistics.flicker.map_or_else(String::new, |flicker| {
+            format!(", jitter {:.2} -> {:.2} mm", 1e3 * flicker.measured_m, 1e3 * flicker.smoothed_m)
+        });
         let text = format!(
-            "{} {what}, {:.1} per second, {:.1} ms (p99 {:.1}), {}",
+            "{} {what}, {:.1} per second, {:.1} ms (p99 {:.1}), {}{flicker}",
             statistics.frames_out,
             statistics.fps(),
             ms(p50),

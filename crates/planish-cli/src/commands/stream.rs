@@ -34,6 +34,20 @@ struct Report {
     latency_ms: LatencyMs,
     stage_ms: StageMs,
     engine: &'static str,
+    /// With --temporal: means over the frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    over_time: Option<OverTime>,
+}
+
+/// How frames differ from those before.
+#[derive(Serialize)]
+struct OverTime {
+    jitter_measured_mm: f64,
+    jitter_mm: f64,
+    restarted_share: f64,
+    carried_share: f64,
+    #[serde(skip)]
+    is_camera_moving: bool,
 }
 
 #[derive(Serialize)]
@@ -166,6 +180,13 @@ fn report(statistics: &StreamStatistics) -> Report {
             sinks: ms(statistics.time_in_sinks) / statistics.frames_out.max(1) as f64,
         },
         engine: statistics.engine.name(),
+        over_time: statistics.flicker.map(|flicker| OverTime {
+            jitter_measured_mm: 1e3 * flicker.measured_m,
+            jitter_mm: 1e3 * flicker.smoothed_m,
+            restarted_share: flicker.restarted,
+            carried_share: flicker.carried,
+            is_camera_moving: flicker.looks_like_a_moving_camera(),
+        }),
     }
 }
 
@@ -181,6 +202,19 @@ fn print_report(report: &Report) {
     }
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
+    if let Some(OverTime { jitter_measured_mm, jitter_mm, restarted_share, carried_share, is_camera_moving }) =
+        report.over_time
+    {
+        outln!(
+            "  over time: jitter {jitter_measured_mm:.2} mm as measured, {jitter_mm:.2} smoothed; {:.1} % of the points \
+             start again, {:.1} % are carried over",
+            1e2 * restarted_share,
+            1e2 * carried_share
+        );
+        if is_camera_moving {
+            outln!("  if the camera moves, --track averages more frames");
+        }
+    }
     let StageMs { capture, smooth, sinks } = report.stage_ms;
     outln!("  mean per frame: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");
 }

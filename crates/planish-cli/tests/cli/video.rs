@@ -74,6 +74,14 @@ fn poses_of_a_folder_are_read_and_checked() {
     let message = text(&output.stderr);
     assert!(output.status.success() && message.contains("has none for 3 frames"), "{message}");
     ok(&given);
+    let clouds = folder.path().join("clouds");
+    let as_clouds =
+        [&given[..2], &[str(&clouds)], &given[3..], &["--format", "pcd", "--fields", "frames,status"]].concat();
+    ok(&as_clouds);
+    let heading = fs::read(clouds.join("0003.pcd")).unwrap();
+    assert!(text(&heading[..200]).contains("FIELDS x y z status frames"));
+    let message = refused(&[&smooth[..6], &["--format", "pcd", "--fields", "frames"]].concat());
+    assert!(message.contains("--fields = frames") && message.contains("temporal"), "{message}");
     // The third frame has moved by a centimetre since the second: its past is another one without poses.
     let without_poses = folder.path().join("without");
     ok(&["smooth", str(&frames), str(&without_poses), "--camera-file", str(&camera_file), "--temporal", "steady"]);

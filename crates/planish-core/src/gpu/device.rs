@@ -55,7 +55,7 @@ pub(super) struct GpuDevice {
     pub(super) limits: wgpu::Limits,
     pub(super) features: wgpu::Features,
     pub(super) bind_group_layout: wgpu::BindGroupLayout,
-    pipeline_layout: wgpu::PipelineLayout,
+    pub(super) pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
     /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the

@@ -12,6 +12,7 @@ use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
 use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
+use super::over_time::OverTime;
 use super::slot::Slot;
 use super::upload::Uploader;
 use super::view::MappedView;
@@ -20,7 +21,7 @@ use crate::error::{EngineError, Error, FrameError};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
+use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video, VideoStep};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 
@@ -61,6 +62,8 @@ pub(crate) struct Gpu {
     /// Number of slots allocated so far; they alternate between the queues.
     allocated: usize,
     uploader: Uploader,
+    /// The filter over time, if frames are a video.
+    over_time: Option<OverTime>,
     pending: VecDeque<Pending>,
     /// At least one, if possible one for each device.
     copiers: Vec<Copier>,
@@ -130,6 +133,7 @@ impl Gpu {
             free: Arc::default(),
             allocated: 0,
             uploader: Uploader::new(params),
+            over_time: None,
             pending: VecDeque::new(),
             copiers: Vec::new(),
             timings: None,
@@ -183,7 +187,8 @@ impl Gpu {
         let mut landed = Vec::new();
         for _ in 0..self.options.slots {
             let slot = self.slot(layout, 1)?;
-            landed.push(MappedView::of(self.submit_slot(slot)?)?);
+            let step = VideoStep { starts: true, motion: None };
+            landed.push(MappedView::of(self.submit_slot(slot, &step)?)?);
         }
         Ok(())
     }
@@ -269,7 +274,8 @@ impl Gpu {
         }
         let devices = &self.adapter.devices;
         let gpu = Arc::clone(&devices[self.allocated % devices.len()]);
-        let slot = Slot::new(gpu, layout, frames, self.options.transfer, self.options.timestamps, &self.bytes)?;
+        let Self { options, over_time, bytes, .. } = self;
+        let slot = Slot::new(gpu, layout, frames, options, over_time.as_ref(), bytes)?;
         self.allocated += 1;
         Ok(slot)
     }
@@ -284,14 +290,14 @@ impl Gpu {
         self.check_limits(layout, frames.len())?;
         let mut slot = self.slot(layout, frames.len())?;
         slot.write(frames, &mut self.uploader)?;
-        Ok(self.submit_slot(slot)?)
+        Ok(self.submit_slot(slot, &first.step)?)
     }
 
     /// Submits a slot whose frames are written.
-    fn submit_slot(&self, slot: Slot) -> Result<Flight, EngineError> {
+    fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
         let kernels = self.kernels(&slot.gpu, kind)?;
-        let submission = slot.submit(&kernels);
+        let submission = slot.submit(&kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
         self.gpu().check()?;
         Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
     }
@@ -351,6 +357,21 @@ impl SmoothingEngine for Gpu {
         self.open_several();
     }
 
+    /// Refuses videos whose holes are bridged, or whose camera has a distorted lens: the shaders do neither.
+    fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
+        if video.params.hold_frames > 0 {
+            return Ok(false);
+        }
+        // States are not shared between queues.
+        self.several = None;
+        let gpu = Arc::clone(&self.adapter.devices[0]);
+        let layout = self.layout(InputKind::Depth);
+        self.over_time = Some(OverTime::new(&gpu, *video, layout, self.options.bounds_checks)?);
+        lock(&self.free).clear();
+        self.warm_up()?;
+        Ok(true)
+    }
+
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         match self.pending.pop_front() {
             None => Ok(None),
@@ -379,9 +400,9 @@ impl SmoothingEngine for Gpu {
         self.timings
     }
 
-    /// Of all slots.
+    /// Of all slots, and of the state over time.
     fn buffer_bytes(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+        self.bytes.load(Ordering::Relaxed) + self.over_time.as_ref().map_or(0, OverTime::bytes)
     }
 
     fn device_name(&self) -> Option<&str> {

@@ -7,7 +7,7 @@
 //! neighbours, four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are
 //! contiguous. Intermediate data of passes remain on the device.
 
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
@@ -148,6 +148,10 @@ impl Layout {
         self.outputs.depth_m.then(|| self.channel(channels(self.outputs).depth_m))
     }
 
+    pub(super) fn frames(&self) -> Option<Range<usize>> {
+        self.outputs.frames.then(|| self.channel(channels(self.outputs).frames))
+    }
+
     pub(super) fn status(&self) -> Option<Range<usize>> {
         self.packed()[0].clone()
     }
@@ -207,48 +211,35 @@ impl Layout {
 }
 
 /// Indices of the channels in the output; meaningless for those not requested.
-struct Channels {
+pub(super) struct Channels {
     points: usize,
-    normals: usize,
-    curvature: usize,
-    depth_m: usize,
-    count: usize,
+    pub(super) normals: usize,
+    pub(super) curvature: usize,
+    pub(super) depth_m: usize,
+    pub(super) frames: usize,
+    pub(super) count: usize,
 }
 
-fn channels(outputs: Outputs) -> Channels {
+pub(super) fn channels(outputs: Outputs) -> Channels {
     let normals = if outputs.points { 3 } else { 0 };
     let curvature = normals + if outputs.normals { 3 } else { 0 };
     let depth_m = curvature + usize::from(outputs.curvature);
-    Channels { points: 0, normals, curvature, depth_m, count: depth_m + usize::from(outputs.depth_m) }
+    let frames = depth_m + usize::from(outputs.depth_m);
+    Channels { points: 0, normals, curvature, depth_m, frames, count: frames + usize::from(outputs.frames) }
 }
 
-/// Returns the constants of this layout in WGSL, for cells this many pixels wide.
-pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String {
+/// Writes a constant in WGSL.
+pub(super) fn write_constant(text: &mut String, name: &str, wgsl_type: &str, value: impl Display) {
+    // Writing to a string does not fail.
+    let _ = writeln!(text, "const {name}: {wgsl_type} = {value};");
+}
+
+/// Returns the constants in WGSL by which results are written (`output.wgsl`, `result_depth.wgsl`).
+pub(super) fn result_constants(outputs: Outputs) -> String {
     let mut text = String::new();
-    let mut constant = |name: &str, wgsl_type: &str, value: String| {
-        // Writing to a string does not fail.
-        let _ = writeln!(text, "const {name}: {wgsl_type} = {value};");
-    };
-    let Channels { points, normals, curvature, depth_m, count } = channels(outputs);
+    let Channels { points, normals, curvature, depth_m, count, .. } = channels(outputs);
     let words = [
-        ("HEADER_WORDS", HEADER_WORDS),
-        ("METRES_PER_UNIT", std::mem::offset_of!(FrameHeader, metres_per_unit) / 4),
         ("UNITS_PER_METRE", std::mem::offset_of!(FrameHeader, units_per_metre) / 4),
-        ("RADIUS_LINEAR", std::mem::offset_of!(FrameHeader, radius_linear) / 4),
-        ("RADIUS", std::mem::offset_of!(FrameHeader, radius) / 4),
-        ("SIGMA", std::mem::offset_of!(FrameHeader, sigma) / 4),
-        ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
-        ("RIDGE", std::mem::offset_of!(FrameHeader, ridge) / 4),
-        ("FLAGS", std::mem::offset_of!(FrameHeader, flags) / 4),
-        ("POSITION", std::mem::offset_of!(FrameHeader, position) / 4),
-        ("AXIS", std::mem::offset_of!(FrameHeader, axis) / 4),
-        ("BY_DISTANCE", BY_DISTANCE as usize),
-        ("ON_RAY", ON_RAY as usize),
-        ("BLOCK_LINEAR", std::mem::offset_of!(FrameHeader, block_linear) / 4),
-        ("BLOCK", std::mem::offset_of!(FrameHeader, block) / 4),
-        ("CELL", cell as usize),
-        ("POINT_CHANNELS", point_channels(cell as usize)),
-        ("PLANE_CHANNELS", PLANE_CHANNELS),
         ("SATURATED_DEPTH", usize::from(SATURATED_DEPTH)),
         ("POINTS_CHANNEL", points),
         ("NORMALS_CHANNEL", normals),
@@ -264,12 +255,9 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String 
         ("STATUS_ISOLATED", Status::Isolated as usize),
     ];
     for (name, value) in words {
-        constant(name, "u32", format!("{value}u"));
+        write_constant(&mut text, name, "u32", format_args!("{value}u"));
     }
     let flags = [
-        ("IS_RAW_DEPTH", kind == InputKind::Depth),
-        ("IS_DEPTH_METRES", kind == InputKind::DepthMetres),
-        ("IS_POINTS", kind == InputKind::Points),
         ("WANTS_POINTS", outputs.points),
         ("WANTS_NORMALS", outputs.normals),
         ("WANTS_CURVATURE", outputs.curvature),
@@ -277,6 +265,43 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String 
         ("WANTS_NEIGHBOURS", outputs.neighbours),
         ("WANTS_DEPTH", outputs.depth),
         ("WANTS_DEPTH_M", outputs.depth_m),
+    ];
+    for (name, value) in flags {
+        write_constant(&mut text, name, "bool", value);
+    }
+    text
+}
+
+/// Returns the constants of this layout in WGSL, for cells this many pixels wide.
+pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String {
+    let mut text = result_constants(outputs);
+    let mut constant = |name: &str, wgsl_type: &str, value: String| write_constant(&mut text, name, wgsl_type, value);
+    let words = [
+        ("HEADER_WORDS", HEADER_WORDS),
+        ("METRES_PER_UNIT", std::mem::offset_of!(FrameHeader, metres_per_unit) / 4),
+        ("RADIUS_LINEAR", std::mem::offset_of!(FrameHeader, radius_linear) / 4),
+        ("RADIUS", std::mem::offset_of!(FrameHeader, radius) / 4),
+        ("SIGMA", std::mem::offset_of!(FrameHeader, sigma) / 4),
+        ("BANDWIDTH", std::mem::offset_of!(FrameHeader, bandwidth) / 4),
+        ("RIDGE", std::mem::offset_of!(FrameHeader, ridge) / 4),
+        ("FLAGS", std::mem::offset_of!(FrameHeader, flags) / 4),
+        ("POSITION", std::mem::offset_of!(FrameHeader, position) / 4),
+        ("AXIS", std::mem::offset_of!(FrameHeader, axis) / 4),
+        ("BY_DISTANCE", BY_DISTANCE as usize),
+        ("ON_RAY", ON_RAY as usize),
+        ("BLOCK_LINEAR", std::mem::offset_of!(FrameHeader, block_linear) / 4),
+        ("BLOCK", std::mem::offset_of!(FrameHeader, block) / 4),
+        ("CELL", cell as usize),
+        ("POINT_CHANNELS", point_channels(cell as usize)),
+        ("PLANE_CHANNELS", PLANE_CHANNELS),
+    ];
+    for (name, value) in words {
+        constant(name, "u32", format!("{value}u"));
+    }
+    let flags = [
+        ("IS_RAW_DEPTH", kind == InputKind::Depth),
+        ("IS_DEPTH_METRES", kind == InputKind::DepthMetres),
+        ("IS_POINTS", kind == InputKind::Points),
     ];
     for (name, value) in flags {
         constant(name, "bool", value.to_string());
@@ -356,7 +381,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_laid_out_without_gaps_or_overlaps() {
-        for bits in 1..128u32 {
+        for bits in 1..256u32 {
             let wants = |bit: u32| bits & (1 << bit) != 0;
             let outputs = Outputs {
                 points: wants(0),
@@ -366,6 +391,7 @@ mod tests {
                 neighbours: wants(4),
                 depth: wants(5),
                 depth_m: wants(6),
+                frames: wants(7),
             };
             let layout = Layout {
                 width: 7,
@@ -377,9 +403,10 @@ mod tests {
                 cell: 1,
             };
             let planes = layout.points().into_iter().flatten().chain(layout.normals().into_iter().flatten());
-            let packed = [layout.curvature(), layout.depth_m(), layout.status(), layout.neighbours(), layout.depth()];
+            let channels = [layout.curvature(), layout.depth_m(), layout.frames()];
+            let packed = [layout.status(), layout.neighbours(), layout.depth()];
             let mut at = 0;
-            for range in planes.chain(packed.into_iter().flatten()) {
+            for range in planes.chain(channels.into_iter().chain(packed).flatten()) {
                 assert_eq!(range.start, at);
                 at = range.end;
             }

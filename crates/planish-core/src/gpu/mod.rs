@@ -22,6 +22,8 @@ mod kernel;
 mod layout;
 #[cfg(feature = "gpu")]
 mod mapped;
+#[cfg(feature = "gpu")]
+mod over_time;
 #[cfg(feature = "webgpu")]
 pub(crate) mod plan;
 #[cfg(feature = "gpu")]

@@ -160,7 +160,7 @@ impl Plan {
         let grid = Some((self.layout.width, self.layout.height));
         check_frame(frame, self.outputs, grid)?;
         let geometry = FrameGeometry::of(frame, needs_range(&self.params), &mut self.scratch);
-        let admitted = AdmittedFrame { frame, geometry };
+        let admitted = AdmittedFrame::new(frame, geometry);
         let mut bytes = vec![0u8; 4 * self.layout.input_words()];
         self.uploader.write(&self.layout, &admitted, &mut |word, from| {
             bytes[4 * word..4 * word + from.len()].copy_from_slice(from);

@@ -43,6 +43,10 @@ impl<'a> Results<'a> {
         Some(self.values(self.layout.depth_m()?))
     }
 
+    pub(super) fn frames(self) -> Option<&'a [f32]> {
+        Some(self.values(self.layout.frames()?))
+    }
+
     pub(super) fn depth_rows(self) -> Option<Rows<'a, u16>> {
         Some(self.rows(self.layout.depth()?))
     }
@@ -86,7 +90,9 @@ impl<'a> Results<'a> {
                     spawn_copying(scope, from, to);
                 }
             }
-            for (from, to) in [(self.curvature(), out.curvature), (self.depth_m(), out.depth_m)] {
+            let channels =
+                [(self.curvature(), out.curvature), (self.depth_m(), out.depth_m), (self.frames(), out.frames)];
+            for (from, to) in channels {
                 let (Some(from), Some(to)) = (from, to) else { continue };
                 scope.spawn(move |_| to.copy_from_slice(from));
             }

@@ -12,11 +12,12 @@ use bytemuck::bytes_of;
 use super::device::GpuDevice;
 use super::layout::Layout;
 use super::mapped::Mapped;
+use super::over_time::{OverTime, SlotOverTime};
 use super::stamps::Stamps;
 use super::upload::Uploader;
-use crate::devices::Transfer;
+use crate::devices::{GpuOptions, Transfer};
 use crate::error::EngineError;
-use crate::smoothing_engine::AdmittedFrame;
+use crate::smoothing_engine::{AdmittedFrame, VideoStep};
 use crate::timings::FrameTimings;
 
 /// Bytes in a word.
@@ -26,6 +27,8 @@ pub(super) struct Slot {
     /// Where it is submitted.
     pub(super) gpu: Arc<GpuDevice>,
     pub(super) layout: Layout,
+    /// The layout of what is read back.
+    pub(super) results: Layout,
     pub(super) frames: usize,
     /// Written by the host; mapped whenever the slot is free.
     upload: wgpu::Buffer,
@@ -38,6 +41,7 @@ pub(super) struct Slot {
     /// Points and planes that passes leave for one another.
     _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
+    over_time: Option<SlotOverTime>,
     stamps: Option<Stamps>,
     mapped: Mapped,
     _counted: Counted,
@@ -68,17 +72,20 @@ impl Slot {
         gpu: Arc<GpuDevice>,
         layout: Layout,
         frames: usize,
-        transfer: Transfer,
-        timestamps: bool,
+        options: &GpuOptions,
+        over_time: Option<&OverTime>,
         all_bytes: &Arc<AtomicU64>,
     ) -> Result<Self, EngineError> {
         use wgpu::BufferUsages as Usage;
         let input_bytes = (layout.input_words() * frames) as u64 * WORD;
-        let output_bytes = (layout.output_words() * frames) as u64 * WORD;
-        let direct = transfer == Transfer::Direct;
+        let results = over_time.map_or(layout, |over_time| over_time.results(layout));
+        let output_bytes = (results.output_words() * frames) as u64 * WORD;
+        let in_space_bytes = over_time.map_or(0, |_| layout.output_words() as u64 * WORD);
+        let direct = options.transfer == Transfer::Direct;
         // The kernels have places for them whether they use them or not.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
-        let total = kept_bytes.iter().sum::<u64>() + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
+        let total =
+            kept_bytes.iter().sum::<u64>() + in_space_bytes + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
         let owner = Arc::clone(&gpu);
         gpu.allocate(total, || {
             let device = &gpu.device;
@@ -98,6 +105,8 @@ impl Slot {
             uniform.unmap();
             let kept = kept_bytes.map(|bytes| buffer("kept", bytes, Usage::STORAGE, false));
             let (read, written) = (input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback));
+            let over_time = over_time.map(|over_time| over_time.slot(&gpu, &layout, [read, written]));
+            let written = over_time.as_ref().map_or(written, |over_time| &over_time.in_space);
             let bound = [&uniform, read, written, &kept[0], &kept[1]];
             let entries: Vec<_> = bound
                 .into_iter()
@@ -109,10 +118,11 @@ impl Slot {
                 layout: &gpu.bind_group_layout,
                 entries: &entries,
             });
-            let stamps = timestamps.then(|| Stamps::new(&gpu));
+            let stamps = options.timestamps.then(|| Stamps::new(&gpu));
             Self {
                 gpu: owner,
                 layout,
+                results,
                 frames,
                 upload,
                 input,
@@ -120,6 +130,7 @@ impl Slot {
                 readback,
                 _kept: kept,
                 bind_group,
+                over_time,
                 stamps,
                 mapped: Mapped::default(),
                 _counted: Counted::new(total, all_bytes),
@@ -140,9 +151,13 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to kernels, each with its workgroups across and down, and requests the buffers for when they
-    /// are done.
-    pub(super) fn submit(&self, kernels: &[(wgpu::ComputePipeline, [usize; 2])]) -> wgpu::SubmissionIndex {
+    /// Submits the frames to kernels, each with its workgroups across and down, then to the filter over time. Requests
+    /// the buffers for when they are done.
+    pub(super) fn submit(
+        &self,
+        kernels: &[(wgpu::ComputePipeline, [usize; 2])],
+        over_time: Option<(&mut OverTime, &VideoStep)>,
+    ) -> wgpu::SubmissionIndex {
         self.upload.unmap();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         if let Some(stamps) = &self.stamps {
@@ -151,6 +166,10 @@ impl Slot {
         if let Some(input) = &self.input {
             encoder.copy_buffer_to_buffer(&self.upload, 0, input, 0, None);
         }
+        let begun = over_time.zip(self.over_time.as_ref()).map(|((over_time, step), slot)| {
+            let moves = over_time.begin(&self.gpu, slot, &self.layout, step);
+            (over_time, slot, moves)
+        });
         {
             let timestamp_writes = self.stamps.as_ref().map(Stamps::around_kernels);
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
@@ -159,6 +178,9 @@ impl Slot {
             for (kernel, [across, down]) in kernels {
                 pass.set_pipeline(kernel);
                 pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);
+            }
+            if let Some((over_time, slot, moves)) = begun {
+                over_time.encode(&mut pass, slot, moves);
             }
         }
         if let Some(output) = &self.output {

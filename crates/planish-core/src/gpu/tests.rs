@@ -198,7 +198,7 @@ fn frame() -> DepthFrame {
 
 fn admit(frame: &DepthFrame) -> AdmittedFrame<'_> {
     let frame = frame.into_frame().unwrap();
-    AdmittedFrame { frame, geometry: FrameGeometry::of(frame, true, &mut GeometryScratch::default()) }
+    AdmittedFrame::new(frame, FrameGeometry::of(frame, true, &mut GeometryScratch::default()))
 }
 
 #[test]

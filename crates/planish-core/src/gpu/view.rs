@@ -27,7 +27,7 @@ impl MappedView {
         let Flight { slot, free, .. } = flight;
         let words = slot.readback.get_mapped_range(..).map_err(|error| slot.gpu.failed(error))?;
         let timings = slot.timings();
-        Ok(Self { layout: slot.layout, timings, mapped: Some((words, slot)), free })
+        Ok(Self { layout: slot.results, timings, mapped: Some((words, slot)), free })
     }
 
     pub(super) fn timings(&self) -> Option<FrameTimings> {
@@ -73,6 +73,10 @@ impl ResultInPlace for MappedView {
 
     fn depth_m(&self) -> Option<&[f32]> {
         self.results(0).depth_m()
+    }
+
+    fn frames(&self) -> Option<&[f32]> {
+        self.results(0).frames()
     }
 
     fn status_rows(&self) -> Option<Rows<'_, u8>> {

@@ -341,7 +341,7 @@ mod tests {
                 let frame = view.with_pose(pose).unwrap().into_frame().unwrap();
                 let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
                 let rotation = geometry.cloud_from_sensor.map_or(glam::DMat3::IDENTITY, |t| t.rotation);
-                (engine.results(&AdmittedFrame { frame, geometry }).unwrap(), rotation)
+                (engine.results(&AdmittedFrame::new(frame, geometry)).unwrap(), rotation)
             };
             let ((_, expected), _) = results(&own, SensorPose::IDENTITY);
             assert!(expected.iter().filter(|result| result.status.has_normal()).count() > 3000);
@@ -391,7 +391,7 @@ mod tests {
                 let transform = pose.transform().unwrap();
                 let rule = crate::frame::RangeRule::Depth { pitch_at_1m: None };
                 let geometry = FrameGeometry { cloud_from_sensor: Some(transform), rule };
-                let (_, results) = engine.results(&AdmittedFrame { frame, geometry }).unwrap();
+                let (_, results) = engine.results(&AdmittedFrame::new(frame, geometry)).unwrap();
                 results.into_iter().map(move |result| (result.status, transform.rotation * result.displacement))
             };
             let expected: Vec<_> = results(1e-3).collect();

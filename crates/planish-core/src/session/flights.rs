@@ -23,7 +23,10 @@ impl Session {
         self.check_room()?;
         let is_cloud = frame.frame()?.grid().is_none();
         match self.submit_now(&frame, buffer) {
-            Ok(()) => self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight: self.sight }),
+            Ok(()) => {
+                let sight = self.sight_to_filter();
+                self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight });
+            }
             Err(error @ Error::Engine(_)) => {
                 self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight: self.sight });
                 self.smooth_again(error)?;
@@ -43,7 +46,8 @@ impl Session {
         self.check_room()?;
         let admitted = self.open_in_flight(frame, false)?;
         self.smoother()?.submit_admitted(&admitted, None)?;
-        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), sight: self.sight });
+        let sight = self.sight_to_filter();
+        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), sight });
         Ok(())
     }
 
@@ -58,7 +62,7 @@ impl Session {
         (self.lattice, self.is_prepared) = (None, false);
         let admitted = self.open_for(frame, uses_fleet);
         self.estimates_clouds = estimates_clouds;
-        admitted
+        self.with_step(admitted?)
     }
 
     fn check_room(&self) -> Result<(), EngineError> {
@@ -69,8 +73,9 @@ impl Session {
         }
     }
 
-    fn submit_now(&mut self, frame: &AnyFrame, buffer: Smoothed) -> Result<(), Error> {
+    fn submit_now(&mut self, frame: &AnyFrame, mut buffer: Smoothed) -> Result<(), Error> {
         let admitted = self.open_in_flight(frame.frame()?, true)?;
+        self.keep_buffers(&mut buffer);
         match self.open.as_mut().filter(|open| open.is_fleet()) {
             Some(open) => open.submit_shared(frame, Some(buffer)),
             None => self.smoother()?.submit_admitted(&admitted, Some(buffer)),
@@ -136,7 +141,13 @@ impl Session {
         let frames: Vec<AnyFrame> =
             self.pending.iter().skip(self.ready.len()).filter_map(|pending| pending.frame.clone()).collect();
         for frame in frames {
-            let result = self.submit_now(&frame, Smoothed::default()).and_then(|()| match &mut self.open {
+            let result = self.submit_now(&frame, Smoothed::default());
+            // Another engine may leave the filter over time to the session.
+            let sight = self.sight_to_filter();
+            if let Some(pending) = self.pending.get_mut(self.ready.len()) {
+                pending.sight = sight;
+            }
+            let result = result.and_then(|()| match &mut self.open {
                 Some(open) => open.receive(),
                 None => Ok(None),
             });

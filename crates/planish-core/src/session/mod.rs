@@ -11,6 +11,7 @@ mod over_time;
 mod pending;
 mod recovery;
 mod resolve;
+mod sight;
 mod watch;
 
 use std::collections::VecDeque;
@@ -25,15 +26,16 @@ use crate::params::{CloudParams, FrameParams, WindowSize};
 use crate::sensor::SensorModel;
 use crate::settings::Settings;
 use crate::smoothed::Smoothed;
-use crate::smoother::{check_frame, check_options, for_engine, needs_range};
+use crate::smoother::{check_frame, check_no_frames, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
 
 pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
 use open::{Open, OpenFor, process_id};
-use over_time::{OverTime, Sight};
+use over_time::OverTime;
 use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
+use sight::Sight;
 pub use watch::ProgressWatch;
 
 /// Smooths frames and clouds of any shape, one after another or several in flight.
@@ -283,6 +285,11 @@ impl Session {
     /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
+        if self.over_time(frame).is_some() {
+            let result = self.smooth_over_time(frame, out);
+            self.is_prepared = false;
+            return result;
+        }
         let (width, height) = frame.shape();
         out.prepare(width, height, self.options.outputs);
         self.smooth_frame(frame, out.as_mut())
@@ -300,8 +307,11 @@ impl Session {
     }
 
     fn smooth_frame(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
+        if frame.grid().is_none() {
+            check_no_frames(self.options.outputs)?;
+        }
         let result = match (self.take_lattice(frame), self.to_space_evenly(frame)) {
-            _ if self.over_time(frame).is_some() => self.smooth_over_time(frame, out),
+            _ if self.over_time(frame).is_some() => self.smooth_over_time_into(frame, out),
             (Some((lattice, points)), _) => self.smooth_on_lattice(lattice, &points, out),
             (None, Some(points)) => self.smooth_evenly(&points, out),
             (None, None) => self.smooth_in_passes(frame, out),
@@ -359,7 +369,8 @@ impl Session {
         if let (false, Some(device)) = (uses_fleet, self.devices.get(self.device)) {
             options = device.options(&options);
         }
-        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet };
+        let video = if uses_fleet { None } else { self.video_of_engine(&options) };
+        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
             check_options(params, &wanted.options, frame.grid())?;
             self.finish_flights()?;
@@ -367,9 +378,10 @@ impl Session {
             let devices: &[FleetDevice] = if uses_fleet { &self.devices } else { &[] };
             let open = Open::new(wanted, devices)?;
             self.open = Some(open);
+            self.video.leave_device();
         }
         self.watch.set(self.open.as_ref().and_then(Open::progress));
-        Ok(AdmittedFrame { frame, geometry })
+        Ok(AdmittedFrame::new(frame, geometry))
     }
 
     fn engine_for(&self, is_cloud: bool) -> Engine {

@@ -11,6 +11,7 @@ use crate::params::EngineParams;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
+use crate::smoothing_engine::Video;
 use crate::view::SmoothedView;
 
 /// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come
@@ -24,12 +25,16 @@ pub(super) struct OpenFor {
     pub(super) params: EngineParams,
     pub(super) options: SmootherOptions,
     pub(super) uses_fleet: bool,
+    /// The video that the engine smooths over time, if it can.
+    pub(super) video: Option<Video>,
 }
 
 #[derive(Debug)]
 pub(super) struct Open {
     open_for: OpenFor,
     smoothing: Smoothing,
+    /// Whether the engine smooths over time.
+    is_over_time: bool,
 }
 
 #[derive(Debug)]
@@ -46,18 +51,27 @@ enum Smoothing {
 impl Open {
     /// Opens a fleet if devices are given, otherwise a smoother.
     pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
-        let OpenFor { grid, params, options, .. } = &open_for;
+        let OpenFor { grid, params, options, video, .. } = &open_for;
+        let mut is_over_time = false;
         let smoothing = if devices.is_empty() {
-            Smoothing::One(Box::new(Smoother::open_decided(*params, options, *grid)?))
+            let mut smoother = Box::new(Smoother::open_decided(*params, options, *grid)?);
+            if let Some(video) = video {
+                is_over_time = smoother.smooth_over_time(video)?;
+            }
+            Smoothing::One(smoother)
         } else {
             let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid)?);
             Smoothing::Fleet { fleet, devices: devices.to_vec(), reported: Vec::new() }
         };
-        Ok(Self { open_for, smoothing })
+        Ok(Self { open_for, smoothing, is_over_time })
     }
 
     pub(super) fn open_for(&self) -> &OpenFor {
         &self.open_for
+    }
+
+    pub(super) fn is_over_time(&self) -> bool {
+        self.is_over_time
     }
 
     pub(super) fn one(&self) -> Option<&Smoother> {

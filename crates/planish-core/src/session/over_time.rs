@@ -1,48 +1,25 @@
-//! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16).
+//! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16): by a
+//! filter of the session, or by a GPU that has the state.
 
-use rayon::prelude::*;
-
+use super::open::Open;
+use super::sight::{Sight, StatedPose};
 use super::{Chosen, Session, SessionEvent};
 use crate::camera::Camera;
+use crate::engines::{Engine, SmootherOptions};
 use crate::error::Error;
 use crate::frame::{Frame, FrameGeometry, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::Params;
 use crate::pose::SensorPose;
-use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
-use crate::status::Status;
-use crate::temporal::{CameraMotion, Surface, SurfaceRef, TemporalFilter, TemporalParams, Tracker};
+use crate::smoothing_engine::{AdmittedFrame, Video, VideoStep};
+use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tracker};
 use crate::threads::Threads;
 use crate::view::SmoothedView;
 
 /// A longer time between frames begins a new video, in seconds and in intervals.
 const LONGEST_INTERVAL_S: f64 = 1.0;
 const MOST_INTERVALS: f64 = 5.0;
-/// Pixels handled by a task.
-const TASK: usize = 1 << 14;
-
-/// The geometry of a frame, and its sensor.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
-    geometry: FrameGeometry,
-    sensor: SensorModel,
-    /// For raw depth.
-    camera: Option<Camera>,
-    /// The requested results.
-    outputs: Outputs,
-    shape: (usize, usize),
-    /// How it is smoothed over time.
-    params: TemporalParams,
-    /// Number of the video that the frame belongs to.
-    video: u64,
-    /// world_from_camera, if known, and whether the frame itself states it.
-    pose: Option<SensorPose>,
-    is_pose_of_file: bool,
-    /// Whether the motion of the camera is estimated if its pose is not known.
-    is_tracked: bool,
-}
-
 /// The state of a video since its first frame.
 struct Begun {
     /// The sight of that frame.
@@ -55,7 +32,15 @@ struct Begun {
     /// The last frame and what aligns others with it, if the motion of the camera is estimated.
     tracking: Option<(Tracker, Surface)>,
     /// The pose of the last frame, and whether the frame itself stated it; how the camera moved before it, if known.
-    last_pose: Option<(SensorPose, bool)>,
+    last_pose: StatedPose,
+    motion: Option<CameraMotion>,
+}
+
+/// A video whose state is on a device.
+struct OnDevice {
+    /// The sight of its first frame.
+    sight: Sight,
+    last_pose: StatedPose,
     motion: Option<CameraMotion>,
 }
 
@@ -63,6 +48,7 @@ struct Begun {
 #[derive(Default)]
 pub(super) struct OverTime {
     begun: Option<Begun>,
+    on_device: Option<OnDevice>,
     /// Number of the video that the next frame belongs to, and how many were begun because of time stamps.
     number: u64,
     gaps: u64,
@@ -71,11 +57,57 @@ pub(super) struct OverTime {
     /// Time stamp of the last frame, and the time before it.
     last_time_s: Option<f64>,
     last_interval_s: Option<f64>,
+    /// The ranges of the frame before the filter, where they are not its depths.
     ranges_m: Vec<f32>,
-    /// The ranges of the frame before the filter.
-    single_m: Vec<f32>,
-    /// The result in space.
+    /// The result, of which the caller gets a copy.
     smoothed: Smoothed,
+    spare: Spare,
+    /// Buffers of results in flight.
+    kept: Vec<Kept>,
+}
+
+/// Buffers of a result that no engine fills.
+#[derive(Debug, Default)]
+struct Kept {
+    depth: Option<Vec<u16>>,
+    frames: Option<Vec<f32>>,
+}
+
+impl Kept {
+    /// Takes the buffers that are needed from a result.
+    fn of(smoothed: &mut Smoothed, outputs: Outputs) -> Self {
+        let (depth, frames) = (smoothed.depth.take(), smoothed.frames.take());
+        Self { depth: depth.filter(|_| outputs.depth), frames: frames.filter(|_| outputs.frames) }
+    }
+
+    fn give_to(self, smoothed: &mut Smoothed) {
+        smoothed.depth = smoothed.depth.take().or(self.depth);
+        smoothed.frames = smoothed.frames.take().or(self.frames);
+    }
+}
+
+/// Buffers for results that the caller did not ask for.
+#[derive(Debug, Default)]
+struct Spare(Smoothed);
+
+impl Spare {
+    /// Exchanges them with those of the caller's result.
+    fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
+        let Self(spare) = self;
+        let Outputs { points, normals, status, depth_m, .. } = outputs;
+        if !points {
+            std::mem::swap(&mut out.points, &mut spare.points);
+        }
+        if !normals {
+            std::mem::swap(&mut out.normals, &mut spare.normals);
+        }
+        if !status {
+            std::mem::swap(&mut out.status, &mut spare.status);
+        }
+        if !depth_m {
+            std::mem::swap(&mut out.depth_m, &mut spare.depth_m);
+        }
+    }
 }
 
 impl Session {
@@ -87,20 +119,64 @@ impl Session {
         }
     }
 
-    /// Returns the results that an engine must compute for a frame that is then smoothed over time.
+    /// Returns the results that an engine must compute for a frame that is then smoothed over time; raw depth and frames
+    /// follow from the result.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         match self.over_time(frame) {
             Some(_) => {
                 let normals = outputs.normals || self.tracks_camera();
-                outputs
-                    .with_points(true)
-                    .with_status(true)
-                    .with_normals(normals)
-                    .with_depth_m(outputs.depth_m || outputs.depth)
+                let depth_m = outputs.depth_m || outputs.depth;
+                let outputs = outputs.with_depth(false).with_depth_m(depth_m).with_frames(false);
+                outputs.with_points(true).with_status(true).with_normals(normals)
             }
             None => outputs,
         }
+    }
+
+    /// Returns the video of the frame that was last looked at, for an engine that may smooth it over time itself.
+    pub(super) fn video_of_engine(&self, options: &SmootherOptions) -> Option<Video> {
+        let sight = self.sight.as_ref().filter(|_| matches!(options.engine, Engine::Gpu | Engine::Auto))?;
+        let is_depth =
+            sight.geometry.cloud_from_sensor.is_none() && matches!(sight.geometry.rule, RangeRule::Depth { .. });
+        // Poses need a camera that shaders know; tracking needs the results in space.
+        let has_camera = sight.camera.is_some_and(|camera| camera.distortion.is_none());
+        let is_possible = is_depth && !sight.is_tracked && (sight.pose.is_none() || has_camera);
+        let Sight { params, sensor, outputs, pose, .. } = *sight;
+        is_possible.then_some(Video { params, sensor, outputs, moves: pose.is_some() })
+    }
+
+    /// Returns the sight of the frame that was last looked at, if the session is to smooth its result over time.
+    pub(super) fn sight_to_filter(&self) -> Option<Sight> {
+        self.sight.filter(|_| !self.is_over_time_on_device())
+    }
+
+    /// Keeps the buffers that no engine fills until the result is received, if it is then smoothed over time.
+    pub(super) fn keep_buffers(&mut self, buffer: &mut Smoothed) {
+        if self.pending.is_empty() {
+            self.video.kept.clear();
+        }
+        if self.sight_to_filter().is_some() {
+            self.video.kept.push(Kept::of(buffer, self.options.outputs));
+        }
+    }
+
+    fn is_over_time_on_device(&self) -> bool {
+        self.open.as_ref().is_some_and(Open::is_over_time)
+    }
+
+    /// Adds a frame's place in the video, if the device has its state.
+    pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
+        let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
+        let on_device = &mut self.video.on_device;
+        let starts =
+            on_device.as_ref().is_none_or(|video| !video.sight.goes_on_with(&sight, video.sight.camera.is_some()));
+        if starts {
+            *on_device = None;
+        }
+        let video = on_device.get_or_insert(OnDevice { sight, last_pose: None, motion: None });
+        video.motion = sight.motion_since(&mut video.last_pose, sight.camera.as_ref())?;
+        Ok(AdmittedFrame { step: VideoStep { starts, motion: video.motion }, ..admitted })
     }
 
     fn tracks_camera(&self) -> bool {
@@ -132,25 +208,70 @@ impl Session {
     }
 
     /// Smooths a frame in space, then over time.
-    pub(super) fn smooth_over_time(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
+    pub(super) fn smooth_over_time(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
+        // Results that are needed, but were not asked for, are in buffers of the session.
+        let outputs = self.options.outputs;
+        let mut spare = std::mem::take(&mut self.video.spare);
+        spare.exchange(out, outputs);
+        let result = self.smooth_in_time(frame, out, None);
+        spare.exchange(out, outputs);
+        self.video.spare = spare;
+        // Of an earlier use for other outputs, something may be left.
         let (width, height) = frame.shape();
+        out.prepare(width, height, outputs);
+        result
+    }
+
+    /// Smooths a frame in space, then over time, into buffers of the caller's.
+    pub(super) fn smooth_over_time_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         let mut smoothed = std::mem::take(&mut self.video.smoothed);
-        smoothed.prepare(width, height, self.outputs_before_time(frame));
-        let result = self.smooth_in_passes(frame, smoothed.as_mut()).and_then(|()| match self.sight {
-            Some(sight) => self.filter(&sight, &mut smoothed),
-            None => Ok(()),
-        });
-        if result.is_ok() {
-            out.copy_from(&smoothed);
-        }
+        let result = self.smooth_in_time(frame, &mut smoothed, Some(&mut out));
         self.video.smoothed = smoothed;
         result
+    }
+
+    /// Has a frame smoothed over time by its device, or in space into `smoothed` and then here. The result is in `out` if
+    /// given, otherwise in `smoothed`.
+    fn smooth_in_time(
+        &mut self,
+        frame: Frame<'_>,
+        smoothed: &mut Smoothed,
+        mut out: Option<&mut SmoothedMut<'_>>,
+    ) -> Result<(), Error> {
+        self.check_idle()?;
+        let (width, height) = frame.shape();
+        loop {
+            let result =
+                self.open_for(frame, false).and_then(|admitted| self.with_step(admitted)).and_then(|admitted| {
+                    let is_on_device = self.is_over_time_on_device();
+                    if let (true, Some(out)) = (is_on_device, &mut out) {
+                        return self.smoother()?.smooth_admitted(&admitted, out.reborrow());
+                    }
+                    let outputs = if is_on_device { self.options.outputs } else { self.outputs_before_time(frame) };
+                    let kept = if is_on_device { Kept::default() } else { Kept::of(smoothed, self.options.outputs) };
+                    smoothed.prepare(width, height, outputs);
+                    kept.give_to(smoothed);
+                    self.smoother()?.smooth_admitted(&admitted, smoothed.as_mut())
+                });
+            match result {
+                Err(error) => self.recover(error, frame.grid().is_none(), false)?,
+                Ok(()) => break,
+            }
+        }
+        if let Some(sight) = self.sight_to_filter() {
+            self.filter(&sight, smoothed)?;
+            if let Some(out) = out {
+                out.copy_from(smoothed);
+            }
+        }
+        Ok(())
     }
 
     /// Smooths a received result over time.
     pub(super) fn view_over_time(&mut self, sight: &Sight, view: SmoothedView) -> Result<SmoothedView, Error> {
         let timings = view.timings();
         let mut smoothed = view.into_smoothed();
+        self.video.kept.pop().unwrap_or_default().give_to(&mut smoothed);
         self.filter(sight, &mut smoothed)?;
         let (width, height) = (smoothed.width, smoothed.height);
         smoothed.prepare(width, height, sight.outputs);
@@ -158,12 +279,18 @@ impl Session {
     }
 
     fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
+        self.filter_ranges(sight, smoothed)?;
+        sight.finish(smoothed, self.temporal_filter());
+        Ok(())
+    }
+
+    fn filter_ranges(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
         // Without a position of the sensor there are no ranges.
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
             return Ok(());
         }
-        let OverTime { begun, ranges_m, single_m, .. } = &mut self.video;
-        if begun.as_ref().is_none_or(|begun| !begun.goes_on_with(sight)) {
+        let OverTime { begun, ranges_m, .. } = &mut self.video;
+        if begun.as_ref().is_none_or(|begun| !begun.sight.goes_on_with(sight, begun.camera.is_some())) {
             *begun = Some(Begun::new(*sight, self.options.threads)?);
         }
         if let Some(begun) = begun
@@ -174,26 +301,22 @@ impl Session {
         let Some(Begun { filter, threads, camera, tracking, last_pose, motion: last_motion, .. }) = begun else {
             return Ok(());
         };
-        // Poses of the caller and those of files may be in different worlds.
-        let last_pose = std::mem::replace(last_pose, sight.pose.map(|pose| (pose, sight.is_pose_of_file)));
-        let last_pose = last_pose.filter(|(_, is_of_file)| *is_of_file == sight.is_pose_of_file).map(|(pose, _)| pose);
         threads.install(|| {
-            let motion = match (tracking.as_mut(), last_pose, sight.pose, &*camera) {
-                // Many writers state the same pose for every frame, wherever the camera is.
-                (_, Some(previous), Some(current), Some(camera)) if !(sight.is_pose_of_file && previous == current) => {
-                    Some(CameraMotion::between(*camera, &previous, &current)?)
-                }
-                (Some((tracker, previous)), ..) => sight.track(tracker, previous, smoothed),
-                _ => None,
+            let motion = match (sight.motion_since(last_pose, camera.as_ref())?, tracking.as_mut()) {
+                (None, Some((tracker, previous))) => sight.track(tracker, previous, smoothed),
+                (stated, _) => stated,
             };
             *last_motion = motion;
             sight.measure(smoothed, ranges_m);
-            single_m.clone_from(ranges_m);
-            match motion {
-                Some(motion) => filter.smooth_moved(&motion, ranges_m)?,
-                None => filter.smooth(smoothed.width, smoothed.height, ranges_m)?,
-            }
-            sight.apply(filter, single_m, ranges_m, smoothed);
+            let shape @ (width, _) = (smoothed.width, smoothed.height);
+            filter.smooth_rows(motion.as_ref(), shape, |v, row| {
+                let at = v * width..(v + 1) * width;
+                match ranges_m.get(at.clone()) {
+                    Some(ranges_m) => row.copy_from_slice(ranges_m),
+                    None => row.iter_mut().zip(&smoothed.points.z()[at]).for_each(|(range_m, z)| *range_m = z.abs()),
+                }
+            })?;
+            sight.apply(filter, ranges_m, smoothed);
             if let Some((_, previous)) = tracking {
                 sight.keep(smoothed, previous);
             }
@@ -252,37 +375,31 @@ impl Session {
     /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
     /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
-        self.current_video().and_then(|begun| begun.motion)
+        let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == self.video.number);
+        self.current_video().and_then(|begun| begun.motion).or_else(|| on_device.and_then(|video| video.motion))
     }
 
-    /// Returns the filter over time, which reports how many frames each pixel averages; `None` before the first
-    /// frame, or if the session does not smooth over time.
+    /// Returns the filter over time of the session; `None` before the first frame, if the session does not smooth over
+    /// time, or if the GPU does. [`Outputs::frames`] tells with every engine how many frames each pixel averages.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
         self.current_video().map(|begun| &begun.filter)
     }
 }
 
 impl OverTime {
+    /// Forgets the video whose state is on a device.
+    pub(super) fn leave_device(&mut self) {
+        self.on_device = None;
+    }
+
     /// Frees its memory.
     pub(super) fn close(&mut self) {
-        self.begun = None;
-        (self.ranges_m, self.single_m, self.smoothed) = Default::default();
+        (self.begun, self.on_device) = (None, None);
+        (self.ranges_m, self.smoothed, self.spare, self.kept) = Default::default();
     }
 }
 
 impl Begun {
-    /// Returns true if a frame belongs to this video.
-    fn goes_on_with(&self, sight: &Sight) -> bool {
-        let first = &self.sight;
-        let has_transform = |sight: &Sight| sight.geometry.cloud_from_sensor.is_some();
-        // A sensor that moves is followed if its motion can be compensated.
-        let is_followed = self.camera.is_some() && first.pose.is_some() && sight.pose.is_some();
-        let is_same_place = first.geometry.cloud_from_sensor == sight.geometry.cloud_from_sensor
-            || (is_followed && has_transform(first) == has_transform(sight));
-        let is_same_camera = first.shape == sight.shape && first.camera == sight.camera && first.sensor == sight.sensor;
-        first.video == sight.video && first.params == sight.params && is_same_camera && is_same_place
-    }
-
     fn new(sight: Sight, threads: Option<usize>) -> Result<Self, Error> {
         let (threads, filter) = (Threads::open(threads)?, TemporalFilter::new(sight.params, sight.sensor)?);
         let (camera, tracking, last_pose, motion) = Default::default();
@@ -304,156 +421,5 @@ impl Begun {
         let has_points = smoothed.points.z().iter().any(|z| z.is_finite());
         self.has_no_camera = self.camera.is_none() && has_points;
         self.has_no_camera && (sight.is_tracked || !sight.is_pose_of_file)
-    }
-}
-
-impl Sight {
-    /// Returns the camera on whose pixels the points are.
-    fn camera_of(&self, smoothed: &Smoothed) -> Option<Camera> {
-        let mut surface = Surface::default();
-        self.keep(smoothed, &mut surface);
-        Camera::of_points((smoothed.width, smoothed.height), &surface.points)
-    }
-
-    /// Estimates how the camera has moved since the frame before.
-    fn track(&self, tracker: &mut Tracker, previous: &mut Surface, smoothed: &Smoothed) -> Option<CameraMotion> {
-        if previous.points.is_empty() {
-            return None;
-        }
-        let mut moved = Surface::default();
-        let current = match (&self.geometry.cloud_from_sensor, &smoothed.normals) {
-            (None, Some(normals)) => SurfaceRef { points: &smoothed.points, normals },
-            _ => {
-                self.keep(smoothed, &mut moved);
-                moved.borrow()
-            }
-        };
-        let motion = tracker.track(previous, current)?;
-        let previous_from_current = SensorPose::from_transform(&motion);
-        Some(CameraMotion { camera: tracker.camera(), previous_from_current })
-    }
-
-    /// Copies points and normals in the frame of the sensor.
-    fn keep(&self, smoothed: &Smoothed, surface: &mut Surface) {
-        surface.points.clone_from(&smoothed.points);
-        match &smoothed.normals {
-            Some(normals) => surface.normals.clone_from(normals),
-            None => surface.normals = crate::xyz::Xyz::default(),
-        }
-        if let Some(transform) = &self.geometry.cloud_from_sensor {
-            let to_sensor = |point: [f32; 3]| transform.to_sensor(glam::Vec3::from_array(point).as_dvec3());
-            let turned = |normal: [f32; 3]| transform.rotation.transpose() * glam::Vec3::from_array(normal).as_dvec3();
-            surface.points = surface.points.iter().map(|point| to_sensor(point).as_vec3().to_array()).collect();
-            surface.normals = surface.normals.iter().map(|normal| turned(normal).as_vec3().to_array()).collect();
-        }
-    }
-
-    /// Measures the ranges of all points.
-    fn measure(&self, smoothed: &Smoothed, ranges_m: &mut Vec<f32>) {
-        let [_, _, z] = smoothed.points.as_slices();
-        ranges_m.resize(z.len(), 0.0);
-        if self.geometry.cloud_from_sensor.is_none() && matches!(self.geometry.rule, RangeRule::Depth { .. }) {
-            ranges_m.iter_mut().zip(z).for_each(|(range_m, z)| *range_m = z.abs());
-            return;
-        }
-        ranges_m.par_chunks_mut(TASK).enumerate().for_each(|(task, ranges_m)| {
-            for (k, range_m) in ranges_m.iter_mut().enumerate() {
-                let point = glam::Vec3::from_array(smoothed.points.get(TASK * task + k)).as_dvec3();
-                let seen = self.geometry.cloud_from_sensor.map_or(point, |transform| transform.to_sensor(point));
-                *range_m = self.geometry.range_m(seen) as f32;
-            }
-        });
-    }
-
-    /// Moves every point along its ray, from the range of the single frame to that over time. `single_m` becomes the
-    /// ratio of the two.
-    fn apply(&self, filter: &TemporalFilter, single_m: &mut [f32], ranges_m: &[f32], smoothed: &mut Smoothed) {
-        let width = smoothed.width;
-        let sensor = self.geometry.sensor_position().as_vec3().to_array();
-        let ranges = single_m.par_chunks_mut(width).zip(ranges_m.par_chunks(width));
-        let statuses = smoothed.status.as_deref_mut().unwrap_or_default().par_chunks_mut(width);
-        let [x, y, z] = smoothed.points.as_mut_slices();
-        let points = x.par_chunks_mut(width).zip(y.par_chunks_mut(width)).zip(z.par_chunks_mut(width));
-        points.zip(statuses).zip(ranges).enumerate().for_each(|(row, (((xy, z), statuses), (ratios, ranges_m)))| {
-            for (ratio, range_m) in ratios.iter_mut().zip(ranges_m) {
-                *ratio = range_m / *ratio;
-                // Holes stay as they are.
-                *ratio = if ratio.is_finite() { *ratio } else { 1.0 };
-            }
-            if filter.has_carried(row) {
-                for (u, (ratio, status)) in ratios.iter_mut().zip(statuses).enumerate() {
-                    match (filter.is_carried(row * width + u), status.has_normal()) {
-                        (true, true) => *status = Status::Carried,
-                        // Its status must tell that it has no normal, so the point stays as measured.
-                        (true, false) => *ratio = 1.0,
-                        (false, _) => {}
-                    }
-                }
-            }
-            for (values, sensor) in [xy.0, xy.1, z].into_iter().zip(sensor) {
-                values.iter_mut().zip(&*ratios).for_each(|(value, ratio)| *value = sensor + (*value - sensor) * ratio);
-            }
-        });
-        let Some(depth_m) = &mut smoothed.depth_m else { return };
-        depth_m.par_chunks_mut(width).zip(single_m.par_chunks(width)).for_each(|(depth_m, ratios)| {
-            depth_m.iter_mut().zip(ratios).for_each(|(depth_m, ratio)| *depth_m *= ratio);
-        });
-        if let (Some(raw), Some(camera)) = (&mut smoothed.depth, &self.camera) {
-            raw.par_chunks_mut(width).zip(depth_m.par_chunks(width)).for_each(|(raw, depth_m)| {
-                raw.iter_mut().zip(depth_m).for_each(|(raw, depth_m)| *raw = camera.raw_depth(*depth_m));
-            });
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::xyz::Xyz;
-
-    /// Smooths frames of 8x8 pixels at 2 m, the last of which has another range at one pixel.
-    fn last_of_video(status: Status, last_m: f32) -> Smoothed {
-        let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
-        let outputs = Outputs::POINTS;
-        let sight = Sight {
-            shape: (8, 8),
-            params: TemporalParams::STEADY,
-            geometry,
-            sensor: SensorModel::KINECT_V1,
-            camera: None,
-            outputs,
-            video: 0,
-            pose: None,
-            is_pose_of_file: false,
-            is_tracked: false,
-        };
-        let mut filter = TemporalFilter::new(TemporalParams::STEADY, SensorModel::KINECT_V1).unwrap();
-        let mut last = Smoothed::default();
-        for t in 0..6 {
-            let range_m = |i: usize| if t == 5 && i == 27 { last_m } else { 2.0 };
-            let points: Xyz = (0..64).map(|i| [0.1 * range_m(i), -0.2 * range_m(i), range_m(i)]).collect();
-            last = Smoothed { width: 8, height: 8, points, status: Some(vec![status; 64]), ..Smoothed::default() };
-            let (mut single_m, mut ranges_m) = (Vec::new(), Vec::new());
-            sight.measure(&last, &mut single_m);
-            ranges_m.clone_from(&single_m);
-            filter.smooth(8, 8, &mut ranges_m).unwrap();
-            sight.apply(&filter, &mut single_m, &ranges_m, &mut last);
-        }
-        last
-    }
-
-    #[test]
-    fn a_value_that_was_carried_over_says_so() {
-        let last = last_of_video(Status::Polynomial2, 1.5);
-        let status = last.status.as_ref().unwrap();
-        assert_eq!((status[27], status[26]), (Status::Carried, Status::Polynomial2));
-        assert!(last.points.get(27).iter().zip([0.2, -0.4, 2.0]).all(|(a, b)| (a - b).abs() < 1e-6));
-        // Its status cannot tell both, so it is not carried.
-        let last = last_of_video(Status::Degenerate, 1.5);
-        assert_eq!(last.status.as_ref().unwrap()[27], Status::Degenerate);
-        assert_eq!(last.points.get(27)[2], 1.5);
-        // A hole stays one.
-        let last = last_of_video(Status::Hole, f32::NAN);
-        assert!(last.points.get(27)[2].is_nan() && last.status.as_ref().unwrap()[27] == Status::Hole);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::over_time::Sight;
+use super::sight::Sight;
 use crate::fleet::SharedFrame;
 
 /// A frame that several threads own, without its type.
@@ -13,6 +13,6 @@ pub(super) struct Pending {
     /// The frame, to be smoothed again if its device is lost; `None` for one that the session does not share.
     pub(super) frame: Option<AnyFrame>,
     pub(super) is_cloud: bool,
-    /// How the frame is seen, if its result is to be smoothed over time.
+    /// How the frame is seen, if its result is to be smoothed over time once received.
     pub(super) sight: Option<Sight>,
 }

@@ -124,7 +124,7 @@ pub struct Resolved {
 /// The settings whose values are one of some names.
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
-const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours";
+const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames";
 const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
@@ -232,6 +232,9 @@ impl Settings {
         }
         if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
             return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
+        }
+        if self.outputs.is_some_and(|outputs| outputs.frames) && self.temporal_params().is_none() {
+            return contradiction("outputs", "frames", "only with temporal=steady");
         }
         if let Some(adapter) = &self.adapter {
             if self.engine() != Engine::Gpu {

@@ -59,6 +59,7 @@ fn errors_name_the_field_and_its_range() {
         ("project=up", "project", "ray or normal"),
         ("engine=tpu", "engine", "auto, cpu"),
         ("outputs=points+colour", "outputs", "a list of points"),
+        ("outputs=points+frames", "outputs", "only with temporal=steady"),
         ("average_blocks=yes", "average_blocks", "true or false"),
         ("speed=1", "settings", "preset, strength"),
         ("strong", "settings", "name=value"),

@@ -3,10 +3,11 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
+use super::constants::TILE;
 use super::motion::{CameraMotion, Lookup};
 use super::rows::{ChangeRow, MARGIN, RowBuffers, Rule, UpdateRow, measure_changes, update};
 use super::state::State;
-use super::tiles::{TILE, Tile, update_tiles};
+use super::tiles::{Tile, update_tiles};
 use super::{Domain, TemporalParams};
 use crate::camera::Rays;
 use crate::error::{FrameError, ParamError};
@@ -50,6 +51,25 @@ pub struct TemporalFilter {
     rays: Rays,
     tiles: Vec<Tile>,
     planes: Planes,
+}
+
+/// Which values of the last frame were carried over.
+#[derive(Clone, Copy)]
+pub(crate) struct Carried<'a> {
+    state: &'a State,
+    width: usize,
+    pitch: usize,
+}
+
+impl Carried<'_> {
+    /// Returns the columns of a row whose values were carried over.
+    pub(crate) fn columns(&self, row: usize) -> impl Iterator<Item = usize> {
+        let (state, start) = (self.state, row * self.pitch);
+        // Few pixels are: whole tiles are tested first.
+        let tiles = (0..self.width).step_by(TILE).map(|from| from..(from + TILE).min(self.width));
+        let some = tiles.filter(move |tile| state.has_carried(start + tile.start..start + tile.end));
+        some.flatten().filter(move |column| state.is_carried(start + column))
+    }
 }
 
 /// Intermediate results, row by row of `pitch` pixels.
@@ -116,12 +136,26 @@ impl TemporalFilter {
         if depth_m.is_empty() {
             return Ok(());
         }
+        self.smooth_rows(motion, (width, height), |v, row| row.copy_from_slice(&depth_m[v * width..(v + 1) * width]))?;
+        let rows = depth_m.par_chunks_mut(width).zip(self.planes.depth_m.par_chunks(self.pitch));
+        rows.for_each(|(row, from)| row.copy_from_slice(&from[..width]));
+        Ok(())
+    }
+
+    /// Smooths the depth of the next frame, whose rows a function writes. The results stay in
+    /// [`rows_mut`](Self::rows_mut).
+    pub(crate) fn smooth_rows(
+        &mut self,
+        motion: Option<&CameraMotion>,
+        (width, height): (usize, usize),
+        write_row: impl Fn(usize, &mut [f32]) + Sync,
+    ) -> Result<(), FrameError> {
         if self.shape != (width, height) {
             self.start(width, height);
         }
         let pitch = self.pitch;
-        let rows = self.planes.depth_m.par_chunks_mut(pitch).zip(depth_m.par_chunks(width));
-        rows.for_each(|(row, from)| row[..width].copy_from_slice(from));
+        let rows = self.planes.depth_m.par_chunks_mut(pitch).enumerate();
+        rows.for_each(|(v, row)| write_row(v, &mut row[..width]));
         if let Some(motion) = motion {
             self.move_state(motion)?;
         }
@@ -132,9 +166,17 @@ impl TemporalFilter {
         if self.params.hold_frames > 0 {
             self.hold();
         }
-        let rows = depth_m.par_chunks_mut(width).zip(self.planes.depth_m.par_chunks(pitch));
-        rows.for_each(|(row, from)| row.copy_from_slice(&from[..width]));
         Ok(())
+    }
+
+    /// Returns the rows of the smoothed depth, each longer than the image is wide, to be overwritten; and the state.
+    pub(crate) fn rows_mut(&mut self) -> (impl IndexedParallelIterator<Item = &mut [f32]>, Carried<'_>) {
+        let Self { planes, state, shape, pitch, .. } = self;
+        (planes.depth_m.par_chunks_mut(*pitch), Carried { state, width: shape.0, pitch: *pitch })
+    }
+
+    pub(crate) fn level(&self) -> Level {
+        self.level
     }
 
     /// Forgets all frames, as after a gap in time or a jump of the camera.
@@ -158,12 +200,6 @@ impl TemporalFilter {
     /// If `i` is not a pixel of the last frame.
     pub fn is_carried(&self, i: usize) -> bool {
         self.state.is_carried(self.place(i))
-    }
-
-    /// Returns true if the value of some pixel of a row was carried over.
-    pub(crate) fn has_carried(&self, row: usize) -> bool {
-        let start = row * self.pitch;
-        self.state.has_carried(start..start + self.shape.0)
     }
 
     fn place(&self, i: usize) -> usize {
@@ -225,7 +261,7 @@ impl TemporalFilter {
         inputs.zip(outputs).for_each(|(inputs, (outputs, buffers))| {
             let (((depth_m, mean), frames_variance), bias_idle) = inputs;
             let ((((sums, counts), signs), changes), tiles) = outputs;
-            tiles.fill([0.0; 2]);
+            buffers.begin();
             for start in (0..depth_m.len()).step_by(pitch) {
                 let at = start..start + pitch;
                 let row = ChangeRow {
@@ -237,16 +273,16 @@ impl TemporalFilter {
                     sums: &mut sums[at.clone()],
                     counts: &mut counts[at.clone()],
                     signs: &mut signs[at],
-                    tiles,
                 };
                 dispatch!(level, simd => measure_changes(simd, rule, row, buffers));
             }
+            buffers.sum_tiles(tiles);
         });
     }
 
     fn update(&mut self) {
-        let Self { rule, level, pitch, state, tiles, planes, .. } = self;
-        let (rule, level, pitch) = (*rule, *level, *pitch);
+        let Self { params, rule, level, pitch, state, tiles, planes, .. } = self;
+        let (rule, level, pitch, holds) = (*rule, *level, *pitch, params.hold_frames > 0);
         let Planes { depth_m, changes, sums, counts, signs, calm, .. } = planes;
         let outputs = depth_m.par_chunks_mut(pitch).zip(state.mean.par_chunks_mut(pitch));
         let outputs = outputs.zip(state.frames_variance.par_chunks_mut(pitch));
@@ -263,7 +299,7 @@ impl TemporalFilter {
                 counts: std::array::from_fn(|k| row_of(counts, pitch, v + k)),
                 signs: std::array::from_fn(|k| row_of(signs, pitch, v + 1 + k)),
                 tiles: &tiles[v / TILE * (pitch / TILE)..],
-                calm,
+                calm: holds.then_some(calm),
             };
             dispatch!(level, simd => update(simd, rule, row));
         });

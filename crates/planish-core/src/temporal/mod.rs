@@ -1,6 +1,7 @@
 //! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth over the frames of
 //! a video, which gives way where the scene changes.
 
+pub(crate) mod constants;
 mod filter;
 mod motion;
 mod params;

@@ -8,20 +8,12 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::constants::{LEAST_WEIGHT, NEAREST_M, SAME_SURFACE, SLOPE};
 use super::rows::Rule;
 use super::state::{Pixel, State};
 use crate::camera::{Camera, Rays, RowRays, RowRaysY};
 use crate::error::FrameError;
 use crate::pose::{RigidTransform, SensorPose};
-
-/// Sigmas by which pixels of one surface differ at most.
-const SAME_SURFACE: f32 = 5.0;
-/// Allowance for the slope of a surface, relative to the value.
-const SLOPE: f32 = 0.004;
-/// Weight of the pixels of the same surface above which they count; otherwise the pixel is new.
-const LEAST_WEIGHT: f32 = 0.2;
-/// Nearest depth in metres at which points are looked up.
-const NEAREST_M: f32 = 0.05;
 
 /// How a camera has moved between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]

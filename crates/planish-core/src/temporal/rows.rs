@@ -3,47 +3,21 @@
 //! The first pass measures how each pixel changed; the second takes the changes of the pixels around into account and
 //! updates the state. Planes have rows of `pitch` pixels, a multiple of [`TILE`], and two rows of zeros on either side.
 
-use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
 use super::Domain;
-use super::state::{FIRST_VARIANCE, Unpacked};
-use super::tiles::{TILE, Tile};
+use super::constants::{
+    AT_ONCE, BIAS, CANDIDATE, CHANGE, CLIP, CLIP_OF_TILE, FIRST_VARIANCE, FRAMES_TO_WAIT, LEAK, LEARN, LEARNT,
+    LEAST_DEVIATION, LEAST_NOISE, LEAST_VARIANCE, MEMORY, MOST_DEPTH_M, MOST_VARIANCE, OWN_CHANGE, SUPPORT, TILE,
+};
+use super::state::Unpacked;
+use super::tiles::Tile;
 use crate::cpu::vector::{Mask, splat};
 
 /// Rows around a plane.
 pub(super) const MARGIN: usize = 2;
 /// Columns around a row; a multiple of every vector's lanes.
 const SIDE: usize = 16;
-/// Beyond this, the inverse of depth leaves f32.
-const MOST_DEPTH_M: f32 = 1e18;
-/// Noise below this share of a value is below what f32 resolves.
-const LEAST_NOISE: f32 = 1e-6;
-/// Changes are limited to this many sigmas in means over 5x5 pixels, and over tiles.
-const CLIP: f32 = 8.0;
-const CLIP_OF_TILE: f32 = 4.0;
-/// A pixel whose change exceeds this many deviations may show a new surface.
-const CANDIDATE: f32 = 4.0;
-/// Deviations are at least this when single pixels are compared, in sigmas.
-const LEAST_DEVIATION: f32 = 0.7;
-/// A supported candidate whose change exceeds this many deviations is a new surface at once. Real noise exceeds
-/// [`CANDIDATE`] now and then, for one frame.
-const AT_ONCE: f32 = 5.0;
-/// A candidate with this much support in 3x3 pixels, itself included, is a new surface at once.
-const SUPPORT: f32 = 3.0;
-/// Frames that a pixel must have for a single change to wait.
-const FRAMES_TO_WAIT: f32 = 3.0;
-/// Deviations of the mean change, of its bias, and of the own change, that halve a pixel's frames.
-const CHANGE: f32 = 2.5;
-const BIAS: f32 = 1.2;
-const OWN_CHANGE: f32 = 6.0;
-/// Share by which the bias follows the mean change.
-const LEAK: f32 = 0.25;
-/// Share by which the variance follows, of a pixel of the most frames.
-const LEARN: f32 = 1.0 / 16.0;
-const LEAST_VARIANCE: f32 = 0.04;
-const MOST_VARIANCE: f32 = 2.25;
-/// Frames for which a hole's state is kept.
-const MEMORY: f32 = 8.0;
 /// A calm neighbour of a hole differs by less than this many deviations.
 const CALM: f32 = 3.0;
 /// Outweighs all calm pixels of 5x5.
@@ -71,8 +45,6 @@ pub(super) struct ChangeRow<'a> {
     pub(super) sums: &'a mut [f32],
     pub(super) counts: &'a mut [f32],
     pub(super) signs: &'a mut [f32],
-    /// Sums of the changes of each tile, and their number, which this row adds to.
-    pub(super) tiles: &'a mut [[f32; 2]],
 }
 
 /// A row of the second pass.
@@ -87,22 +59,41 @@ pub(super) struct UpdateRow<'a> {
     pub(super) counts: [&'a [f32]; 5],
     pub(super) signs: [&'a [f32]; 3],
     pub(super) tiles: &'a [Tile],
-    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate.
-    pub(super) calm: &'a mut [f32],
+    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate; only if holes are bridged.
+    pub(super) calm: Option<&'a mut [f32]>,
 }
 
-/// Buffers of a row with zeros on both sides.
+/// Buffers of the rows of a band of tiles.
 #[derive(Debug, Clone)]
 pub(super) struct RowBuffers {
+    /// These have zeros on both sides.
     clipped: Vec<f32>,
     counted: Vec<f32>,
     signs: Vec<f32>,
+    /// Sums over the rows of a band of the changes in each column, and their numbers.
+    column_sums: Vec<f32>,
+    column_counts: Vec<f32>,
 }
 
 impl RowBuffers {
     pub(super) fn of_pitch(pitch: usize) -> Self {
         let [clipped, counted, signs] = [(); 3].map(|()| vec![0.0; pitch + 2 * SIDE]);
-        Self { clipped, counted, signs }
+        let [column_sums, column_counts] = [(); 2].map(|()| vec![0.0; pitch]);
+        Self { clipped, counted, signs, column_sums, column_counts }
+    }
+
+    /// Begins a band.
+    pub(super) fn begin(&mut self) {
+        self.column_sums.fill(0.0);
+        self.column_counts.fill(0.0);
+    }
+
+    /// Writes the sum of the changes of each tile of the band, and their number.
+    pub(super) fn sum_tiles(&self, tiles: &mut [[f32; 2]]) {
+        let columns = self.column_sums.chunks_exact(TILE).zip(self.column_counts.chunks_exact(TILE));
+        for (tile, (sums, counts)) in tiles.iter_mut().zip(columns) {
+            *tile = [sums.iter().sum(), counts.iter().sum()];
+        }
     }
 }
 
@@ -167,47 +158,73 @@ pub(super) fn measure_changes<S: Simd>(simd: S, rule: Rule, row: ChangeRow<'_>, 
     let lanes = S::f32s::LEN;
     let pitch = row.depth_m.len();
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    let RowBuffers { clipped, counted, signs } = buffers;
-    for u in (0..pitch).step_by(lanes) {
-        let at = u..u + lanes;
-        let state =
-            Unpacked::load(simd, &row.mean[at.clone()], &row.frames_variance[at.clone()], &row.bias_idle[at.clone()]);
-        let measured = rule.measure(simd, S::f32s::from_slice(simd, &row.depth_m[at.clone()]));
+    let RowBuffers { clipped, counted, signs, column_sums, column_counts } = buffers;
+    let inner = SIDE..SIDE + pitch;
+    // Vectors in step, without checks of bounds.
+    let inputs = row.depth_m.chunks_exact(lanes).zip(row.mean.chunks_exact(lanes));
+    let inputs = inputs.zip(row.frames_variance.chunks_exact(lanes)).zip(row.bias_idle.chunks_exact(lanes));
+    let outputs = row.changes.chunks_exact_mut(lanes).zip(clipped[inner.clone()].chunks_exact_mut(lanes));
+    let outputs = outputs.zip(counted[inner.clone()].chunks_exact_mut(lanes));
+    let outputs = outputs.zip(signs[inner].chunks_exact_mut(lanes));
+    let columns = column_sums.chunks_exact_mut(lanes).zip(column_counts.chunks_exact_mut(lanes));
+    for ((inputs, outputs), (column_sum, column_count)) in inputs.zip(outputs).zip(columns) {
+        let (((depth_m, mean), frames_variance), bias_idle) = inputs;
+        let (((changes, clipped), counted), signs) = outputs;
+        let state = Unpacked::load(simd, mean, frames_variance, bias_idle);
+        let measured = rule.measure(simd, S::f32s::from_slice(simd, depth_m));
         let is_both = measured.valid & state.frames.simd_gt(zero);
         let uncertainty = (one + one / state.frames.max(one)).sqrt();
         let change = (measured.value - state.mean) / (measured.noise * uncertainty);
         let limit = splat(simd, CANDIDATE) * single_deviation(simd, state.variance);
         let is_candidate = is_both & change.abs().simd_gt(limit);
-        is_both.select(change, splat(simd, f32::NAN)).store_slice(&mut row.changes[at.clone()]);
+        is_both.select(change, splat(simd, f32::NAN)).store_slice(changes);
         let clip = splat(simd, CLIP);
-        let padded = SIDE + u..SIDE + u + lanes;
-        is_both.select(change.max(-clip).min(clip), zero).store_slice(&mut clipped[padded.clone()]);
-        is_both.select(one, zero).store_slice(&mut counted[padded.clone()]);
+        is_both.select(change.max(-clip).min(clip), zero).store_slice(clipped);
+        is_both.select(one, zero).store_slice(counted);
         let sign = change.simd_lt(zero).select(-one, one);
-        is_candidate.select(sign, zero).store_slice(&mut signs[padded]);
+        is_candidate.select(sign, zero).store_slice(signs);
         let is_update = is_both & !is_candidate;
         let clip = splat(simd, CLIP_OF_TILE);
-        let [sum, count] = &mut row.tiles[u / TILE];
-        for value in is_update.select(change.max(-clip).min(clip), zero).as_slice() {
-            *sum += value;
-        }
-        *count += is_update.to_bitmask().count_ones() as f32;
+        let change = is_update.select(change.max(-clip).min(clip), zero);
+        (S::f32s::from_slice(simd, column_sum) + change).store_slice(column_sum);
+        (S::f32s::from_slice(simd, column_count) + is_update.select(one, zero)).store_slice(column_count);
     }
-    for u in (0..pitch).step_by(lanes) {
-        let at = u..u + lanes;
-        sum_of_five(simd, clipped, SIDE + u).store_slice(&mut row.sums[at.clone()]);
-        sum_of_five(simd, counted, SIDE + u).store_slice(&mut row.counts[at.clone()]);
-        let load = |from: usize| S::f32s::from_slice(simd, &signs[from..from + lanes]);
-        let three = load(SIDE + u - 1) + load(SIDE + u) + load(SIDE + u + 1);
-        three.store_slice(&mut row.signs[at]);
+    sum_neighbours(simd, clipped, row.sums, 2);
+    sum_neighbours(simd, counted, row.counts, 2);
+    sum_neighbours(simd, signs, row.signs, 1);
+}
+
+/// Sums the values up to one or two columns away.
+#[inline(always)]
+fn sum_neighbours<S: Simd>(simd: S, values: &[f32], sums: &mut [f32], reach: usize) {
+    let (lanes, pitch) = (S::f32s::LEN, sums.len());
+    let from = |shift: usize| values[SIDE + shift - 2..SIDE + shift - 2 + pitch].chunks_exact(lanes);
+    let three = from(1).zip(from(2)).zip(from(3));
+    let outer = from(0).zip(from(4));
+    for ((sums, ((left, middle), right)), (first, last)) in sums.chunks_exact_mut(lanes).zip(three).zip(outer) {
+        let load = |values: &[f32]| S::f32s::from_slice(simd, values);
+        let sum = match reach {
+            1 => load(left) + load(middle) + load(right),
+            _ => ((load(first) + load(left)) + (load(middle) + load(right))) + load(last),
+        };
+        sum.store_slice(sums);
     }
 }
 
-/// Returns the sums of the values up to two columns away.
+/// The vectors of five rows at the same columns.
+type Five<T> = (((T, T), (T, T)), T);
+
+/// Returns the vectors of five rows in step.
 #[inline(always)]
-fn sum_of_five<S: Simd>(simd: S, values: &[f32], at: usize) -> S::f32s {
-    let load = |from: usize| S::f32s::from_slice(simd, &values[from..from + S::f32s::LEN]);
-    ((load(at - 2) + load(at - 1)) + (load(at) + load(at + 1))) + load(at + 2)
+fn five_rows(rows: [&[f32]; 5], lanes: usize) -> impl Iterator<Item = Five<&[f32]>> {
+    let [a, b, c, d, e] = rows.map(|row| row.chunks_exact(lanes));
+    a.zip(b).zip(d.zip(e)).zip(c)
+}
+
+#[inline(always)]
+fn sum_of_five<S: Simd>(simd: S, (((a, b), (d, e)), c): Five<&[f32]>) -> S::f32s {
+    let load = |values: &[f32]| S::f32s::from_slice(simd, values);
+    ((load(a) + load(b)) + (load(d) + load(e))) + load(c)
 }
 
 /// Updates the state of a row, and replaces its depths.
@@ -215,26 +232,29 @@ fn sum_of_five<S: Simd>(simd: S, values: &[f32], at: usize) -> S::f32s {
 pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
     let lanes = S::f32s::LEN;
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    for u in (0..row.changes.len()).step_by(lanes) {
-        let at = u..u + lanes;
-        let load = |values: &[f32]| S::f32s::from_slice(simd, &values[u..u + lanes]);
-        let old =
-            Unpacked::load(simd, &row.mean[at.clone()], &row.frames_variance[at.clone()], &row.bias_idle[at.clone()]);
-        let depth_m = load(row.depth_m);
+    let UpdateRow { depth_m, mean, frames_variance, bias_idle, changes, sums, counts, signs, tiles, mut calm } = row;
+    // Vectors in step, without checks of bounds.
+    let [above, own, below] = signs.map(|row| row.chunks_exact(lanes));
+    let around = five_rows(sums, lanes).zip(five_rows(counts, lanes)).zip(above.zip(own).zip(below));
+    let state = mean.chunks_exact_mut(lanes).zip(frames_variance.chunks_exact_mut(lanes));
+    let state = state.zip(bias_idle.chunks_exact_mut(lanes));
+    let own = depth_m.chunks_exact_mut(lanes).zip(changes.chunks_exact(lanes));
+    for (vector, ((state, (depths_m, change)), around)) in state.zip(own).zip(around).enumerate() {
+        let load = |values: &[f32]| S::f32s::from_slice(simd, values);
+        let ((sums, counts), ((above, own), below)) = around;
+        let ((means, frames_variance), bias_idle) = state;
+        let old = Unpacked::load(simd, means, frames_variance, bias_idle);
+        let depth_m = load(depths_m);
         let measured = rule.measure(simd, depth_m);
-        let change = load(row.changes);
+        let change = load(change);
         let is_both: Mask<S> = change.simd_eq(change);
         let change = is_both.select(change, zero);
-        let [a, b, c, d, e] = row.counts;
-        let count = ((load(a) + load(b)) + (load(d) + load(e))) + load(c);
-        let [a, b, c, d, e] = row.sums;
-        let mean_change = (((load(a) + load(b)) + (load(d) + load(e))) + load(c)) / count.max(one);
+        let mean_change = sum_of_five(simd, sums) / sum_of_five(simd, counts).max(one);
         let deviation = old.variance.sqrt();
         let single = single_deviation(simd, old.variance);
         let is_candidate = is_both & change.abs().simd_gt(splat(simd, CANDIDATE) * single);
-        let [a, b, c] = row.signs;
         let sign = change.simd_lt(zero).select(-one, one);
-        let is_supported: Mask<S> = (sign * (load(a) + load(b) + load(c))).simd_ge(splat(simd, SUPPORT));
+        let is_supported: Mask<S> = (sign * (load(above) + load(own) + load(below))).simd_ge(splat(simd, SUPPORT));
         let may_wait = old.idle.simd_lt(one) & old.frames.simd_ge(splat(simd, FRAMES_TO_WAIT));
         let is_large: Mask<S> = change.abs().simd_gt(splat(simd, AT_ONCE) * single);
         let waits = is_candidate & !(is_supported & is_large) & may_wait;
@@ -246,11 +266,11 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
         let by_change = fourth_power::<S>(mean_change / (splat(simd, CHANGE) * deviation));
         let by_bias = fourth_power::<S>(bias / (splat(simd, BIAS) * deviation));
         let by_own = fourth_power::<S>(change / (splat(simd, OWN_CHANGE) * single));
-        let tile = splat(simd, row.tiles[u / TILE].weight);
+        let tile = splat(simd, tiles[vector * lanes / TILE].weight);
         let weight = tile / ((one + by_change + by_bias) * (one + by_own));
         let frames = old.frames.mul_add(weight, one).min(splat(simd, rule.most_frames));
         let mean = old.mean + (measured.value - old.mean) / frames;
-        let learnt = splat(simd, 0.875) * from_bias * from_bias - old.variance;
+        let learnt = splat(simd, LEARNT) * from_bias * from_bias - old.variance;
         let share = old.frames * splat(simd, LEARN / rule.most_frames);
         let variance = share.mul_add(learnt, old.variance);
         let variance = variance.max(splat(simd, LEAST_VARIANCE)).min(splat(simd, MOST_VARIANCE));
@@ -275,15 +295,12 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
             Domain::Depth => new.mean,
         };
         let nan = splat(simd, f32::NAN);
-        (is_update | waits).select(filtered, is_new.select(depth_m, nan)).store_slice(&mut row.depth_m[at.clone()]);
-        let is_calm = is_update & mean_change.abs().simd_lt(splat(simd, CALM) * deviation);
-        is_candidate.select(splat(simd, NOT_CALM), is_calm.select(one, zero)).store_slice(&mut row.calm[at.clone()]);
-        new.store(
-            simd,
-            carried,
-            &mut row.mean[at.clone()],
-            &mut row.frames_variance[at.clone()],
-            &mut row.bias_idle[at],
-        );
+        (is_update | waits).select(filtered, is_new.select(depth_m, nan)).store_slice(depths_m);
+        if let Some(calm) = &mut calm {
+            let is_calm = is_update & mean_change.abs().simd_lt(splat(simd, CALM) * deviation);
+            let calm = &mut calm[vector * lanes..(vector + 1) * lanes];
+            is_candidate.select(splat(simd, NOT_CALM), is_calm.select(one, zero)).store_slice(calm);
+        }
+        new.store(simd, carried, means, frames_variance, bias_idle);
     }
 }

@@ -2,19 +2,8 @@
 
 use fearless_simd::{Simd, SimdBase, SimdCvtFloat, SimdCvtTruncate};
 
+use super::constants::{CARRIED, FIRST_VARIANCE, LOW, MOST_BIAS, PER_UNIT, PER_VARIANCE};
 use crate::cpu::vector::splat;
-
-/// Variance of the change of a pixel's surroundings before anything was learnt.
-pub(super) const FIRST_VARIANCE: f32 = 0.5;
-/// Steps of stored frames and biases.
-const PER_UNIT: f32 = 2048.0;
-/// Steps of stored variances.
-const PER_VARIANCE: f32 = 16384.0;
-/// Biases are stored from this negative value on; they are no larger.
-const MOST_BIAS: f32 = 8.0;
-/// The bit of a pixel whose value in the last frame was carried over.
-const CARRIED: u32 = 1 << 31;
-const LOW: u32 = 0xffff;
 
 /// The state of all pixels, row by row of `pitch` pixels.
 #[derive(Debug, Default)]

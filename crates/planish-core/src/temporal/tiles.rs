@@ -1,32 +1,9 @@
 //! The test of whole tiles: what moves by less than the noise, but all together.
 
-/// Columns and rows of a tile in pixels.
-pub(super) const TILE: usize = 16;
-/// Tiles with at most this many pixels keep a weight of 1.
-const FEW: f32 = 64.0;
-/// Deviations of a tile's change, and of its bias, that halve its weight; doubled if the camera's motion is known.
-const CHANGE: f32 = 3.0;
-const BIAS: f32 = 1.5;
-/// Median bias of all tiles over their median change that halves the weight of all pixels. Noise has about 0.35, a
-/// moving camera 0.5 to 1.
-const PERSISTENT: f32 = 0.55;
-/// Above this ratio, changes are not learnt as noise.
-const PERSISTENT_NOISE: f32 = 0.5;
-/// Tiles this far apart have independent noise: windows are narrower.
-const PAIR: usize = 3;
-/// Share over one half of pairs of distant tiles that change alike that halves the weight of all pixels. Noise has 0.05
-/// at most, a moving camera up to 0.4.
-const AGREEING: f32 = 0.12;
-/// Above this share, changes are not learnt as noise.
-const AGREEING_NOISE: f32 = 0.58;
-/// With fewer tiles the ratio is uncertain, and not used.
-const LEAST_TILES: usize = 150;
-/// Median change in sigmas below which it is not used either: too small to blur anything.
-const LEAST_CHANGE: f32 = 0.1;
-const FIRST_VARIANCE: f32 = 0.04;
-const LEAST_VARIANCE: f32 = 0.0025;
-const LEAK: f32 = 0.25;
-const LEARN: f32 = 1.0 / 16.0;
+use super::constants::{
+    AGREEING, AGREEING_NOISE, FEW, FIRST_TILE_VARIANCE, LEAK, LEARN, LEARNT, LEAST_CHANGE, LEAST_TILE_VARIANCE,
+    LEAST_TILES, PAIR, PERSISTENT, PERSISTENT_NOISE, TILE_BIAS, TILE_CHANGE,
+};
 
 /// The state of a tile.
 #[derive(Debug, Clone, Copy)]
@@ -43,7 +20,7 @@ pub(super) struct Tile {
 
 impl Default for Tile {
     fn default() -> Self {
-        Self { change: 0.0, bias: 0.0, variance: FIRST_VARIANCE, counts: false, weight: 1.0 }
+        Self { change: 0.0, bias: 0.0, variance: FIRST_TILE_VARIANCE, counts: false, weight: 1.0 }
     }
 }
 
@@ -101,12 +78,12 @@ impl Tile {
         let deviation = self.variance.sqrt();
         let from_bias = (self.change - self.bias).abs().min(3.0 * deviation);
         self.bias += LEAK * (self.change - self.bias);
-        let by_change = fourth_power(self.change / (CHANGE * gate * deviation));
-        let by_bias = fourth_power(self.bias / (BIAS * gate * deviation));
+        let by_change = fourth_power(self.change / (TILE_CHANGE * gate * deviation));
+        let by_bias = fourth_power(self.bias / (TILE_BIAS * gate * deviation));
         self.weight = of_camera / (1.0 + by_change + by_bias);
         if learns {
-            let learnt = 0.875 * from_bias * from_bias - self.variance;
-            self.variance = (self.variance + LEARN * learnt).clamp(LEAST_VARIANCE, 1.0);
+            let learnt = LEARNT * from_bias * from_bias - self.variance;
+            self.variance = (self.variance + LEARN * learnt).clamp(LEAST_TILE_VARIANCE, 1.0);
         }
     }
 }

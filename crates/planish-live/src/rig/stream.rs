@@ -367,7 +367,7 @@ impl Running<'_> {
                 self.smoothed[i] += 1;
                 self.tell_lost_points(i, &frame, &smoothed, tell);
                 let latency = received.saturating_duration_since(since);
-                StreamFrame { index, name, source: frame, smoothed, latency, received }
+                StreamFrame { index, name, source: frame, smoothed, latency, received, flicker: None }
             }));
         }
         if cameras.iter().all(Option::is_none) {

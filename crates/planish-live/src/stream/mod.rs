@@ -7,8 +7,10 @@
 #[cfg(feature = "mcap")]
 mod bag;
 mod capture;
+mod flicker;
 mod frames;
 mod mailbox;
+mod options;
 #[cfg(feature = "rerun")]
 mod rerun;
 mod sinks;
@@ -23,11 +25,7 @@ use std::time::{Duration, Instant};
 use crate::source::{OwnedFrame, Source, WithoutFloating};
 use capture::capture;
 use mailbox::{Arrived, Mailbox, Policy};
-use planish_core::{
-    CloudParams, EngineError, Error, FleetDevice, FrameError, FrameParams, IntoFrame, ParamError, SensorChoice,
-    SensorModel, Session, Settings, Smoothed, SmoothedView, SmootherOptions,
-};
-use planish_io::Trajectory;
+use planish_core::{EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, Session, Smoothed, SmoothedView};
 
 #[cfg(feature = "rerun")]
 pub(crate) use self::rerun::Recording;
@@ -35,8 +33,11 @@ pub(crate) use self::rerun::Recording;
 pub use self::rerun::RerunSink;
 #[cfg(feature = "mcap")]
 pub use bag::BagSink;
+pub use flicker::Flicker;
+use flicker::FlickerMeter;
 pub use frames::{Frames, Waited};
 pub(crate) use mailbox::TimeSpent;
+pub use options::{StreamOptions, StreamParams};
 pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
@@ -59,6 +60,8 @@ pub struct StreamFrame {
     pub latency: Duration,
     /// When its result was available.
     pub received: Instant,
+    /// How it differs from the frame before, if frames are smoothed over time.
+    pub flicker: Option<Flicker>,
 }
 
 impl std::fmt::Debug for StreamFrame {
@@ -67,109 +70,6 @@ impl std::fmt::Debug for StreamFrame {
         let mut debug = f.debug_struct("StreamFrame");
         debug.field("index", &self.index).field("name", &self.name).field("shape", &shape);
         debug.field("latency", &self.latency).finish_non_exhaustive()
-    }
-}
-
-/// How a stream runs.
-#[derive(Debug, Clone, Default)]
-#[non_exhaustive]
-pub struct StreamOptions {
-    /// The parameters of the method.
-    pub params: StreamParams,
-    /// The engine and the outputs.
-    pub smoother: SmootherOptions,
-    /// The devices that frames are dealt to, instead of the one of the options; none for that one.
-    pub devices: Vec<FleetDevice>,
-    /// Stop after N frames.
-    pub max_frames: Option<u64>,
-    /// Stop after this time.
-    pub max_duration: Option<Duration>,
-    /// Poses of the camera, by the time stamps or the numbers of frames.
-    pub poses: Option<Trajectory>,
-}
-
-/// The origin of a stream's parameters.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub enum StreamParams {
-    /// Settings of a user, resolved with the first frame.
-    Settings(Settings),
-    /// These parameters.
-    Params(FrameParams),
-}
-
-impl Default for StreamParams {
-    fn default() -> Self {
-        Self::Settings(Settings::default())
-    }
-}
-
-impl StreamOptions {
-    /// Creates options with explicit parameters and no limits.
-    pub fn new(params: FrameParams, smoother: SmootherOptions) -> Self {
-        Self { params: StreamParams::Params(params), smoother, ..Self::default() }
-    }
-
-    /// Creates options from settings, without limits.
-    ///
-    /// # Errors
-    /// If settings contradict each other or are not for frames on a grid, or a device is not there.
-    pub fn from_settings(settings: Settings) -> Result<Self, Error> {
-        // Before anything is opened or written; a sensor to be estimated changes no error.
-        let mut of_known_sensor = settings.clone();
-        of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
-        of_known_sensor.frame_params()?;
-        // Floating pixels are removed before there is a frame from which to estimate a sensor.
-        if settings.remove_floating == Some(true) {
-            settings.frame_params()?;
-        }
-        let (smoother, devices) = (settings.options(), settings.devices()?);
-        Ok(Self { params: StreamParams::Settings(settings), smoother, devices, ..Self::default() })
-    }
-
-    /// Sets the engine and the outputs.
-    pub fn with_smoother(self, smoother: SmootherOptions) -> Self {
-        Self { smoother, ..self }
-    }
-
-    /// Returns the sensor whose noise determines floating pixels, if they are to be removed.
-    fn floating_sensor(&self) -> Option<SensorModel> {
-        match &self.params {
-            StreamParams::Settings(settings) => settings.frame_floating_sensor(),
-            StreamParams::Params(_) => None,
-        }
-    }
-
-    fn session(&self, is_live: bool) -> Result<Session, Error> {
-        let session = match &self.params {
-            StreamParams::Settings(settings) => Session::new(settings.clone())?.with_devices(self.devices.clone()),
-            StreamParams::Params(params) => {
-                Session::with_params(*params, CloudParams::default(), self.smoother.clone(), self.devices.clone())?
-            }
-        };
-        let session = session.with_options(self.smoother.clone());
-        let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
-        Ok(session.with_cloud_estimates(false))
-    }
-
-    /// Distributes frames over these devices; with none, the options' device smooths all.
-    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
-        Self { devices, ..self }
-    }
-
-    /// Sets the maximum number of frames.
-    pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
-        Self { max_frames, ..self }
-    }
-
-    /// Sets the poses of the camera, with which a video of a moving camera is smoothed over time.
-    pub fn with_poses(self, poses: Option<Trajectory>) -> Self {
-        Self { poses, ..self }
-    }
-
-    /// Sets the maximum duration.
-    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
-        Self { max_duration, ..self }
     }
 }
 
@@ -271,10 +171,17 @@ fn run(
     };
     let sinks = sinks.into_iter().map(SinkThread::start).collect::<Result<Vec<_>, _>>();
     let result = sinks.and_then(|sinks| {
+        let mut session = options.session(live)?;
+        let outputs = session.outputs();
+        if options.is_over_time() {
+            session.set_outputs(FlickerMeter::outputs(outputs));
+        }
         let mut stream = Running {
             options,
             live,
-            session: options.session(live)?,
+            session,
+            flicker: FlickerMeter::default(),
+            outputs,
             told_lost_points: false,
             pending: VecDeque::new(),
             sinks,
@@ -315,6 +222,9 @@ struct Running<'a> {
     options: &'a StreamOptions,
     live: bool,
     session: Session,
+    /// Compares the frames of a video; and the outputs asked for.
+    flicker: FlickerMeter,
+    outputs: Outputs,
     told_lost_points: bool,
     /// Frames in flight.
     pending: VecDeque<InFlight>,
@@ -461,15 +371,28 @@ impl Running<'_> {
         let latency = received.duration_since(since);
         self.statistics.add(latency);
         let index = self.statistics.frames_out - 1;
-        let smoothed = view.into_smoothed();
+        let mut smoothed = view.into_smoothed();
+        let flicker = self.flicker_of(&frame, &mut smoothed);
         self.tell_lost_points(&frame, &smoothed, tell);
-        let frame = Arc::new(StreamFrame { index, name, source: frame, smoothed, latency, received });
+        let frame = Arc::new(StreamFrame { index, name, source: frame, smoothed, latency, received, flicker });
         for sink in &mut self.sinks {
             if let Some(warning) = sink.give(&frame, self.live) {
                 tell(StreamEvent::Warning(warning));
             }
         }
         tell(StreamEvent::Frame(&self.statistics));
+    }
+
+    /// Compares a frame of a video with the one before, and leaves the outputs that were asked for.
+    fn flicker_of(&mut self, frame: &OwnedFrame, smoothed: &mut Smoothed) -> Option<Flicker> {
+        if !self.options.is_over_time() {
+            return None;
+        }
+        let flicker = self.flicker.add(frame, smoothed);
+        self.statistics.add_flicker(flicker);
+        smoothed.status = smoothed.status.take().filter(|_| self.outputs.status);
+        smoothed.frames = smoothed.frames.take().filter(|_| self.outputs.frames);
+        flicker
     }
 
     /// Warns once if a frame lost more than a hundredth of its points.

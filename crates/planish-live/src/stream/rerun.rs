@@ -161,6 +161,17 @@ impl Sink for RerunSink {
         recording.with(|to| to.log("smoothed", &points(cloud, &frame.smoothed.points)))?;
         recording.with(|to| to.log("depth", &depth_image(&frame.source)))?;
         recording.with(|to| to.log("latency/ms", &Scalars::single(1e3 * frame.latency.as_secs_f64())))?;
+        if let Some(flicker) = frame.flicker {
+            let figures = [
+                ("flicker/jitter as measured, mm", 1e3 * flicker.measured_m),
+                ("flicker/jitter smoothed, mm", 1e3 * flicker.smoothed_m),
+                ("flicker/restarted, %", 1e2 * flicker.restarted),
+                ("flicker/carried, %", 1e2 * flicker.carried),
+            ];
+            for (name, value) in figures {
+                recording.with(|to| to.log(name, &Scalars::single(value)))?;
+            }
+        }
         if let Some(fps) = fps {
             recording.with(|to| to.log("rate/frames per second", &Scalars::single(fps)))?;
         }
@@ -172,7 +183,7 @@ impl Sink for RerunSink {
     }
 }
 
-/// Returns the clouds above; depth, latency and rate below; nothing else.
+/// Returns the clouds above; depth, latency, rate and flicker below; nothing else.
 fn layout() -> Blueprint {
     let clouds = Horizontal::new([
         Spatial3DView::new("raw").with_origin("raw").into(),
@@ -182,6 +193,7 @@ fn layout() -> Blueprint {
         Spatial2DView::new("depth").with_origin("depth").into(),
         TimeSeriesView::new("latency, ms").with_origin("latency").into(),
         TimeSeriesView::new("frames per second").with_origin("rate").into(),
+        TimeSeriesView::new("flicker").with_origin("flicker").into(),
     ]);
     Blueprint::new(Vertical::new([clouds.into(), measures.into()]).with_row_shares([2.0, 1.0]))
         .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))

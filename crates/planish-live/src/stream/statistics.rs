@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 
+use super::flicker::Flicker;
 use planish_core::Engine;
 
 /// Counts and timings of a stream.
@@ -34,6 +35,10 @@ pub struct StreamStatistics {
     pub time_in_sinks: Duration,
     /// The engine that smoothed the last frame.
     pub engine: Engine,
+    /// How frames differed from those before, on average, if they are smoothed over time.
+    pub flicker: Option<Flicker>,
+    /// Frames in that average.
+    flickering: u32,
     started: Instant,
     first: Option<Instant>,
     last: Option<Instant>,
@@ -71,6 +76,8 @@ impl StreamStatistics {
             time_smoothing: Duration::ZERO,
             time_in_sinks: Duration::ZERO,
             engine: Engine::Auto,
+            flicker: None,
+            flickering: 0,
             started: Instant::now(),
             first: None,
             last: None,
@@ -88,6 +95,13 @@ impl StreamStatistics {
         if let Some(histogram) = &mut self.latency {
             histogram.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
         }
+    }
+
+    pub(super) fn add_flicker(&mut self, flicker: Option<Flicker>) {
+        let Some(flicker) = flicker else { return };
+        let mean = self.flicker.map(|mean| mean.mean_with(self.flickering.into(), flicker));
+        self.flicker = mean.or(Some(flicker));
+        self.flickering += 1;
     }
 
     pub(crate) fn end(&mut self) {

@@ -64,6 +64,8 @@ class Smoothed:
         Raw depth in the camera's units, 0 for holes.
     depth_m : ndarray of float32, [H, W]
         Depth in metres, NaN for holes.
+    frames : ndarray of float32, [H, W]
+        With ``temporal``: frames of the video that each point is the mean of, 1 to 16; 0 for holes.
     """
 
     points: NDArray[Any] | None = None
@@ -73,3 +75,4 @@ class Smoothed:
     neighbours: NDArray[np.uint32] | None = None
     depth: NDArray[np.uint16] | None = None
     depth_m: NDArray[np.float32] | None = None
+    frames: NDArray[np.float32] | None = None

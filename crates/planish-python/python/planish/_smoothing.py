@@ -33,6 +33,7 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
     "neighbours": (np.uint32, False),
     "depth": (np.uint16, False),
     "depth_m": (np.float32, False),
+    "frames": (np.float32, False),
 }
 
 
@@ -56,8 +57,8 @@ class Smoother:
     camera : Camera, optional
         Camera of depth images, and of organized points if depth is requested.
     outputs : iterable of str
-        Any of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16) and ``"depth_m"``. Fewer outputs
-        are faster.
+        Any of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16), ``"depth_m"`` and, with
+        ``temporal``, ``"frames"``. Fewer outputs are faster.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`. ``planish.read_settings`` reads them from a
         file.

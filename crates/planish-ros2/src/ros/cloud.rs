@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 
 use super::{Header, PointCloud2, PointField};
-use planish_core::{FormatError, PointLayout, PointsView, Scalar, Smoothed, Xyz};
+use planish_core::{FormatError, PointLayout, PointsView, Scalar, Smoothed, Status, Xyz};
 use planish_io::internal::quoted;
 
 /// The numbers of the types of a field.
+pub(super) const U8: u8 = 2;
 pub(super) const F32: u8 = 7;
 pub(super) const F64: u8 = 8;
 
@@ -15,6 +16,10 @@ const FAR_M: f64 = 1000.0;
 
 /// A point may claim this many bytes, although the data are shorter.
 const MOST_PADDING: u64 = 4096;
+
+/// The fields of a video.
+const FRAMES: &str = "frames";
+const STATUS: &str = "status";
 
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
@@ -151,8 +156,9 @@ impl PointCloud2 {
         Ok(self)
     }
 
-    /// Returns the cloud at its smoothed positions, with holes as NaN. If the result has normals and curvature, they
-    /// replace fields of these names, or are appended. All other bytes are unchanged.
+    /// Returns the cloud at its smoothed positions, with holes as NaN. Normals, curvature, frames and statuses of the
+    /// result replace fields of these names, or are appended. Fields `frames` and `status` of another type stay. All other
+    /// bytes are unchanged.
     ///
     /// # Errors
     /// If the result is not one of this cloud.
@@ -181,6 +187,13 @@ impl PointCloud2 {
             normals.chain(smoothed.curvature.as_deref().map(|values| ("curvature", values))).collect();
         for (name, values) in columns {
             cloud.set_field(name, values)?;
+        }
+        // Other programs have fields of these names, which stay.
+        if let Some(frames) = smoothed.frames.as_deref().filter(|_| cloud.may_set(FRAMES, F32)) {
+            cloud.set_field(FRAMES, frames)?;
+        }
+        if let Some(status) = smoothed.status.as_deref().filter(|_| cloud.may_set(STATUS, U8)) {
+            cloud.set_codes(STATUS, status)?;
         }
         cloud.is_dense = (0..points).all(|i| smoothed.points.is_finite(i));
         Ok(cloud)
@@ -211,6 +224,29 @@ impl PointCloud2 {
         Ok(())
     }
 
+    /// Returns true if a field is missing, or is a scalar of this type.
+    fn may_set(&self, name: &str, datatype: u8) -> bool {
+        self.field(name).is_none_or(|field| field.count <= 1 && field.datatype == datatype)
+    }
+
+    /// Writes the codes of statuses; a missing field is appended as uint8.
+    fn set_codes(&mut self, name: &str, status: &[Status]) -> Result<(), FormatError> {
+        let offset = match self.field(name) {
+            Some(field) => field.offset,
+            None => {
+                let offset = self.point_step;
+                // Points stay aligned.
+                self.widen((offset + 1).next_multiple_of(4))?;
+                self.fields.push(PointField { name: name.to_owned(), offset, datatype: U8, count: 1 });
+                offset
+            }
+        };
+        for (at, &status) in self.point_offsets().zip(status) {
+            write(&mut self.data, at + offset as usize, [status as u8]);
+        }
+        Ok(())
+    }
+
     /// Makes points longer, and leaves nothing behind the rows.
     fn widen(&mut self, point_step: u32) -> Result<(), FormatError> {
         let Some(row_step) = self.width.checked_mul(point_step) else {
@@ -231,13 +267,19 @@ impl PointCloud2 {
     }
 
     /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the
-    /// fields are float32, as in PCL's structs.
+    /// fields are float32, as in PCL's structs. If the result has frames or statuses, 8 more bytes hold them (float32,
+    /// uint8).
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
-        let point_step: u32 = if with_normals { 32 } else { 16 };
+        let of_pcl: u32 = if with_normals { 32 } else { 16 };
+        let is_of_video = smoothed.frames.is_some() || smoothed.status.is_some();
+        let point_step = if is_of_video { of_pcl + 8 } else { of_pcl };
         let names = ["x", "y", "z"].into_iter().zip([0, 4, 8]);
         let more = NORMALS.into_iter().chain(["curvature"]).zip([16, 20, 24, 28]).filter(|_| with_normals);
+        let more = more.chain(smoothed.frames.as_ref().map(|_| (FRAMES, of_pcl)));
         let field = |(name, offset): (&str, u32)| PointField { name: name.into(), offset, datatype: F32, count: 1 };
+        let code = |name: &str, offset| PointField { name: name.into(), offset, datatype: U8, count: 1 };
+        let codes = smoothed.status.as_ref().map(|_| code(STATUS, of_pcl + 4));
         let (width, height) = (smoothed.width as u32, smoothed.height as u32);
         let mut data = Vec::with_capacity(smoothed.points.len() * point_step as usize);
         let nan = Xyz::default();
@@ -251,12 +293,18 @@ impl PointCloud2 {
                 let row: [f32; 4] = [of(normals.x()), of(normals.y()), of(normals.z()), of(curvature)];
                 data.extend_from_slice(bytemuck::cast_slice(&row));
             }
+            if is_of_video {
+                let frames = smoothed.frames.as_ref().map_or(0.0, |frames| frames[i]);
+                let status = smoothed.status.as_ref().map_or(0, |status| status[i] as u8);
+                data.extend_from_slice(&frames.to_ne_bytes());
+                data.extend_from_slice(&[status, 0, 0, 0]);
+            }
         }
         Self {
             header,
             height,
             width,
-            fields: names.chain(more).map(field).collect(),
+            fields: names.chain(more).map(field).chain(codes).collect(),
             is_bigendian: cfg!(target_endian = "big"),
             point_step,
             row_step: width * point_step,
@@ -352,6 +400,27 @@ pub(super) mod tests {
         let twice = once.with_smoothed(&Smoothed { normals: Some(Xyz::filled(6, 0.25)), ..smoothed(0) }).unwrap();
         assert_eq!((twice.point_step, &twice.fields), (36, &once.fields));
         assert_eq!(twice.to_cloud().unwrap().attribute("normal_x").unwrap().values, vec![0.25f32; 6].into());
+    }
+
+    #[test]
+    fn frames_and_statuses_of_a_video_are_added_unless_others_have_their_names() {
+        let (frames, status) = (vec![1.0, 2.0, 16.0, 1.0, 0.0, 5.5], vec![Status::Carried; 6]);
+        let of_video = Smoothed { frames: Some(frames.clone()), status: Some(status), ..smoothed(4) };
+        let codes = vec![Status::Carried as u8; 6];
+        for cloud in [cloud().with_smoothed(&of_video).unwrap(), PointCloud2::of_smoothed(cloud().header, &of_video)] {
+            assert_eq!(cloud.data.len(), 6 * cloud.point_step as usize);
+            let twice = cloud.with_smoothed(&of_video).unwrap();
+            assert_eq!((twice.point_step, &twice.fields), (cloud.point_step, &cloud.fields));
+            let back = twice.to_cloud().unwrap();
+            assert_eq!(back.attribute("frames").unwrap().values, frames.clone().into());
+            assert_eq!(back.attribute("status").unwrap().values, codes.clone().into());
+            assert_eq!(back.positions.get(5), [5.5, -1.0, 3.0]);
+        }
+        // Here, "ring" stands for another program's status.
+        let mut other = cloud();
+        other.fields[4].name = "status".into();
+        let kept = other.with_smoothed(&of_video).unwrap().to_cloud().unwrap();
+        assert_eq!(kept.attribute("status").unwrap().values, (0..6).collect::<Vec<u16>>().into());
     }
 
     #[test]

@@ -197,9 +197,7 @@ impl MessageSmoother {
         self.session.set_frame_time(Some(message.header().stamp.seconds()));
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
-        let Outputs { normals, curvature, .. } = self.outputs;
-        let outputs = Outputs::POINTS.with_points(points);
-        let outputs = outputs.with_normals(points && normals).with_curvature(points && curvature);
+        let outputs = if points { self.cloud_outputs(true) } else { Outputs::POINTS.with_points(false) };
         match &pixels {
             DepthPixels::Millimetres(image) => {
                 // The unit of the message, whatever the camera says.
@@ -221,13 +219,22 @@ impl MessageSmoother {
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
         self.session.set_frame_time(Some(cloud.header.stamp.seconds()));
-        let Outputs { normals, curvature, .. } = self.outputs;
         let view: PointsView<'_> = cloud.view()?;
         if view.is_empty() {
             return Ok(cloud);
         }
-        self.smooth(Frame::Points(view), Outputs::POINTS.with_normals(normals).with_curvature(curvature))?;
+        self.smooth(Frame::Points(view), self.cloud_outputs(view.grid().is_some()))?;
         Ok(cloud.with_smoothed(&self.smoothed)?)
+    }
+
+    /// Returns the outputs that clouds have: those asked for and, in a video, what tells measured points from averaged and
+    /// carried ones.
+    fn cloud_outputs(&self, is_on_grid: bool) -> Outputs {
+        let Outputs { normals, curvature, status, .. } = self.outputs;
+        let is_over_time = self.session.settings().is_some_and(|settings| settings.temporal_params().is_some());
+        let is_video = is_on_grid && is_over_time;
+        let outputs = Outputs::POINTS.with_normals(normals).with_curvature(curvature);
+        outputs.with_status(status || is_video).with_frames(is_video)
     }
 
     fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {

@@ -12,3 +12,4 @@ mod gpu_parity;
 mod poses;
 mod reference;
 mod temporal;
+mod temporal_gpu;

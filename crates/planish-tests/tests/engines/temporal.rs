@@ -6,8 +6,8 @@ use std::sync::Arc;
 use planish::internal::{TemporalReference, Threads};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Camera, DepthFrame, Engine, FrameParams, OrganizedCloud, Outputs, PointsView, SensorModel, SensorPose, Session,
-    Settings, Smoothed, Smoother, TemporalFilter, TemporalParams, Xyz,
+    Camera, DepthFrame, Engine, Error, FrameParams, OrganizedCloud, Outputs, PointsView, SensorModel, SensorPose,
+    Session, Settings, Smoothed, Smoother, SmootherOptions, TemporalFilter, TemporalParams, Xyz,
 };
 use planish_tests::scenes::small_camera;
 
@@ -325,7 +325,7 @@ fn a_session_smooths_a_video_over_time_and_all_outputs_agree() {
     let outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
     for engine in ["cpu", "reference"] {
         let mut session = Session::new(steady(engine)).unwrap();
-        session.set_outputs(outputs);
+        session.set_outputs(outputs.with_frames(true));
         let mut single = Session::new(format!("engine={engine}").parse().unwrap()).unwrap();
         single.set_outputs(outputs);
         let (mut smoothed, mut alone) = (Smoothed::default(), Smoothed::default());
@@ -334,6 +334,11 @@ fn a_session_smooths_a_video_over_time_and_all_outputs_agree() {
             single.smooth(&**frame, &mut alone).unwrap();
         }
         let (over_time, mean) = spread_of(smoothed.depth_m.as_ref().unwrap());
+        let (frames_of, status) = (smoothed.frames.as_ref().unwrap(), smoothed.status.as_ref().unwrap());
+        let filter = session.temporal_filter().unwrap();
+        let averaged = |i: usize| if status[i].has_point() { filter.frames(i).max(1.0) } else { 0.0 };
+        assert!((0..WIDTH * HEIGHT).all(|i| frames_of[i] == averaged(i)));
+        assert!(frames_of.iter().filter(|&&frames| frames > 10.0).count() > WIDTH * HEIGHT / 2);
         let (in_space, _) = spread_of(alone.depth_m.as_ref().unwrap());
         assert!(over_time < 0.4 * in_space, "{engine}: {over_time} of {in_space}");
         assert!((mean - 2.0).abs() < 3e-4, "{engine}: {mean}");
@@ -467,4 +472,26 @@ fn rigs_and_unorganized_clouds_are_not_videos() {
     let mut smoothed = Smoothed::default();
     session.smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
     assert!(session.temporal_filter().is_none());
+}
+
+#[test]
+fn frames_are_counted_only_in_videos() {
+    let frame = &video(1)[0];
+    let outputs = Outputs::POINTS.with_frames(true);
+    let mut smoothed = Smoothed::default();
+    let refused = |error: Error| {
+        let message = error.to_string();
+        assert!(message.contains("frames") && message.contains("temporal"), "{message}");
+    };
+    let mut single = Session::new(Settings::default()).unwrap();
+    single.set_outputs(outputs);
+    refused(single.smooth(&**frame, &mut smoothed).unwrap_err());
+    // A cloud without a grid is no frame of a video.
+    let mut session = Session::new(steady("cpu")).unwrap();
+    session.set_outputs(outputs);
+    session.smooth(&**frame, &mut smoothed).unwrap();
+    assert!(smoothed.frames.as_ref().unwrap().iter().all(|&frames| frames <= 1.0));
+    refused(session.smooth(&frame.deproject().unwrap().points, &mut smoothed).unwrap_err());
+    let options = SmootherOptions::new(Engine::Cpu, outputs);
+    refused(Smoother::open_with(FrameParams::default(), &options, (WIDTH, HEIGHT)).unwrap_err());
 }

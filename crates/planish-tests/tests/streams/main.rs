@@ -1,6 +1,7 @@
 //! Streams of frames, fleets of devices, and rigs of several cameras.
 
 mod fleet;
+mod over_time;
 mod rig;
 mod rig_endurance;
 mod rig_stop;

@@ -26,10 +26,10 @@ fn frame(camera: Camera, number: u64) -> DepthFrame {
 }
 
 /// Delivers the given frames; some of them are errors.
-struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn FnMut(u64) + Send>, u64);
+pub struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn FnMut(u64) + Send>, u64);
 
 impl Given {
-    fn frames(count: u64) -> Self {
+    pub fn frames(count: u64) -> Self {
         let frames: Vec<_> = (0..count).map(|i| Ok(frame(small_camera(), i))).collect();
         Self(frames.into_iter(), Box::new(|_| ()), 0)
     }
@@ -49,7 +49,7 @@ impl Source for Given {
 
 /// Keeps the time stamps and depths it sees; fails at one, takes its time.
 #[derive(Default, Clone)]
-struct Seen {
+pub struct Seen {
     frames: Arc<Mutex<Vec<(u64, f64)>>>,
     fails_at: Option<u64>,
     takes: Duration,
@@ -79,7 +79,7 @@ fn options(engine: Engine) -> StreamOptions {
     StreamOptions::new(FrameParams::default(), smoother)
 }
 
-fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {
+pub fn run(source: impl Source + 'static, options: &StreamOptions, sink: Seen) -> (StreamStatistics, Vec<String>) {
     let mut warnings = Vec::new();
     let tell = |event: StreamEvent<'_>| {
         if let StreamEvent::Warning(warning) = event {

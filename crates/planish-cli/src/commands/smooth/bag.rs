@@ -76,7 +76,6 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         ("--gpus", args.gpus.gpus.is_some()),
         ("--sensor-pose", args.pose.sensor_pose.is_some()),
         ("--remove-floating", args.smoothing.remove_floating == Some(true)),
-        ("--fields status", args.fields.contains(&FieldArg::Status)),
         ("--format", writes && args.format.is_some()),
         ("--max-memory", !(reads && writes) && args.memory.max_memory.is_some()),
         ("--depth-units-per-metre", reads && args.camera.depth_units_per_metre.is_some()),

@@ -272,7 +272,7 @@ impl GeneralGpu {
         work.runs_left = work.runs_left.checked_sub(1).ok_or_else(|| self.crowded())?;
         let [x, y, z] = work.points.as_slices();
         let view = PointsView::from_planes(x, y, z)?.as_part_of(work.whole.0, work.whole.1);
-        let frame = AdmittedFrame { frame: Frame::Points(view), geometry: work.geometry };
+        let frame = AdmittedFrame::new(Frame::Points(view), work.geometry);
         Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)
     }
 

@@ -1,0 +1,302 @@
+//! Smoothing over time on the device (docs/method.md, section 16): four passes after those of a frame.
+//!
+//! The state of the video stays in one buffer of the device; the result in space stays in the slot, and only the result
+//! over time is read back. Frames reach the state in the order of their submissions, so all are on one queue.
+
+use bytemuck::{Pod, Zeroable, bytes_of};
+
+use super::device::GpuDevice;
+use super::layout::{Layout, channels, result_constants, write_constant};
+use super::shader::shader;
+use crate::error::EngineError;
+use crate::outputs::Outputs;
+use crate::smoothing_engine::{Video, VideoStep};
+use crate::status::Status;
+use crate::temporal::{CameraMotion, Domain, constants};
+
+/// Words per pixel of the state, and of its changes; words per tile.
+const STATE_WORDS: usize = 3;
+const CHANGE_WORDS: usize = 2;
+const TILE_WORDS: usize = 5;
+
+/// The uniform of a frame, as `over_time/buffers.wgsl` has it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+struct Step {
+    width: u32,
+    height: u32,
+    input_words: u32,
+    output_words: u32,
+    state_at: u32,
+    previous_at: u32,
+    changes_at: u32,
+    tiles_at: u32,
+    starts: u32,
+    knows_motion: u32,
+    averages_inverse: u32,
+    most_frames: f32,
+    sigma: [f32; 3],
+    fx: f32,
+    rotation_x: [f32; 3],
+    fy: f32,
+    rotation_y: [f32; 3],
+    cx: f32,
+    rotation_z: [f32; 3],
+    cy: f32,
+    translation: [f32; 3],
+    padding: f32,
+}
+
+const _: () = assert!(size_of::<Step>() == 128);
+
+/// A pass over all pixels or tiles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pass {
+    MoveState,
+    MeasureChanges,
+    UpdateTiles,
+    UpdatePixels,
+}
+
+impl Pass {
+    const ALL: [Self; 4] = [Self::MoveState, Self::MeasureChanges, Self::UpdateTiles, Self::UpdatePixels];
+
+    fn entry_point(self) -> &'static str {
+        match self {
+            Self::MoveState => "move_state",
+            Self::MeasureChanges => "measure_changes",
+            Self::UpdateTiles => "update_tiles",
+            Self::UpdatePixels => "update_pixels",
+        }
+    }
+
+    /// Returns the WGSL of its kernel, for an engine with these results in space and over time.
+    fn wgsl(self, in_space: Outputs, over_time: Outputs) -> String {
+        let mut text = temporal_constants(in_space);
+        text += shader!("shaders/over_time/buffers.wgsl");
+        match self {
+            Self::MoveState => text += shader!("shaders/over_time/move_state.wgsl"),
+            Self::MeasureChanges => text += shader!("shaders/over_time/measure_changes.wgsl"),
+            Self::UpdateTiles => text += shader!("shaders/over_time/update_tiles.wgsl"),
+            Self::UpdatePixels => {
+                text += &result_constants(over_time);
+                let words = [
+                    ("FRAMES_CHANNEL", channels(over_time).frames),
+                    ("STATUS_CARRIED", Status::Carried as usize),
+                    ("TILE_WIDTH", constants::TILE),
+                    ("TILE_HEIGHT", constants::TILE),
+                    ("ROW_STEP", 1),
+                ];
+                for (name, value) in words {
+                    write_constant(&mut text, name, "u32", format_args!("{value}u"));
+                }
+                write_constant(&mut text, "WANTS_FRAMES", "bool", over_time.frames);
+                text += shader!("shaders/pixel_result.wgsl");
+                text += shader!("shaders/result_depth.wgsl");
+                text += shader!("shaders/output.wgsl");
+                text += shader!("shaders/over_time/update_pixels.wgsl");
+            }
+        }
+        text
+    }
+}
+
+/// Returns the constants of the filter in WGSL, and those of the channels of the result in space.
+fn temporal_constants(in_space: Outputs) -> String {
+    let mut text = String::new();
+    let channels = channels(in_space);
+    let words = [
+        ("TILE", constants::TILE),
+        ("PAIR", constants::PAIR),
+        ("LEAST_TILES", constants::LEAST_TILES),
+        ("CARRIED", constants::CARRIED as usize),
+        ("LOW", constants::LOW as usize),
+        ("SPATIAL_Z", 2),
+        ("SPATIAL_NORMALS", channels.normals),
+        ("SPATIAL_CURVATURE", channels.curvature),
+        ("SPATIAL_DEPTH_M", channels.depth_m),
+        ("SPATIAL_CHANNELS", channels.count),
+    ];
+    for (name, value) in words {
+        write_constant(&mut text, name, "u32", format_args!("{value}u"));
+    }
+    let numbers = [
+        // The change of a pixel without one: finite, unlike NaN.
+        ("NO_CHANGE", 4.0e18),
+        ("MOST_DEPTH_M", constants::MOST_DEPTH_M),
+        ("LEAST_NOISE", constants::LEAST_NOISE),
+        ("CLIP", constants::CLIP),
+        ("CLIP_OF_TILE", constants::CLIP_OF_TILE),
+        ("CANDIDATE", constants::CANDIDATE),
+        ("LEAST_DEVIATION", constants::LEAST_DEVIATION),
+        ("AT_ONCE", constants::AT_ONCE),
+        ("SUPPORT", constants::SUPPORT),
+        ("FRAMES_TO_WAIT", constants::FRAMES_TO_WAIT),
+        ("CHANGE", constants::CHANGE),
+        ("BIAS", constants::BIAS),
+        ("OWN_CHANGE", constants::OWN_CHANGE),
+        ("LEAK", constants::LEAK),
+        ("LEARN", constants::LEARN),
+        ("LEARNT", constants::LEARNT),
+        ("LEAST_VARIANCE", constants::LEAST_VARIANCE),
+        ("MOST_VARIANCE", constants::MOST_VARIANCE),
+        ("MEMORY", constants::MEMORY),
+        ("FIRST_VARIANCE", constants::FIRST_VARIANCE),
+        ("PER_UNIT", constants::PER_UNIT),
+        ("PER_VARIANCE", constants::PER_VARIANCE),
+        ("MOST_BIAS", constants::MOST_BIAS),
+        ("FEW", constants::FEW),
+        ("TILE_CHANGE", constants::TILE_CHANGE),
+        ("TILE_BIAS", constants::TILE_BIAS),
+        ("PERSISTENT", constants::PERSISTENT),
+        ("PERSISTENT_NOISE", constants::PERSISTENT_NOISE),
+        ("AGREEING", constants::AGREEING),
+        ("AGREEING_NOISE", constants::AGREEING_NOISE),
+        ("LEAST_CHANGE", constants::LEAST_CHANGE),
+        ("FIRST_TILE_VARIANCE", constants::FIRST_TILE_VARIANCE),
+        ("LEAST_TILE_VARIANCE", constants::LEAST_TILE_VARIANCE),
+        ("SAME_SURFACE", constants::SAME_SURFACE),
+        ("SLOPE", constants::SLOPE),
+        ("LEAST_WEIGHT", constants::LEAST_WEIGHT),
+        ("NEAREST_M", constants::NEAREST_M),
+    ];
+    for (name, value) in numbers {
+        write_constant(&mut text, name, "f32", format_args!("{value:?}"));
+    }
+    text
+}
+
+/// The filter of a video on a device.
+pub(super) struct OverTime {
+    video: Video,
+    shape: (usize, usize),
+    memory: wgpu::Buffer,
+    kernels: Vec<(Pass, wgpu::ComputePipeline, [usize; 2])>,
+    /// Place of the current state, in words.
+    state_at: usize,
+    bytes: u64,
+}
+
+/// What a slot has for the passes over time.
+pub(super) struct SlotOverTime {
+    step: wgpu::Buffer,
+    /// The result in space.
+    pub(super) in_space: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+}
+
+impl OverTime {
+    /// Compiles the passes and allocates the state, for frames whose results in space have this layout.
+    pub(super) fn new(gpu: &GpuDevice, video: Video, layout: Layout, bounds_checks: bool) -> Result<Self, EngineError> {
+        let shape = (layout.width, layout.height);
+        let size = [layout.width.div_ceil(constants::TILE), layout.height.div_ceil(constants::TILE)];
+        let passes = Pass::ALL.into_iter().filter(|pass| *pass != Pass::MoveState || video.moves);
+        let kernels = passes
+            .map(|pass| {
+                let wgsl = pass.wgsl(layout.outputs, video.outputs);
+                let kernel = gpu.compile(pass.entry_point(), wgsl, &gpu.pipeline_layout, bounds_checks)?;
+                Ok((pass, kernel, if pass == Pass::UpdateTiles { [1, 1] } else { size }))
+            })
+            .collect::<Result<_, EngineError>>()?;
+        let bytes = 4 * Self::words(&video, shape) as u64;
+        let memory = gpu.allocate(bytes, || {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("state over time"),
+                size: bytes,
+                usage: wgpu::BufferUsages::STORAGE,
+                mapped_at_creation: false,
+            })
+        })?;
+        Ok(Self { video, shape, memory, kernels, state_at: 0, bytes })
+    }
+
+    /// Words of the state, twice if it is moved, of the changes, and of tiles.
+    fn words(video: &Video, (width, height): (usize, usize)) -> usize {
+        let tiles = width.div_ceil(constants::TILE) * height.div_ceil(constants::TILE);
+        let states = if video.moves { 2 } else { 1 };
+        (STATE_WORDS * states + CHANGE_WORDS) * width * height + TILE_WORDS * tiles
+    }
+
+    /// Returns the bytes of its buffer.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Returns the layout of the results over time, given that of those in space.
+    pub(super) fn results(&self, in_space: Layout) -> Layout {
+        Layout { outputs: self.video.outputs, ..in_space }
+    }
+
+    /// Creates what a slot with these buffers needs.
+    pub(super) fn slot(&self, gpu: &GpuDevice, layout: &Layout, bound: [&wgpu::Buffer; 2]) -> SlotOverTime {
+        use wgpu::BufferUsages as Usage;
+        let buffer = |label, size, usage| {
+            let mapped_at_creation = false;
+            gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
+        };
+        let step = buffer("step", size_of::<Step>() as u64, Usage::UNIFORM | Usage::COPY_DST);
+        let in_space = buffer("in space", 4 * layout.output_words() as u64, Usage::STORAGE);
+        let [input, output] = bound;
+        let entries: Vec<_> = [&step, input, output, &in_space, &self.memory]
+            .into_iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &gpu.bind_group_layout,
+            entries: &entries,
+        });
+        SlotOverTime { step, in_space, bind_group }
+    }
+
+    /// Writes what is known of the next frame, and returns whether the state is to be moved for it.
+    pub(super) fn begin(&mut self, gpu: &GpuDevice, slot: &SlotOverTime, layout: &Layout, next: &VideoStep) -> bool {
+        let pixels = self.shape.0 * self.shape.1;
+        let transform = next.motion.as_ref().and_then(|motion| motion.previous_from_current.transform().ok());
+        let moved = transform.filter(|transform| self.video.moves && !next.starts && !transform.is_identity());
+        let previous_at = self.state_at;
+        if moved.is_some() {
+            self.state_at = STATE_WORDS * pixels - self.state_at;
+        }
+        let states = if self.video.moves { 2 } else { 1 };
+        let changes_at = STATE_WORDS * states * pixels;
+        let mut step = Step {
+            width: self.shape.0 as u32,
+            height: self.shape.1 as u32,
+            input_words: layout.input_words() as u32,
+            output_words: self.results(*layout).output_words() as u32,
+            state_at: self.state_at as u32,
+            previous_at: previous_at as u32,
+            changes_at: changes_at as u32,
+            tiles_at: (changes_at + CHANGE_WORDS * pixels) as u32,
+            starts: u32::from(next.starts),
+            knows_motion: u32::from(next.motion.is_some()),
+            averages_inverse: u32::from(Domain::of(&self.video.sensor) == Domain::InverseDepth),
+            most_frames: self.video.params.frames,
+            sigma: self.video.sensor.sigma,
+            ..Step::default()
+        };
+        if let (Some(transform), Some(CameraMotion { camera, .. })) = (moved, &next.motion) {
+            let rotation = transform.rotation.as_mat3();
+            [step.rotation_x, step.rotation_y, step.rotation_z] = rotation.to_cols_array_2d();
+            step.translation = transform.translation.as_vec3().to_array();
+            [step.fx, step.fy, step.cx, step.cy] =
+                [camera.fx, camera.fy, camera.cx, camera.cy].map(|value| value as f32);
+        }
+        gpu.queue.write_buffer(&slot.step, 0, bytes_of(&step));
+        moved.is_some()
+    }
+
+    /// Adds the passes.
+    pub(super) fn encode(&self, pass: &mut wgpu::ComputePass<'_>, slot: &SlotOverTime, moves: bool) {
+        pass.set_bind_group(0, &slot.bind_group, &[]);
+        for (which, kernel, [across, down]) in &self.kernels {
+            if *which == Pass::MoveState && !moves {
+                continue;
+            }
+            pass.set_pipeline(kernel);
+            pass.dispatch_workgroups(*across as u32, *down as u32, 1);
+        }
+    }
+}

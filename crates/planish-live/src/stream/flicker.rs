@@ -1,0 +1,124 @@
+//! How much depth flickers from frame to frame, before and after smoothing over time.
+
+use planish_core::{Outputs, Smoothed, Status};
+
+use crate::source::OwnedFrame;
+
+/// About as many pixels of a frame are compared.
+const SAMPLES: usize = 10_000;
+/// Share of the changes that count: those of moving edges do not. Unlike a median, their mean is not 0 for depth in
+/// coarse steps.
+const COUNTED: f64 = 0.95;
+/// Mean magnitude of the smaller 95 % of a normal distribution.
+const MEAN_OF_COUNTED: f64 = 0.7168;
+
+/// How a frame of a video differs from the frame before.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Flicker {
+    /// Jitter as measured, in metres: the standard deviation of the change of depth at a pixel, over √2, by the
+    /// smaller 95 % of the changes in the picture. It includes the motion of a moving camera.
+    pub measured_m: f64,
+    /// Jitter after smoothing.
+    pub smoothed_m: f64,
+    /// Share of the points whose mean over time started with this frame.
+    pub restarted: f64,
+    /// Share of the points that were carried over from the frame before.
+    pub carried: f64,
+}
+
+/// From this share of restarted points on, the camera probably moves. Objects that move cover less.
+const MOVING: f64 = 0.2;
+
+impl Flicker {
+    /// Returns true if so many points start again that the camera probably moves, and its motion is not known.
+    pub fn looks_like_a_moving_camera(&self) -> bool {
+        self.restarted > MOVING
+    }
+
+    /// The mean of `count` frames and one more.
+    pub(super) fn mean_with(self, count: f64, one_more: Self) -> Self {
+        let mean = |before: f64, now: f64| before + (now - before) / (count + 1.0);
+        Self {
+            measured_m: mean(self.measured_m, one_more.measured_m),
+            smoothed_m: mean(self.smoothed_m, one_more.smoothed_m),
+            restarted: mean(self.restarted, one_more.restarted),
+            carried: mean(self.carried, one_more.carried),
+        }
+    }
+}
+
+/// Compares the frames of a video on a sample of their pixels.
+#[derive(Debug, Default)]
+pub(super) struct FlickerMeter {
+    shape: (usize, usize),
+    measured_m: Vec<f32>,
+    smoothed_m: Vec<f32>,
+    changes_m: Vec<f32>,
+}
+
+impl FlickerMeter {
+    /// The outputs that it needs.
+    pub(super) fn outputs(outputs: Outputs) -> Outputs {
+        outputs.with_status(true).with_frames(true)
+    }
+
+    /// Compares a frame with the one before; `None` if that had another shape, or too few points are in both.
+    pub(super) fn add(&mut self, frame: &OwnedFrame, smoothed: &Smoothed) -> Option<Flicker> {
+        let shape @ (width, height) = (smoothed.width, smoothed.height);
+        let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
+        let sampled = || (0..height).step_by(step).flat_map(|v| (0..width).step_by(step).map(move |u| v * width + u));
+        let measured_m = |i: usize| match frame {
+            OwnedFrame::Depth(depth) => depth.camera.depth_m(depth.raw[i]),
+            OwnedFrame::Cloud { cloud, .. } => cloud.positions().z()[i],
+        };
+        let result_m = |i: usize| match (&smoothed.depth_m, &smoothed.depth, frame) {
+            _ if !smoothed.points.is_empty() => smoothed.points.z()[i],
+            (Some(depth_m), ..) => depth_m[i],
+            (None, Some(raw), OwnedFrame::Depth(depth)) => depth.camera.depth_m(raw[i]),
+            _ => f32::NAN,
+        };
+        let is_next = self.shape == shape;
+        let measured = self.jitter_m(is_next, sampled().map(measured_m), |meter| &mut meter.measured_m);
+        let result = self.jitter_m(is_next, sampled().map(result_m), |meter| &mut meter.smoothed_m);
+        self.shape = shape;
+        let (status, frames) = (smoothed.status.as_ref()?, smoothed.frames.as_ref()?);
+        let (mut points, mut restarted, mut carried) = (0.0f64, 0.0, 0.0);
+        for i in sampled().filter(|&i| status[i].has_point()) {
+            points += 1.0;
+            restarted += f64::from(u8::from(frames[i] <= 1.0));
+            carried += f64::from(u8::from(status[i] == Status::Carried));
+        }
+        let share = |count: f64| count / points.max(1.0);
+        let (restarted, carried) = (share(restarted), share(carried));
+        Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })
+    }
+
+    /// Returns the jitter of depths to those of the frame before, in whose place they are kept.
+    fn jitter_m(
+        &mut self,
+        is_next: bool,
+        depths_m: impl Iterator<Item = f32>,
+        kept: impl Fn(&mut Self) -> &mut Vec<f32>,
+    ) -> Option<f64> {
+        let mut changes_m = std::mem::take(&mut self.changes_m);
+        changes_m.clear();
+        let kept = kept(self);
+        if is_next {
+            for (before_m, now_m) in kept.iter_mut().zip(depths_m) {
+                let change_m = (now_m - std::mem::replace(before_m, now_m)).abs();
+                changes_m.extend(Some(change_m).filter(|change_m| change_m.is_finite()));
+            }
+        } else {
+            kept.clear();
+            kept.extend(depths_m);
+        }
+        let counted = (COUNTED * changes_m.len() as f64) as usize;
+        let mean_m = (counted > 0).then(|| {
+            let (smaller, ..) = changes_m.select_nth_unstable_by(counted, f32::total_cmp);
+            smaller.iter().map(|&change_m| f64::from(change_m)).sum::<f64>() / counted as f64
+        });
+        self.changes_m = changes_m;
+        mean_m.map(|mean_m| mean_m / MEAN_OF_COUNTED / std::f64::consts::SQRT_2)
+    }
+}

@@ -1,0 +1,115 @@
+//! How a stream runs, and the session that it opens.
+
+use std::time::Duration;
+
+use planish_core::{
+    CloudParams, Error, FleetDevice, FrameParams, SensorChoice, SensorModel, Session, Settings, SmootherOptions,
+};
+use planish_io::Trajectory;
+
+/// How a stream runs.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub struct StreamOptions {
+    /// The parameters of the method.
+    pub params: StreamParams,
+    /// The engine and the outputs.
+    pub smoother: SmootherOptions,
+    /// The devices that frames are dealt to, instead of the one of the options; none for that one.
+    pub devices: Vec<FleetDevice>,
+    /// Stop after N frames.
+    pub max_frames: Option<u64>,
+    /// Stop after this time.
+    pub max_duration: Option<Duration>,
+    /// Poses of the camera, by the time stamps or the numbers of frames.
+    pub poses: Option<Trajectory>,
+}
+
+/// The origin of a stream's parameters.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub enum StreamParams {
+    /// Settings of a user, resolved with the first frame.
+    Settings(Settings),
+    /// These parameters.
+    Params(FrameParams),
+}
+
+impl Default for StreamParams {
+    fn default() -> Self {
+        Self::Settings(Settings::default())
+    }
+}
+
+impl StreamOptions {
+    /// Creates options with explicit parameters and no limits.
+    pub fn new(params: FrameParams, smoother: SmootherOptions) -> Self {
+        Self { params: StreamParams::Params(params), smoother, ..Self::default() }
+    }
+
+    /// Creates options from settings, without limits.
+    ///
+    /// # Errors
+    /// If settings contradict each other or are not for frames on a grid, or a device is not there.
+    pub fn from_settings(settings: Settings) -> Result<Self, Error> {
+        // Before anything is opened or written; a sensor to be estimated changes no error.
+        let mut of_known_sensor = settings.clone();
+        of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
+        of_known_sensor.frame_params()?;
+        // Floating pixels are removed before there is a frame from which to estimate a sensor.
+        if settings.remove_floating == Some(true) {
+            settings.frame_params()?;
+        }
+        let (smoother, devices) = (settings.options(), settings.devices()?);
+        Ok(Self { params: StreamParams::Settings(settings), smoother, devices, ..Self::default() })
+    }
+
+    /// Sets the engine and the outputs.
+    pub fn with_smoother(self, smoother: SmootherOptions) -> Self {
+        Self { smoother, ..self }
+    }
+
+    /// Returns the sensor whose noise determines floating pixels, if they are to be removed.
+    pub(super) fn floating_sensor(&self) -> Option<SensorModel> {
+        match &self.params {
+            StreamParams::Settings(settings) => settings.frame_floating_sensor(),
+            StreamParams::Params(_) => None,
+        }
+    }
+
+    pub(super) fn is_over_time(&self) -> bool {
+        matches!(&self.params, StreamParams::Settings(settings) if settings.temporal_params().is_some())
+    }
+
+    pub(super) fn session(&self, is_live: bool) -> Result<Session, Error> {
+        let session = match &self.params {
+            StreamParams::Settings(settings) => Session::new(settings.clone())?.with_devices(self.devices.clone()),
+            StreamParams::Params(params) => {
+                Session::with_params(*params, CloudParams::default(), self.smoother.clone(), self.devices.clone())?
+            }
+        };
+        let session = session.with_options(self.smoother.clone());
+        let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
+        Ok(session.with_cloud_estimates(false))
+    }
+
+    /// Distributes frames over these devices; with none, the options' device smooths all.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, ..self }
+    }
+
+    /// Sets the maximum number of frames.
+    pub fn with_max_frames(self, max_frames: Option<u64>) -> Self {
+        Self { max_frames, ..self }
+    }
+
+    /// Sets the poses of the camera, with which a video of a moving camera is smoothed over time.
+    pub fn with_poses(self, poses: Option<Trajectory>) -> Self {
+        Self { poses, ..self }
+    }
+
+    /// Sets the maximum duration.
+    pub fn with_max_duration(self, max_duration: Option<Duration>) -> Self {
+        Self { max_duration, ..self }
+    }
+}

@@ -1,0 +1,30 @@
+//! Streams that are smoothed over time: what they report.
+
+use planish::stream::{Frames, StreamOptions};
+
+use super::stream::{Given, Seen, run};
+
+#[test]
+fn a_stream_over_time_reports_how_much_less_it_flickers() {
+    let still = || Given::frames(14);
+    let off = StreamOptions::from_settings("engine=cpu".parse().unwrap()).unwrap();
+    let steady = StreamOptions::from_settings("engine=cpu temporal=steady".parse().unwrap()).unwrap();
+    let (statistics, _) = run(still(), &off, Seen::default());
+    assert!(statistics.flicker.is_none());
+    let mut seen = Vec::new();
+    for frame in Frames::start(Box::new(still()), steady.clone()).unwrap() {
+        let frame = frame.unwrap();
+        // Only points were asked for.
+        assert!(frame.smoothed.frames.is_none() && frame.smoothed.status.is_none());
+        seen.push(frame.flicker);
+    }
+    assert!(seen.len() == 14 && seen[0].is_none());
+    let last = seen[13].unwrap();
+    assert!(last.smoothed_m < 0.25 * last.measured_m && last.restarted < 0.02, "{last:?}");
+    let (statistics, _) = run(still(), &steady, Seen::default());
+    let mean = statistics.flicker.unwrap();
+    assert!(mean.smoothed_m < 0.4 * mean.measured_m && mean.smoothed_m > last.smoothed_m, "{mean:?}");
+    // The median depth is 0.9 m, where the noise of a Kinect v1 is about 2 mm.
+    assert!((0.5e-3..4e-3).contains(&mean.measured_m), "{mean:?}");
+    assert!((0.0..0.02).contains(&mean.carried), "{mean:?}");
+}
