@@ -119,8 +119,8 @@ impl Session {
         }
     }
 
-    /// Returns the results that an engine must compute for a frame that is then smoothed over time; raw depth and frames
-    /// follow from the result.
+    /// Returns the results that an engine must compute for a frame that is then smoothed over time. Raw depth and frames
+    /// are added after the filter.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         match self.over_time(frame) {
@@ -230,8 +230,8 @@ impl Session {
         result
     }
 
-    /// Has a frame smoothed over time by its device, or in space into `smoothed` and then here. The result is in `out` if
-    /// given, otherwise in `smoothed`.
+    /// Has a frame smoothed over time by its device, or in space into `smoothed` and then here. The result is in `out`
+    /// if given, otherwise in `smoothed`.
     fn smooth_in_time(
         &mut self,
         frame: Frame<'_>,

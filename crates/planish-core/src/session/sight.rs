@@ -186,8 +186,8 @@ impl Sight {
     }
 }
 
-/// Divides ranges over time by those of the single frame: `single_m`, or the magnitudes of `z`. Holes get 1, which keeps
-/// them.
+/// Divides ranges over time by those of the single frame: `single_m`, or the magnitudes of `z`. Holes get 1 and so
+/// stay holes.
 #[inline(always)]
 fn set_ratios(over_time_m: &mut [f32], single_m: Option<&[f32]>, z: &[f32]) {
     let set = |ratio: &mut f32, single_m: f32| {

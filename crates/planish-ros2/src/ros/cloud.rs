@@ -157,8 +157,8 @@ impl PointCloud2 {
     }
 
     /// Returns the cloud at its smoothed positions, with holes as NaN. Normals, curvature, frames and statuses of the
-    /// result replace fields of these names, or are appended. Fields `frames` and `status` of another type stay. All other
-    /// bytes are unchanged.
+    /// result replace fields of these names, or are appended. Fields `frames` and `status` of another type stay. All
+    /// other bytes are unchanged.
     ///
     /// # Errors
     /// If the result is not one of this cloud.

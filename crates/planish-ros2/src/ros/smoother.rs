@@ -227,8 +227,8 @@ impl MessageSmoother {
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
 
-    /// Returns the outputs that clouds have: those asked for and, in a video, what tells measured points from averaged and
-    /// carried ones.
+    /// Returns the outputs that clouds have: those asked for and, in a video, those that tell measured points from
+    /// averaged and carried ones.
     fn cloud_outputs(&self, is_on_grid: bool) -> Outputs {
         let Outputs { normals, curvature, status, .. } = self.outputs;
         let is_over_time = self.session.settings().is_some_and(|settings| settings.temporal_params().is_some());

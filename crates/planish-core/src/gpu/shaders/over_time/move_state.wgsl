@@ -1,6 +1,6 @@
 // Moves the state into the view of a camera that has moved (equations 16.9 to 16.11): each pixel looks up where its
-// point was in the last frame, and takes the mean of the four pixels there that are on the same surface. Holes look up by
-// their remembered range.
+// point was in the last frame, and takes the mean of the four pixels there that are on the same surface. Holes look up
+// by their remembered range.
 
 fn rotated(v: vec3<f32>) -> vec3<f32> {
     return batch.rotation_x * v.x + batch.rotation_y * v.y + batch.rotation_z * v.z;

@@ -34,8 +34,8 @@ fn next_bias_of(tile: u32, change: f32) -> f32 {
     return fma(LEAK, change - bias, bias);
 }
 
-// The bits of the median magnitudes of the changes and of the next biases; numbers that are not negative are in the order
-// of their bits.
+// The median magnitudes of the changes and of the next biases. Numbers that are not negative are in the order of their
+// bits.
 fn medians(thread: u32, counted: u32) -> vec2<f32> {
     var found = vec2<u32>(0u);
     // Places of the medians among the tiles whose higher bits are those found.
