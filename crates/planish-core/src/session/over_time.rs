@@ -119,8 +119,8 @@ impl Session {
         }
     }
 
-    /// Returns the results that an engine must compute for a frame that is then smoothed over time. Raw depth and frames
-    /// are added after the filter.
+    /// Returns the results that an engine must compute for a frame that is then smoothed over time. Raw depth and
+    /// frames are added after the filter.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         match self.over_time(frame) {
