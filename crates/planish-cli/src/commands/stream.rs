@@ -46,8 +46,6 @@ struct OverTime {
     jitter_mm: f64,
     restarted_share: f64,
     carried_share: f64,
-    #[serde(skip)]
-    is_camera_moving: bool,
 }
 
 #[derive(Serialize)]
@@ -100,6 +98,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     settings.outputs = Some(outputs);
     let poses = args.poses.read(&settings)?;
+    let follows = settings.tracks_camera() || poses.is_some();
     let options = StreamOptions::from_settings(settings)
         .map_err(by_option_of_error)?
         .with_poses(poses)
@@ -133,6 +132,9 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         outln!("{}", serde_json::to_string(&report)?);
     } else {
         print_report(&report);
+        if !follows && statistics.flicker.is_some_and(|flicker| flicker.looks_like_a_moving_camera()) {
+            outln!("  if the camera moves, --track averages more frames");
+        }
     }
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
@@ -185,7 +187,6 @@ fn report(statistics: &StreamStatistics) -> Report {
             jitter_mm: 1e3 * flicker.smoothed_m,
             restarted_share: flicker.restarted,
             carried_share: flicker.carried,
-            is_camera_moving: flicker.looks_like_a_moving_camera(),
         }),
     }
 }
@@ -202,18 +203,13 @@ fn print_report(report: &Report) {
     }
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");
-    if let Some(OverTime { jitter_measured_mm, jitter_mm, restarted_share, carried_share, is_camera_moving }) =
-        report.over_time
-    {
+    if let Some(OverTime { jitter_measured_mm, jitter_mm, restarted_share, carried_share }) = report.over_time {
         outln!(
             "  over time: jitter {jitter_measured_mm:.2} mm as measured, {jitter_mm:.2} smoothed; {:.1} % of the points \
              start again, {:.1} % are carried over",
             1e2 * restarted_share,
             1e2 * carried_share
         );
-        if is_camera_moving {
-            outln!("  if the camera moves, --track averages more frames");
-        }
     }
     let StageMs { capture, smooth, sinks } = report.stage_ms;
     outln!("  mean per frame: {capture:.1} ms in the source, {smooth:.1} in the engine, {sinks:.1} in the sinks");

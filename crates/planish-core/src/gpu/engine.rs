@@ -357,19 +357,30 @@ impl SmoothingEngine for Gpu {
         self.open_several();
     }
 
-    /// Refuses videos whose holes are bridged, or whose camera has a distorted lens: the shaders do neither.
+    /// Refuses videos whose holes are bridged, and those whose state does not fit: the session filters them.
     fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
-        if video.params.hold_frames > 0 {
+        let layout = self.layout(InputKind::Depth);
+        if video.params.hold_frames > 0 || OverTime::largest_buffer(video, layout) > self.buffer_limit() {
             return Ok(false);
         }
         // States are not shared between queues.
-        self.several = None;
+        let several = self.several.take();
         let gpu = Arc::clone(&self.adapter.devices[0]);
-        let layout = self.layout(InputKind::Depth);
-        self.over_time = Some(OverTime::new(&gpu, *video, layout, self.options.bounds_checks)?);
-        lock(&self.free).clear();
-        self.warm_up()?;
-        Ok(true)
+        let opened = OverTime::new(&gpu, *video, layout, self.options.bounds_checks).and_then(|over_time| {
+            self.over_time = Some(over_time);
+            lock(&self.free).clear();
+            self.warm_up()
+        });
+        match opened {
+            Ok(()) => Ok(true),
+            Err(lost @ EngineError::Lost { .. }) => Err(lost.into()),
+            // For lack of memory, for example.
+            Err(_) => {
+                (self.over_time, self.several) = (None, several);
+                lock(&self.free).clear();
+                Ok(false)
+            }
+        }
     }
 
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {

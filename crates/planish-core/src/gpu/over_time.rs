@@ -217,6 +217,13 @@ impl OverTime {
         (STATE_WORDS * states + CHANGE_WORDS) * width * height + TILE_WORDS * tiles
     }
 
+    /// Returns the bytes of the largest buffer that it needs for frames whose results in space have this layout.
+    pub(super) fn largest_buffer(video: &Video, layout: Layout) -> u64 {
+        let results = Layout { outputs: video.outputs, ..layout };
+        let words = Self::words(video, (layout.width, layout.height)).max(results.output_words());
+        4 * words.max(layout.output_words()) as u64
+    }
+
     /// Returns the bytes of its buffer.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes

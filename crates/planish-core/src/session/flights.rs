@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::Session;
-use super::pending::{AnyFrame, Pending};
+use super::pending::{AnyFrame, OnReceipt, Pending};
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
 use crate::frame::{Frame, IntoFrame};
@@ -24,11 +24,12 @@ impl Session {
         let is_cloud = frame.frame()?.grid().is_none();
         match self.submit_now(&frame, buffer) {
             Ok(()) => {
-                let sight = self.sight_to_filter();
-                self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight });
+                let on_receipt = self.on_receipt();
+                self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt });
             }
             Err(error @ Error::Engine(_)) => {
-                self.pending.push_back(Pending { frame: Some(frame), is_cloud, sight: self.sight });
+                let on_receipt = self.on_receipt();
+                self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt });
                 self.smooth_again(error)?;
             }
             Err(error) => return Err(error),
@@ -45,9 +46,12 @@ impl Session {
         let frame = frame.into_frame()?;
         self.check_room()?;
         let admitted = self.open_in_flight(frame, false)?;
-        self.smoother()?.submit_admitted(&admitted, None)?;
-        let sight = self.sight_to_filter();
-        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), sight });
+        if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
+            self.video.leave_device();
+            return Err(error);
+        }
+        let on_receipt = self.on_receipt();
+        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), on_receipt });
         Ok(())
     }
 
@@ -76,10 +80,15 @@ impl Session {
     fn submit_now(&mut self, frame: &AnyFrame, mut buffer: Smoothed) -> Result<(), Error> {
         let admitted = self.open_in_flight(frame.frame()?, true)?;
         self.keep_buffers(&mut buffer);
-        match self.open.as_mut().filter(|open| open.is_fleet()) {
+        let submitted = match self.open.as_mut().filter(|open| open.is_fleet()) {
             Some(open) => open.submit_shared(frame, Some(buffer)),
             None => self.smoother()?.submit_admitted(&admitted, Some(buffer)),
+        };
+        if submitted.is_err() {
+            // The device's state lacks this frame.
+            self.video.leave_device();
         }
+        submitted
     }
 
     /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
@@ -88,33 +97,26 @@ impl Session {
     /// If something is wrong with that frame, or the engine fails and nothing may take over.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         self.forget_other_process();
-        let sight = self.pending.front().and_then(|pending| pending.sight);
-        match (self.receive_in_space()?, sight) {
-            (Some(view), Some(sight)) => self.view_over_time(&sight, view).map(Some),
-            (view, _) => Ok(view),
+        match self.receive_in_space()? {
+            Some((view, on_receipt)) => self.received(view, on_receipt).map(Some),
+            None => Ok(None),
         }
     }
 
-    fn receive_in_space(&mut self) -> Result<Option<SmoothedView>, Error> {
-        if let Some(result) = self.ready.pop_front() {
-            self.pending.pop_front();
-            return result.map(Some);
+    /// Returns the oldest result as the engine made it, and what is to be done with it.
+    fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, OnReceipt)>, Error> {
+        if self.ready.is_empty() {
+            let Some(open) = &mut self.open else { return Ok(None) };
+            match open.receive().transpose() {
+                Some(Err(error @ Error::Engine(_))) => self.smooth_again(error)?,
+                Some(result) => self.ready.push_back(result),
+                None => {}
+            }
         }
-        let Some(open) = &mut self.open else { return Ok(None) };
-        match open.receive() {
-            Ok(view) => {
-                self.pending.pop_front();
-                Ok(view)
-            }
-            Err(error @ Error::Engine(_)) => {
-                self.smooth_again(error)?;
-                self.pending.pop_front();
-                self.ready.pop_front().transpose()
-            }
-            Err(error) => {
-                self.pending.pop_front();
-                Err(error)
-            }
+        let on_receipt = self.pending.pop_front().map_or(OnReceipt::Nothing, |pending| pending.on_receipt);
+        match self.ready.pop_front() {
+            Some(result) => result.map(|view| Some((view, on_receipt))),
+            None => Ok(None),
         }
     }
 
@@ -138,14 +140,18 @@ impl Session {
 
     /// Smooths the frames in flight that have no result yet.
     fn smooth_pending(&mut self) -> Result<(), Error> {
-        let frames: Vec<AnyFrame> =
-            self.pending.iter().skip(self.ready.len()).filter_map(|pending| pending.frame.clone()).collect();
-        for frame in frames {
-            let result = self.submit_now(&frame, Smoothed::default());
+        let frames: Vec<(AnyFrame, OnReceipt)> = self
+            .pending
+            .iter()
+            .skip(self.ready.len())
+            .filter_map(|pending| Some((pending.frame.clone()?, pending.on_receipt)))
+            .collect();
+        for (frame, before) in frames {
+            let (result, on_receipt) =
+                self.as_submitted(&before, |session| session.submit_now(&frame, Smoothed::default()));
             // Another engine may leave the filter over time to the session.
-            let sight = self.sight_to_filter();
             if let Some(pending) = self.pending.get_mut(self.ready.len()) {
-                pending.sight = sight;
+                pending.on_receipt = on_receipt;
             }
             let result = result.and_then(|()| match &mut self.open {
                 Some(open) => open.receive(),

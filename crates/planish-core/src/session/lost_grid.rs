@@ -17,7 +17,9 @@ impl Session {
         let (width, height) = lattice.shape();
         let mut on_grid = std::mem::take(&mut self.on_grid);
         on_grid.prepare(width, height, self.options.outputs);
+        self.is_on_lattice = true;
         let result = self.one_at_a_time(Frame::Points(lattice.view(points)), on_grid.as_mut());
+        self.is_on_lattice = false;
         if result.is_ok() {
             out.take_from(points.len(), &on_grid, |i| lattice.pixel(i));
             out.keep_isolated(points);
@@ -55,7 +57,9 @@ impl Session {
     /// Calls `use_frame` with a frame, or with a cloud on the grid that it lost.
     pub(super) fn on_its_grid<T>(&mut self, frame: Frame<'_>, use_frame: impl FnOnce(&mut Self, Frame<'_>) -> T) -> T {
         let Some((lattice, points)) = self.take_lattice(frame) else { return use_frame(self, frame) };
+        self.is_on_lattice = true;
         let result = use_frame(self, Frame::Points(lattice.view(&points)));
+        self.is_on_lattice = false;
         self.lattice = Some(lattice);
         result
     }

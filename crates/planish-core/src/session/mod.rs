@@ -72,6 +72,8 @@ pub struct Session {
     /// The estimate for the last unorganized cloud, the grid that it lost, and its number of points.
     cloud_estimate: Option<CloudEstimate>,
     lattice: Option<Lattice>,
+    /// Whether the frame in question is a cloud on the grid that it lost, and so not part of a video.
+    is_on_lattice: bool,
     known_points: usize,
     cloud_choice: Option<CloudChoice>,
     /// Whether the four fields above belong to the current or prepared frame.
@@ -149,6 +151,7 @@ impl Session {
             estimated: None,
             cloud_estimate: None,
             lattice: None,
+            is_on_lattice: false,
             known_points: 0,
             cloud_choice: None,
             is_prepared: false,
@@ -370,7 +373,11 @@ impl Session {
             options = device.options(&options);
         }
         let video = if uses_fleet { None } else { self.video_of_engine(&options) };
-        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
+        let mut wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
+        // Engines that leave the filter to the session serve every video.
+        if let Some(open) = self.open.as_ref().filter(|open| open.engine() != Engine::Gpu) {
+            wanted.video = open.open_for().video;
+        }
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
             check_options(params, &wanted.options, frame.grid())?;
             self.finish_flights()?;
@@ -379,6 +386,9 @@ impl Session {
             let open = Open::new(wanted, devices)?;
             self.open = Some(open);
             self.video.leave_device();
+            // Finishing the flights may have looked at other frames.
+            self.rule = Some(geometry.rule);
+            self.look_at(frame, geometry, params);
         }
         self.watch.set(self.open.as_ref().and_then(Open::progress));
         Ok(AdmittedFrame::new(frame, geometry))

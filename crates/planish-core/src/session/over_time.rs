@@ -2,6 +2,7 @@
 //! filter of the session, or by a GPU that has the state.
 
 use super::open::Open;
+use super::pending::OnReceipt;
 use super::sight::{Sight, StatedPose};
 use super::{Chosen, Session, SessionEvent};
 use crate::camera::Camera;
@@ -41,7 +42,9 @@ struct OnDevice {
     /// The sight of its first frame.
     sight: Sight,
     last_pose: StatedPose,
+    /// How the camera moved before the last frame that was submitted, and before the last one received.
     motion: Option<CameraMotion>,
+    received: Option<CameraMotion>,
 }
 
 /// The filter of a session, with its buffers.
@@ -114,7 +117,9 @@ impl Session {
     /// Returns the filter's parameters if a frame is part of a video that is smoothed over time.
     pub(super) fn over_time(&self, frame: Frame<'_>) -> Option<TemporalParams> {
         match &self.chosen {
-            Chosen::Settings(settings) => settings.temporal_params().filter(|_| frame.grid().is_some()),
+            Chosen::Settings(settings) => {
+                settings.temporal_params().filter(|_| frame.grid().is_some() && !self.is_on_lattice)
+            }
             Chosen::Params(..) => None,
         }
     }
@@ -143,7 +148,10 @@ impl Session {
         let has_camera = sight.camera.is_some_and(|camera| camera.distortion.is_none());
         let is_possible = is_depth && !sight.is_tracked && (sight.pose.is_none() || has_camera);
         let Sight { params, sensor, outputs, pose, .. } = *sight;
-        is_possible.then_some(Video { params, sensor, outputs, moves: pose.is_some() })
+        // A pose may be missing now and then.
+        let opened = self.open.as_ref().and_then(|open| open.open_for().video);
+        let moves = pose.is_some() || opened.is_some_and(|video| video.moves);
+        is_possible.then_some(Video { params, sensor, outputs, moves })
     }
 
     /// Returns the sight of the frame that was last looked at, if the session is to smooth its result over time.
@@ -168,15 +176,59 @@ impl Session {
     /// Adds a frame's place in the video, if the device has its state.
     pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
+        // What the session's own filter knows is older.
+        self.video.begun = None;
         let on_device = &mut self.video.on_device;
         let starts =
             on_device.as_ref().is_none_or(|video| !video.sight.goes_on_with(&sight, video.sight.camera.is_some()));
         if starts {
             *on_device = None;
         }
-        let video = on_device.get_or_insert(OnDevice { sight, last_pose: None, motion: None });
+        let video = on_device.get_or_insert(OnDevice { sight, last_pose: None, motion: None, received: None });
         video.motion = sight.motion_since(&mut video.last_pose, sight.camera.as_ref())?;
         Ok(AdmittedFrame { step: VideoStep { starts, motion: video.motion }, ..admitted })
+    }
+
+    /// Returns what is to be done when the frame that was last submitted is received.
+    pub(super) fn on_receipt(&self) -> OnReceipt {
+        match (self.sight, self.is_over_time_on_device()) {
+            (None, _) => OnReceipt::Nothing,
+            (Some(sight), false) => OnReceipt::Filter(sight),
+            (Some(sight), true) => {
+                OnReceipt::Filtered(sight, self.video.on_device.as_ref().and_then(|video| video.motion))
+            }
+        }
+    }
+
+    /// Smooths a frame in flight again as it was submitted, and returns what is to be done when it is received.
+    pub(super) fn as_submitted<T>(
+        &mut self,
+        before: &OnReceipt,
+        smooth: impl FnOnce(&mut Self) -> T,
+    ) -> (T, OnReceipt) {
+        let (pose, number, outputs) = (self.video.pose, self.video.number, self.options.outputs);
+        if let OnReceipt::Filter(sight) | OnReceipt::Filtered(sight, _) = before {
+            self.video.pose = sight.pose.filter(|_| !sight.is_pose_of_file);
+            (self.video.number, self.options.outputs) = (sight.video, sight.outputs);
+        }
+        let result = smooth(self);
+        let on_receipt = self.on_receipt();
+        (self.video.pose, self.video.number, self.options.outputs) = (pose, number, outputs);
+        (result, on_receipt)
+    }
+
+    /// Finishes a received result.
+    pub(super) fn received(&mut self, view: SmoothedView, on_receipt: OnReceipt) -> Result<SmoothedView, Error> {
+        match on_receipt {
+            OnReceipt::Nothing => Ok(view),
+            OnReceipt::Filter(sight) => self.view_over_time(&sight, view),
+            OnReceipt::Filtered(_, motion) => {
+                if let Some(video) = &mut self.video.on_device {
+                    video.received = motion;
+                }
+                Ok(view)
+            }
+        }
     }
 
     fn tracks_camera(&self) -> bool {
@@ -250,8 +302,9 @@ impl Session {
                     let outputs = if is_on_device { self.options.outputs } else { self.outputs_before_time(frame) };
                     let kept = if is_on_device { Kept::default() } else { Kept::of(smoothed, self.options.outputs) };
                     smoothed.prepare(width, height, outputs);
+                    self.smoother()?.smooth_admitted(&admitted, smoothed.as_mut())?;
                     kept.give_to(smoothed);
-                    self.smoother()?.smooth_admitted(&admitted, smoothed.as_mut())
+                    Ok(())
                 });
             match result {
                 Err(error) => self.recover(error, frame.grid().is_none(), false)?,
@@ -263,12 +316,14 @@ impl Session {
             if let Some(out) = out {
                 out.copy_from(smoothed);
             }
+        } else if let Some(video) = &mut self.video.on_device {
+            video.received = video.motion;
         }
         Ok(())
     }
 
     /// Smooths a received result over time.
-    pub(super) fn view_over_time(&mut self, sight: &Sight, view: SmoothedView) -> Result<SmoothedView, Error> {
+    fn view_over_time(&mut self, sight: &Sight, view: SmoothedView) -> Result<SmoothedView, Error> {
         let timings = view.timings();
         let mut smoothed = view.into_smoothed();
         self.video.kept.pop().unwrap_or_default().give_to(&mut smoothed);
@@ -279,15 +334,17 @@ impl Session {
     }
 
     fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
-        self.filter_ranges(sight, smoothed)?;
-        sight.finish(smoothed, self.temporal_filter());
+        let is_filtered = self.filter_ranges(sight, smoothed)?;
+        let begun = self.video.begun.as_ref().filter(|_| is_filtered);
+        sight.finish(smoothed, begun.map(|begun| &begun.filter));
         Ok(())
     }
 
-    fn filter_ranges(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
+    /// Returns false for a frame that cannot be smoothed over time.
+    fn filter_ranges(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<bool, Error> {
         // Without a position of the sensor there are no ranges.
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
-            return Ok(());
+            return Ok(false);
         }
         let OverTime { begun, ranges_m, .. } = &mut self.video;
         if begun.as_ref().is_none_or(|begun| !begun.sight.goes_on_with(sight, begun.camera.is_some())) {
@@ -299,7 +356,7 @@ impl Session {
             self.events.push(SessionEvent::CameraUnknown);
         }
         let Some(Begun { filter, threads, camera, tracking, last_pose, motion: last_motion, .. }) = begun else {
-            return Ok(());
+            return Ok(false);
         };
         threads.install(|| {
             let motion = match (sight.motion_since(last_pose, camera.as_ref())?, tracking.as_mut()) {
@@ -320,7 +377,7 @@ impl Session {
             if let Some((_, previous)) = tracking {
                 sight.keep(smoothed, previous);
             }
-            Ok(())
+            Ok(true)
         })
     }
 
@@ -376,7 +433,7 @@ impl Session {
     /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
         let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == self.video.number);
-        self.current_video().and_then(|begun| begun.motion).or_else(|| on_device.and_then(|video| video.motion))
+        self.current_video().and_then(|begun| begun.motion).or_else(|| on_device.and_then(|video| video.received))
     }
 
     /// Returns the filter over time of the session; `None` before the first frame, if the session does not smooth over

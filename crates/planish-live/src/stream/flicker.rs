@@ -6,6 +6,10 @@ use crate::source::OwnedFrame;
 
 /// About as many pixels of a frame are compared.
 const SAMPLES: usize = 10_000;
+/// Points that are the mean of fewer frames hardly have a past.
+const FEW_FRAMES: f32 = 1.5;
+/// Share of restarted points of a new scene, or of a new video.
+const ALL: f64 = 0.99;
 /// Share of the changes that count: those of moving edges do not. Unlike a median, their mean is not 0 for depth in
 /// coarse steps.
 const COUNTED: f64 = 0.95;
@@ -21,7 +25,7 @@ pub struct Flicker {
     pub measured_m: f64,
     /// Jitter after smoothing.
     pub smoothed_m: f64,
-    /// Share of the points whose mean over time started with this frame.
+    /// Share of the points that are the mean of fewer than 1.5 frames: new surfaces, or all if the camera moves.
     pub restarted: f64,
     /// Share of the points that were carried over from the frame before.
     pub carried: f64,
@@ -31,7 +35,8 @@ pub struct Flicker {
 const MOVING: f64 = 0.2;
 
 impl Flicker {
-    /// Returns true if so many points start again that the camera probably moves, and its motion is not known.
+    /// Returns true if so many points start again that the camera probably moves. If it is tracked, its motion is not
+    /// found.
     pub fn looks_like_a_moving_camera(&self) -> bool {
         self.restarted > MOVING
     }
@@ -63,7 +68,8 @@ impl FlickerMeter {
         outputs.with_status(true).with_frames(true)
     }
 
-    /// Compares a frame with the one before; `None` if that had another shape, or too few points are in both.
+    /// Compares a frame with the one before; `None` if that had another shape, showed
+    /// another scene, or too few points are in both.
     pub(super) fn add(&mut self, frame: &OwnedFrame, smoothed: &Smoothed) -> Option<Flicker> {
         let shape @ (width, height) = (smoothed.width, smoothed.height);
         let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
@@ -86,11 +92,15 @@ impl FlickerMeter {
         let (mut points, mut restarted, mut carried) = (0.0f64, 0.0, 0.0);
         for i in sampled().filter(|&i| status[i].has_point()) {
             points += 1.0;
-            restarted += f64::from(u8::from(frames[i] <= 1.0));
+            restarted += f64::from(u8::from(frames[i] < FEW_FRAMES));
             carried += f64::from(u8::from(status[i] == Status::Carried));
         }
         let share = |count: f64| count / points.max(1.0);
         let (restarted, carried) = (share(restarted), share(carried));
+        // Nothing is compared over a gap or a cut.
+        if restarted > ALL {
+            return None;
+        }
         Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })
     }
 

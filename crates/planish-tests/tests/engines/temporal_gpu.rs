@@ -181,3 +181,50 @@ fn what_the_shaders_do_not_know_is_filtered_by_the_session() {
     assert_eq!(most(&smoothed), 2.0);
     assert!(of_points.temporal_filter().is_some() && tracked.temporal_filter().is_some());
 }
+
+#[test]
+fn clouds_on_the_grid_that_they_lost_are_no_video_on_a_gpu_either() {
+    if !has_adapter("clouds that lost their grid") {
+        return;
+    }
+    let mut of_video = session(Engine::Gpu, Outputs::ALL);
+    let (mut first, mut second) = (Smoothed::default(), Smoothed::default());
+    let cloud = |number: usize| {
+        let frame = &video(Event::Still, 2)[number].0;
+        let mut points = frame.deproject().unwrap().points;
+        let valid: Vec<usize> = (0..points.len()).filter(|&i| points.positions.is_finite(i)).collect();
+        points = points.select(&valid);
+        points
+    };
+    let clouds = [cloud(0), cloud(1)];
+    of_video.smooth(&clouds[0], &mut first).unwrap();
+    of_video.smooth(&clouds[1], &mut second).unwrap();
+    let mut alone = session(Engine::Gpu, Outputs::ALL);
+    alone.set_settings("engine=gpu".parse().unwrap()).unwrap();
+    let mut expected = Smoothed::default();
+    alone.smooth(&clouds[1], &mut expected).unwrap();
+    assert!(bits(&second) == bits(&expected));
+}
+
+#[test]
+fn frames_in_flight_of_a_video_before_a_gap_keep_their_counts() {
+    if !has_adapter("a gap with frames in flight") {
+        return;
+    }
+    let frames = video(Event::SlowObject, 3);
+    for settings in ["temporal=steady engine=gpu", "track=true engine=gpu"] {
+        let mut session = session(Engine::Gpu, Outputs::POINTS.with_frames(true));
+        session.set_settings(settings.parse().unwrap()).unwrap();
+        session.set_outputs(Outputs::POINTS.with_frames(true));
+        for (frame, _) in &frames[..2] {
+            session.submit(Arc::clone(frame), Smoothed::default()).unwrap();
+        }
+        session.restart_video();
+        session.submit(Arc::clone(&frames[2].0), Smoothed::default()).unwrap();
+        let mut most = Vec::new();
+        while let Some(view) = session.receive().unwrap() {
+            most.push(view.frames().unwrap().iter().fold(0.0f32, |most, &frames| most.max(frames)));
+        }
+        assert_eq!(most, [1.0, 2.0, 1.0], "{settings}");
+    }
+}

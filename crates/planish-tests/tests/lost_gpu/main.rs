@@ -3,6 +3,7 @@
 mod fleet;
 mod rig;
 mod stream;
+mod video;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -174,7 +174,9 @@ fn update_pixels(
         }
         if WANTS_FRAMES {
             let has_point = status >= STATUS_DEGENERATE;
-            let frames = select(1.0, max(now.pixel.frames, 1.0), is_moved);
+            // As it is kept.
+            let kept = floor(now.pixel.frames * PER_UNIT + 0.5) / PER_UNIT;
+            let frames = select(1.0, max(kept, 1.0), is_moved);
             store_word(0u, FRAMES_CHANNEL, i, bitcast<u32>(select(0.0, frames, has_point)));
         }
     }
