@@ -31,8 +31,8 @@ pub struct Outputs {
     pub status: bool,
     /// The number of neighbours of each pixel.
     pub neighbours: bool,
-    /// How many frames of a video each pixel is the mean of. Only from a [`Session`](crate::Session) that smooths over
-    /// time ([`Settings::temporal`](crate::Settings::temporal)).
+    /// Effective number of frames of a video averaged into each pixel. Only from a [`Session`](crate::Session) that
+    /// smooths over time ([`Settings::temporal`](crate::Settings::temporal)).
     pub frames: bool,
 }
 
@@ -52,7 +52,7 @@ impl Outputs {
     pub const POINTS: Self = Self { points: true, ..Self::NONE };
     /// Depth only.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
-    /// All outputs of every frame or cloud: depth needs a camera, and frames a video.
+    /// All outputs except `depth` and `depth_m`, which need a camera, and `frames`, which needs a video.
     pub const ALL: Self =
         Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
 
@@ -96,7 +96,7 @@ impl Outputs {
         Self { neighbours, ..self }
     }
 
-    /// Sets whether the frames of a video are counted that each pixel is the mean of.
+    /// Sets whether the number of frames averaged per pixel is returned.
     pub const fn with_frames(self, frames: bool) -> Self {
         Self { frames, ..self }
     }
@@ -283,7 +283,7 @@ pub struct SmoothedMut<'a> {
     pub depth: Option<&'a mut [u16]>,
     /// Depth of the smoothed surface in metres, NaN for holes.
     pub depth_m: Option<&'a mut [f32]>,
-    /// Frames of a video that each pixel is the mean of, 1 or more; 0 for holes.
+    /// Effective number of frames of a video averaged into each pixel, 1 to 16; 0 for holes.
     pub frames: Option<&'a mut [f32]>,
 }
 
@@ -391,7 +391,7 @@ impl<'a> SmoothedMut<'a> {
         Self { depth_m: Some(depth_m), ..self }
     }
 
-    /// Sets the buffer for the frames that pixels are means of.
+    /// Sets the buffer for the number of frames averaged per pixel.
     pub fn with_frames(self, frames: &'a mut [f32]) -> Self {
         Self { frames: Some(frames), ..self }
     }

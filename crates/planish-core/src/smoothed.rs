@@ -31,7 +31,7 @@ pub struct Smoothed {
     /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
     /// surfaces, the number of neighbours of the surface.
     pub neighbours: Option<Vec<u32>>,
-    /// Frames of a video that each pixel is the mean of, 1 or more; 0 for holes.
+    /// Effective number of frames of a video averaged into each pixel, 1 to 16; 0 for holes.
     pub frames: Option<Vec<f32>>,
 }
 

@@ -430,9 +430,9 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
     }
 }
 
-/// Refuses to count the frames of what is not part of a video.
+/// Refuses the output `frames` outside a video.
 pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
-    let allowed = "only for frames on a grid that a session smooths over time (temporal)";
+    let allowed = "only for frames on a grid in a session with temporal=steady";
     match outputs.frames {
         true => Err(ParamError { field: "outputs", value: "frames".into(), allowed }),
         false => Ok(()),

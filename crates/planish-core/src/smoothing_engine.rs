@@ -67,7 +67,7 @@ pub(crate) trait SmoothingEngine: Send {
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
 
     /// Smooths all frames from now on over time too, if the engine can; returns whether it does. Results then have the
-    /// outputs of the video, and [`AdmittedFrame::step`] counts.
+    /// outputs of the video, and [`AdmittedFrame::step`] is used.
     fn smooth_over_time(&mut self, _: &Video) -> Result<bool, Error> {
         Ok(false)
     }

@@ -132,7 +132,8 @@ impl SmoothedView {
         }
     }
 
-    /// Frames of a video that each pixel is the mean of, row by row, 0 for holes; `None` if they were not requested.
+    /// Effective number of frames of a video averaged into each pixel, row by row, 0 for holes; `None` if it was not
+    /// requested.
     pub fn frames(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.frames.as_deref(),

@@ -450,7 +450,7 @@ pub enum FieldArg {
     /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated, 7
     /// carried over from the frame before
     Status,
-    /// Frames of a video that the point is the mean of, with --temporal: 1 to 16; 0 for holes
+    /// With --temporal: effective number of frames averaged into the point, 1 to 16; 0 for holes
     Frames,
     /// No field (the default)
     None,

@@ -133,7 +133,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     } else {
         print_report(&report);
         if !follows && statistics.flicker.is_some_and(|flicker| flicker.looks_like_a_moving_camera()) {
-            outln!("  if the camera moves, --track averages more frames");
+            outln!("  many points restart in every frame; if the camera moves, add --track");
         }
     }
     Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
@@ -206,7 +206,7 @@ fn print_report(report: &Report) {
     if let Some(OverTime { jitter_measured_mm, jitter_mm, restarted_share, carried_share }) = report.over_time {
         outln!(
             "  over time: jitter {jitter_measured_mm:.2} mm as measured, {jitter_mm:.2} smoothed; {:.1} % of the points \
-             start again, {:.1} % are carried over",
+             restarted, {:.1} % carried over",
             1e2 * restarted_share,
             1e2 * carried_share
         );

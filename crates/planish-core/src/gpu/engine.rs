@@ -374,7 +374,7 @@ impl SmoothingEngine for Gpu {
         match opened {
             Ok(()) => Ok(true),
             Err(lost @ EngineError::Lost { .. }) => Err(lost.into()),
-            // For lack of memory, for example.
+            // For example, out of memory.
             Err(_) => {
                 (self.over_time, self.several) = (None, several);
                 lock(&self.free).clear();
@@ -411,7 +411,7 @@ impl SmoothingEngine for Gpu {
         self.timings
     }
 
-    /// Of all slots, and of the state over time.
+    /// Counts all slots and the state over time.
     fn buffer_bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed) + self.over_time.as_ref().map_or(0, OverTime::bytes)
     }

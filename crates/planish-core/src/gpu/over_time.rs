@@ -1,4 +1,5 @@
-//! Smoothing over time on the device (docs/method.md, section 16): four passes after those of a frame.
+//! Smoothing over time on the device (docs/method.md, section 16): three passes after those of a frame, or four if the
+//! camera moves.
 //!
 //! The state of the video stays in one buffer of the device; the result in space stays in the slot, and only the result
 //! over time is read back. Frames reach the state in the order of their submissions, so all are on one queue.
@@ -177,7 +178,7 @@ pub(super) struct OverTime {
     bytes: u64,
 }
 
-/// What a slot has for the passes over time.
+/// The buffers of a slot for the passes over time.
 pub(super) struct SlotOverTime {
     step: wgpu::Buffer,
     /// The result in space.
@@ -234,7 +235,7 @@ impl OverTime {
         Layout { outputs: self.video.outputs, ..in_space }
     }
 
-    /// Creates what a slot with these buffers needs.
+    /// Creates the buffers that a slot needs for it.
     pub(super) fn slot(&self, gpu: &GpuDevice, layout: &Layout, bound: [&wgpu::Buffer; 2]) -> SlotOverTime {
         use wgpu::BufferUsages as Usage;
         let buffer = |label, size, usage| {
@@ -257,7 +258,7 @@ impl OverTime {
         SlotOverTime { step, in_space, bind_group }
     }
 
-    /// Writes what is known of the next frame, and returns whether the state is to be moved for it.
+    /// Writes the uniform of the next frame. Returns true if the state must be moved for it.
     pub(super) fn begin(&mut self, gpu: &GpuDevice, slot: &SlotOverTime, layout: &Layout, next: &VideoStep) -> bool {
         let pixels = self.shape.0 * self.shape.1;
         let transform = next.motion.as_ref().and_then(|motion| motion.previous_from_current.transform().ok());

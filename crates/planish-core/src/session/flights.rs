@@ -103,7 +103,7 @@ impl Session {
         }
     }
 
-    /// Returns the oldest result as the engine made it, and what is to be done with it.
+    /// Returns the oldest result as the engine made it, and how to finish it.
     fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, OnReceipt)>, Error> {
         if self.ready.is_empty() {
             let Some(open) = &mut self.open else { return Ok(None) };

@@ -1,5 +1,5 @@
 //! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16): by a
-//! filter of the session, or by a GPU that has the state.
+//! filter of the session, or by a GPU that keeps the state.
 
 use super::open::Open;
 use super::pending::OnReceipt;
@@ -89,7 +89,7 @@ impl Kept {
     }
 }
 
-/// Buffers for results that the caller did not ask for.
+/// Buffers for results that the caller did not request.
 #[derive(Debug, Default)]
 struct Spare(Smoothed);
 
@@ -176,7 +176,7 @@ impl Session {
     /// Adds a frame's place in the video, if the device has its state.
     pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
-        // What the session's own filter knows is older.
+        // The session's own filter is out of date from here on.
         self.video.begun = None;
         let on_device = &mut self.video.on_device;
         let starts =
@@ -189,7 +189,7 @@ impl Session {
         Ok(AdmittedFrame { step: VideoStep { starts, motion: video.motion }, ..admitted })
     }
 
-    /// Returns what is to be done when the frame that was last submitted is received.
+    /// Returns how to finish the last submitted frame when it is received.
     pub(super) fn on_receipt(&self) -> OnReceipt {
         match (self.sight, self.is_over_time_on_device()) {
             (None, _) => OnReceipt::Nothing,
@@ -200,7 +200,7 @@ impl Session {
         }
     }
 
-    /// Smooths a frame in flight again as it was submitted, and returns what is to be done when it is received.
+    /// Smooths a frame in flight again, with the pose and outputs of its submission; returns how to finish it.
     pub(super) fn as_submitted<T>(
         &mut self,
         before: &OnReceipt,
@@ -261,14 +261,14 @@ impl Session {
 
     /// Smooths a frame in space, then over time.
     pub(super) fn smooth_over_time(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        // Results that are needed, but were not asked for, are in buffers of the session.
+        // The session lends buffers for results that the filter needs but the caller did not request.
         let outputs = self.options.outputs;
         let mut spare = std::mem::take(&mut self.video.spare);
         spare.exchange(out, outputs);
         let result = self.smooth_in_time(frame, out, None);
         spare.exchange(out, outputs);
         self.video.spare = spare;
-        // Of an earlier use for other outputs, something may be left.
+        // Clears results left from earlier calls with other outputs.
         let (width, height) = frame.shape();
         out.prepare(width, height, outputs);
         result

@@ -17,13 +17,13 @@ pub(super) struct Pending {
     pub(super) on_receipt: OnReceipt,
 }
 
-/// What is to be done with a result that is received.
+/// How to finish a received result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) enum OnReceipt {
     #[default]
     Nothing,
-    /// It is to be smoothed over time, seen like this.
+    /// The session smooths it over time, with this geometry.
     Filter(Sight),
-    /// Its device has done so; how the camera had moved.
+    /// The device has smoothed it over time; the motion of the camera.
     Filtered(Sight, Option<CameraMotion>),
 }

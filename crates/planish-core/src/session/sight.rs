@@ -1,4 +1,4 @@
-//! How a frame of a video is seen: its camera and sensor, and the ranges of its points.
+//! The camera and sensor of a frame of a video, and the ranges of its points.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -145,7 +145,7 @@ impl Sight {
             for u in carried.columns(v) {
                 match statuses[u].has_normal() {
                     true => statuses[u] = Status::Carried,
-                    // Its status must tell that it has no normal, so the point stays as measured.
+                    // `Carried` would hide that it has no normal, so the point stays as measured.
                     false => ratios[u] = 1.0,
                 }
             }

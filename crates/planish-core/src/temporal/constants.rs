@@ -16,7 +16,7 @@ pub(crate) const LEAST_DEVIATION: f32 = 0.7;
 /// A supported candidate whose change exceeds this many deviations is a new surface at once. Real noise exceeds
 /// [`CANDIDATE`] now and then, for one frame.
 pub(crate) const AT_ONCE: f32 = 5.0;
-/// A candidate with this much support in 3x3 pixels, itself included, is a new surface at once.
+/// Support in 3x3 pixels, itself included, that a candidate above [`AT_ONCE`] needs to be a new surface at once.
 pub(crate) const SUPPORT: f32 = 3.0;
 /// Frames that a pixel must have for a single change to wait.
 pub(crate) const FRAMES_TO_WAIT: f32 = 3.0;
@@ -28,7 +28,7 @@ pub(crate) const OWN_CHANGE: f32 = 6.0;
 pub(crate) const LEAK: f32 = 0.25;
 /// Share by which the variance follows, of a pixel of the most frames and of a tile.
 pub(crate) const LEARN: f32 = 1.0 / 16.0;
-/// Mean of the squared distance to the bias, limited to three deviations, is this share of what is learnt.
+/// Factor from the squared distance to the bias, limited to three deviations, to the variance that is learnt.
 pub(crate) const LEARNT: f32 = 0.875;
 pub(crate) const LEAST_VARIANCE: f32 = 0.04;
 pub(crate) const MOST_VARIANCE: f32 = 2.25;
@@ -43,7 +43,7 @@ pub(crate) const FIRST_VARIANCE: f32 = 0.5;
 pub(crate) const PER_UNIT: f32 = 2048.0;
 /// Steps of stored variances.
 pub(crate) const PER_VARIANCE: f32 = 16384.0;
-/// Biases are stored from this negative value on; they are no larger.
+/// Largest magnitude of a bias, which is added to it when it is stored.
 pub(crate) const MOST_BIAS: f32 = 8.0;
 /// The bit of a pixel whose value in the last frame was carried over.
 pub(crate) const CARRIED: u32 = 1 << 31;
@@ -53,7 +53,7 @@ pub(crate) const LOW: u32 = 0xffff;
 
 /// Columns and rows of a tile in pixels.
 pub(crate) const TILE: usize = 16;
-/// Tiles with at most this many pixels keep a weight of 1.
+/// Tiles with at most this many updated pixels are not tested; only the weight of the camera applies to them.
 pub(crate) const FEW: f32 = 64.0;
 /// Deviations of a tile's change, and of its bias, that halve its weight; doubled if the camera's motion is known.
 pub(crate) const TILE_CHANGE: f32 = 3.0;
@@ -65,14 +65,14 @@ pub(crate) const PERSISTENT: f32 = 0.55;
 pub(crate) const PERSISTENT_NOISE: f32 = 0.5;
 /// Tiles this far apart have independent noise: windows are narrower.
 pub(crate) const PAIR: usize = 3;
-/// Share over one half of pairs of distant tiles that change alike that halves the weight of all pixels. Noise has 0.05
-/// at most, a moving camera up to 0.4.
+/// Excess over 0.5 of the share of pairs of distant tiles that change alike, at which all weights halve. Noise has at
+/// most 0.05, a moving camera up to 0.4.
 pub(crate) const AGREEING: f32 = 0.12;
-/// Above this share, changes are not learnt as noise.
+/// Changes are learnt as noise only up to this share of pairs that change alike.
 pub(crate) const AGREEING_NOISE: f32 = 0.58;
-/// With fewer tiles the ratio is uncertain, and not used.
+/// Fewest tiles for which the two statistics of a moving camera are used.
 pub(crate) const LEAST_TILES: usize = 150;
-/// Median change in sigmas below which it is not used either: too small to blur anything.
+/// Median change in sigmas up to which they are not used: motion is too small to blur anything.
 pub(crate) const LEAST_CHANGE: f32 = 0.1;
 pub(crate) const FIRST_TILE_VARIANCE: f32 = 0.04;
 pub(crate) const LEAST_TILE_VARIANCE: f32 = 0.0025;

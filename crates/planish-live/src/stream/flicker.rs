@@ -4,11 +4,11 @@ use planish_core::{Outputs, Smoothed, Status};
 
 use crate::source::OwnedFrame;
 
-/// About as many pixels of a frame are compared.
+/// Approximate number of pixels compared per frame.
 const SAMPLES: usize = 10_000;
-/// Points that are the mean of fewer frames hardly have a past.
+/// Points averaged over fewer frames count as restarted.
 const FEW_FRAMES: f32 = 1.5;
-/// Share of restarted points of a new scene, or of a new video.
+/// From this share of points without any past on, a frame begins a new scene or video.
 const ALL: f64 = 0.99;
 /// Share of the changes that count: those of moving edges do not. Unlike a median, their mean is not 0 for depth in
 /// coarse steps.
@@ -20,12 +20,12 @@ const MEAN_OF_COUNTED: f64 = 0.7168;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Flicker {
-    /// Jitter as measured, in metres: the standard deviation of the change of depth at a pixel, over √2, by the
-    /// smaller 95 % of the changes in the picture. It includes the motion of a moving camera.
+    /// Jitter of the input in metres: standard deviation of the depth change per pixel divided by √2, estimated from
+    /// the smallest 95 % of the changes. It includes the motion of a moving camera.
     pub measured_m: f64,
     /// Jitter after smoothing.
     pub smoothed_m: f64,
-    /// Share of the points that are the mean of fewer than 1.5 frames: new surfaces, or all if the camera moves.
+    /// Share of the points averaged over fewer than 1.5 frames: new surfaces, or most points if the camera moves.
     pub restarted: f64,
     /// Share of the points that were carried over from the frame before.
     pub carried: f64,
@@ -35,8 +35,8 @@ pub struct Flicker {
 const MOVING: f64 = 0.2;
 
 impl Flicker {
-    /// Returns true if so many points start again that the camera probably moves. If it is tracked, its motion is not
-    /// found.
+    /// Returns true if so many points start again that the camera probably moves. With tracking, this means
+    /// that tracking fails.
     pub fn looks_like_a_moving_camera(&self) -> bool {
         self.restarted > MOVING
     }
@@ -89,16 +89,17 @@ impl FlickerMeter {
         let result = self.jitter_m(is_next, sampled().map(result_m), |meter| &mut meter.smoothed_m);
         self.shape = shape;
         let (status, frames) = (smoothed.status.as_ref()?, smoothed.frames.as_ref()?);
-        let (mut points, mut restarted, mut carried) = (0.0f64, 0.0, 0.0);
+        let (mut points, mut fresh, mut restarted, mut carried) = (0.0f64, 0.0, 0.0, 0.0);
         for i in sampled().filter(|&i| status[i].has_point()) {
             points += 1.0;
+            fresh += f64::from(u8::from(frames[i] <= 1.0));
             restarted += f64::from(u8::from(frames[i] < FEW_FRAMES));
             carried += f64::from(u8::from(status[i] == Status::Carried));
         }
         let share = |count: f64| count / points.max(1.0);
         let (restarted, carried) = (share(restarted), share(carried));
         // Nothing is compared over a gap or a cut.
-        if restarted > ALL {
+        if share(fresh) > ALL {
             return None;
         }
         Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })

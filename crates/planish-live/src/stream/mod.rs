@@ -222,8 +222,9 @@ struct Running<'a> {
     options: &'a StreamOptions,
     live: bool,
     session: Session,
-    /// Compares the frames of a video; and the outputs asked for.
+    /// Measures the flicker of a video.
     flicker: FlickerMeter,
+    /// The requested outputs.
     outputs: Outputs,
     told_lost_points: bool,
     /// Frames in flight.
@@ -383,7 +384,7 @@ impl Running<'_> {
         tell(StreamEvent::Frame(&self.statistics));
     }
 
-    /// Compares a frame of a video with the one before, and leaves the outputs that were asked for.
+    /// Compares a frame with the previous one, then drops outputs that were not requested.
     fn flicker_of(&mut self, frame: &OwnedFrame, smoothed: &mut Smoothed) -> Option<Flicker> {
         if !self.options.is_over_time() {
             return None;

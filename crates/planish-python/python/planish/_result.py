@@ -65,7 +65,7 @@ class Smoothed:
     depth_m : ndarray of float32, [H, W]
         Depth in metres, NaN for holes.
     frames : ndarray of float32, [H, W]
-        With ``temporal``: frames of the video that each point is the mean of, 1 to 16; 0 for holes.
+        With ``temporal``: effective number of frames averaged into each point, 1 to 16; 0 for holes.
     """
 
     points: NDArray[Any] | None = None

@@ -227,8 +227,8 @@ impl MessageSmoother {
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
 
-    /// Returns the outputs that clouds have: those asked for and, in a video, those that tell measured points from
-    /// averaged and carried ones.
+    /// Returns the outputs for a cloud: the requested normals, curvature and status; for a video also status and
+    /// frames.
     fn cloud_outputs(&self, is_on_grid: bool) -> Outputs {
         let Outputs { normals, curvature, status, .. } = self.outputs;
         let is_over_time = self.session.settings().is_some_and(|settings| settings.temporal_params().is_some());

@@ -13,3 +13,4 @@ mod poses;
 mod reference;
 mod temporal;
 mod temporal_gpu;
+mod temporal_outputs;

@@ -30,7 +30,10 @@ pub struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn F
 
 impl Given {
     pub fn frames(count: u64) -> Self {
-        let frames: Vec<_> = (0..count).map(|i| Ok(frame(small_camera(), i))).collect();
+        Self::new((0..count).map(|i| Ok(frame(small_camera(), i))).collect())
+    }
+
+    pub fn new(frames: Vec<Result<DepthFrame, &'static str>>) -> Self {
         Self(frames.into_iter(), Box::new(|_| ()), 0)
     }
 }

@@ -1,6 +1,6 @@
 // The buffers of the passes that smooth a video over time (over_time.rs), and the state of a pixel.
 //
-// Stage: docs/method.md, section 16. As elsewhere, NaN is never computed: holes have range 0.
+// Stage: docs/method.md, section 16. As elsewhere, shaders never compute with NaN: holes have range 0.
 
 // Begins with the fields of a batch (buffers.wgsl).
 struct Step {

@@ -141,7 +141,7 @@ fn update_pixels(
         let weight = bitcast<f32>(memory[batch.tiles_at + 4u * tiles() + group.y * tiles_across() + group.x]);
         let now = updated(i, local.xy, weight);
         var status = spatial_code(0u, pixel);
-        // A status must tell if there is no normal; such a point stays as measured.
+        // A status of Carried would hide a missing normal, so such a point stays as measured.
         let is_carried = now.waits && status >= STATUS_PLANE && status != STATUS_ISOLATED;
         let is_moved = now.range > 0.0 && (is_carried || !now.waits);
         let ratio = select(1.0, now.range / max(range_at(i), LEAST_RANGE_M), is_moved);
@@ -174,7 +174,7 @@ fn update_pixels(
         }
         if WANTS_FRAMES {
             let has_point = status >= STATUS_DEGENERATE;
-            // As it is kept.
+            // Rounded as stored.
             let kept = floor(now.pixel.frames * PER_UNIT + 0.5) / PER_UNIT;
             let frames = select(1.0, max(kept, 1.0), is_moved);
             store_word(0u, FRAMES_CHANNEL, i, bitcast<u32>(select(0.0, frames, has_point)));

@@ -1,4 +1,4 @@
-// The test of whole tiles: what moves by less than the noise, but all together (equations 16.4 to 16.6). One workgroup
+// The test of whole tiles detects common motion below the noise (equations 16.4 to 16.6). One workgroup
 // for all of them.
 
 const THREADS: u32 = 256u;
@@ -34,7 +34,7 @@ fn next_bias_of(tile: u32, change: f32) -> f32 {
     return fma(LEAK, change - bias, bias);
 }
 
-// The median magnitudes of the changes and of the next biases. Numbers that are not negative are in the order of their
+// The median magnitudes of the changes and of the next biases. Floats that are not negative are ordered as their
 // bits.
 fn medians(thread: u32, counted: u32) -> vec2<f32> {
     var found = vec2<u32>(0u);
@@ -52,7 +52,7 @@ fn medians(thread: u32, counted: u32) -> vec2<f32> {
             }
             let bits = bitcast<vec2<u32>>(vec2<f32>(abs(now.change), abs(next_bias_of(tile, now.change))));
             let digit = (bits >> vec2<u32>(shift)) & vec2<u32>(DIGITS - 1u);
-            // Nothing was found before the first digit, and a shift by 32 is none.
+            // The first digit has no prefix, and WGSL does not allow a shift by 32.
             let is_alike = shift == 28u;
             if is_alike || (bits.x >> (shift + 4u)) == (found.x >> (shift + 4u)) {
                 atomicAdd(&digits[digit.x], 1u);
