@@ -28,6 +28,7 @@ use crate::settings::Settings;
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_no_frames, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
+use crate::threads::ONE_THREAD;
 
 pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
@@ -288,7 +289,7 @@ impl Session {
     /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
-        if self.over_time(frame).is_some() {
+        if !ONE_THREAD && self.over_time(frame).is_some() {
             let result = self.smooth_over_time(frame, out);
             self.is_prepared = false;
             return result;
@@ -310,7 +311,7 @@ impl Session {
     }
 
     fn smooth_frame(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
-        if frame.grid().is_none() {
+        if !ONE_THREAD && frame.grid().is_none() {
             check_no_frames(self.options.outputs)?;
         }
         let result = match (self.take_lattice(frame), self.to_space_evenly(frame)) {
@@ -375,7 +376,7 @@ impl Session {
         let video = if uses_fleet { None } else { self.video_of_engine(&options) };
         let mut wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
         // Engines that leave the filter to the session serve every video.
-        if let Some(open) = self.open.as_ref().filter(|open| open.engine() != Engine::Gpu) {
+        if let Some(open) = self.open.as_ref().filter(|open| !ONE_THREAD && open.engine() != Engine::Gpu) {
             wanted.video = open.open_for().video;
         }
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
@@ -387,8 +388,10 @@ impl Session {
             self.open = Some(open);
             self.video.leave_device();
             // Finishing the flights may have looked at other frames.
-            self.rule = Some(geometry.rule);
-            self.look_at(frame, geometry, params);
+            if !ONE_THREAD {
+                self.rule = Some(geometry.rule);
+                self.look_at(frame, geometry, params);
+            }
         }
         self.watch.set(self.open.as_ref().and_then(Open::progress));
         Ok(AdmittedFrame::new(frame, geometry))

@@ -15,7 +15,7 @@ use crate::pose::SensorPose;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, Video, VideoStep};
 use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tracker};
-use crate::threads::Threads;
+use crate::threads::{ONE_THREAD, Threads};
 use crate::view::SmoothedView;
 
 /// A longer time between frames begins a new video, in seconds and in intervals.
@@ -141,7 +141,8 @@ impl Session {
 
     /// Returns the video of the frame that was last looked at, for an engine that may smooth it over time itself.
     pub(super) fn video_of_engine(&self, options: &SmootherOptions) -> Option<Video> {
-        let sight = self.sight.as_ref().filter(|_| matches!(options.engine, Engine::Gpu | Engine::Auto))?;
+        let is_possible = !ONE_THREAD && matches!(options.engine, Engine::Gpu | Engine::Auto);
+        let sight = self.sight.as_ref().filter(|_| is_possible)?;
         let is_depth =
             sight.geometry.cloud_from_sensor.is_none() && matches!(sight.geometry.rule, RangeRule::Depth { .. });
         // Poses need a camera that shaders know; tracking needs the results in space.
@@ -161,6 +162,9 @@ impl Session {
 
     /// Keeps the buffers that no engine fills until the result is received, if it is then smoothed over time.
     pub(super) fn keep_buffers(&mut self, buffer: &mut Smoothed) {
+        if ONE_THREAD {
+            return;
+        }
         if self.pending.is_empty() {
             self.video.kept.clear();
         }
@@ -170,7 +174,7 @@ impl Session {
     }
 
     fn is_over_time_on_device(&self) -> bool {
-        self.open.as_ref().is_some_and(Open::is_over_time)
+        !ONE_THREAD && self.open.as_ref().is_some_and(Open::is_over_time)
     }
 
     /// Adds a frame's place in the video, if the device has its state.
@@ -192,6 +196,8 @@ impl Session {
     /// Returns how to finish the last submitted frame when it is received.
     pub(super) fn on_receipt(&self) -> OnReceipt {
         match (self.sight, self.is_over_time_on_device()) {
+            // The settings refuse videos in a browser, whose module is kept small.
+            _ if ONE_THREAD => OnReceipt::Nothing,
             (None, _) => OnReceipt::Nothing,
             (Some(sight), false) => OnReceipt::Filter(sight),
             (Some(sight), true) => {
@@ -207,7 +213,7 @@ impl Session {
         smooth: impl FnOnce(&mut Self) -> T,
     ) -> (T, OnReceipt) {
         let (pose, number, outputs) = (self.video.pose, self.video.number, self.options.outputs);
-        if let OnReceipt::Filter(sight) | OnReceipt::Filtered(sight, _) = before {
+        if let (false, OnReceipt::Filter(sight) | OnReceipt::Filtered(sight, _)) = (ONE_THREAD, before) {
             self.video.pose = sight.pose.filter(|_| !sight.is_pose_of_file);
             (self.video.number, self.options.outputs) = (sight.video, sight.outputs);
         }
@@ -220,6 +226,7 @@ impl Session {
     /// Finishes a received result.
     pub(super) fn received(&mut self, view: SmoothedView, on_receipt: OnReceipt) -> Result<SmoothedView, Error> {
         match on_receipt {
+            _ if ONE_THREAD => Ok(view),
             OnReceipt::Nothing => Ok(view),
             OnReceipt::Filter(sight) => self.view_over_time(&sight, view),
             OnReceipt::Filtered(_, motion) => {
@@ -335,8 +342,10 @@ impl Session {
 
     fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
         let is_filtered = self.filter_ranges(sight, smoothed)?;
-        let begun = self.video.begun.as_ref().filter(|_| is_filtered);
-        sight.finish(smoothed, begun.map(|begun| &begun.filter));
+        match self.video.begun.as_ref().filter(|_| is_filtered) {
+            Some(Begun { filter, threads, .. }) => threads.install(|| sight.finish(smoothed, Some(filter))),
+            None => Threads::open(self.options.threads)?.install(|| sight.finish(smoothed, None)),
+        }
         Ok(())
     }
 
