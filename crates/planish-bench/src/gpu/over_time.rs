@@ -1,4 +1,4 @@
-//! What smoothing over time adds to a frame, in sessions that differ in nothing else.
+//! Compares sessions that smooth over time with one that does not, all else equal.
 
 use std::sync::Arc;
 use std::time::Instant;

@@ -102,7 +102,7 @@ impl Pass {
     }
 }
 
-/// Returns the constants of the filter in WGSL, and those of the channels of the result in space.
+/// Returns the WGSL constants of the filter and of the channels of the spatial result.
 fn temporal_constants(in_space: Outputs) -> String {
     let mut text = String::new();
     let channels = channels(in_space);
@@ -230,7 +230,7 @@ impl OverTime {
         self.bytes
     }
 
-    /// Returns the layout of the results over time, given that of those in space.
+    /// Returns the layout of the temporal results for this layout of spatial results.
     pub(super) fn results(&self, in_space: Layout) -> Layout {
         Layout { outputs: self.video.outputs, ..in_space }
     }

@@ -27,7 +27,7 @@ pub(super) struct Slot {
     /// Where it is submitted.
     pub(super) gpu: Arc<GpuDevice>,
     pub(super) layout: Layout,
-    /// The layout of what is read back.
+    /// The layout of the results to read back.
     pub(super) results: Layout,
     pub(super) frames: usize,
     /// Written by the host; mapped whenever the slot is free.

@@ -373,12 +373,8 @@ impl Session {
         if let (false, Some(device)) = (uses_fleet, self.devices.get(self.device)) {
             options = device.options(&options);
         }
-        let video = if uses_fleet { None } else { self.video_of_engine(&options) };
-        let mut wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
-        // Engines that leave the filter to the session serve every video.
-        if let Some(open) = self.open.as_ref().filter(|open| !ONE_THREAD && open.engine() != Engine::Gpu) {
-            wanted.video = open.open_for().video;
-        }
+        let video = self.video_of_engine(&options, uses_fleet);
+        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video };
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
             check_options(params, &wanted.options, frame.grid())?;
             self.finish_flights()?;

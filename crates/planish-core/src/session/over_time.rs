@@ -94,7 +94,7 @@ impl Kept {
 struct Spare(Smoothed);
 
 impl Spare {
-    /// Exchanges them with those of the caller's result.
+    /// Swaps them with the buffers of the caller's result.
     fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
         let Self(spare) = self;
         let Outputs { points, normals, status, depth_m, .. } = outputs;
@@ -140,8 +140,15 @@ impl Session {
     }
 
     /// Returns the video of the frame that was last looked at, for an engine that may smooth it over time itself.
-    pub(super) fn video_of_engine(&self, options: &SmootherOptions) -> Option<Video> {
-        let is_possible = !ONE_THREAD && matches!(options.engine, Engine::Gpu | Engine::Auto);
+    pub(super) fn video_of_engine(&self, options: &SmootherOptions, uses_fleet: bool) -> Option<Video> {
+        if ONE_THREAD {
+            return None;
+        }
+        // An open engine that leaves the filter to the session serves every video.
+        if let Some(open) = self.open.as_ref().filter(|open| open.engine() != Engine::Gpu) {
+            return open.open_for().video;
+        }
+        let is_possible = !uses_fleet && matches!(options.engine, Engine::Gpu | Engine::Auto);
         let sight = self.sight.as_ref().filter(|_| is_possible)?;
         let is_depth =
             sight.geometry.cloud_from_sensor.is_none() && matches!(sight.geometry.rule, RangeRule::Depth { .. });

@@ -62,8 +62,8 @@ impl Sight {
         let (Some((previous, was_of_file)), Some(current), Some(camera)) = (last, self.pose, camera) else {
             return Ok(None);
         };
-        // Poses of the caller and those of files may be in different worlds. Many writers state the same pose for every
-        // frame, wherever the camera is.
+        // Poses from the caller and from files may refer to different worlds. Many writers store the same pose with
+        // every frame, wherever the camera is.
         let is_known = was_of_file == self.is_pose_of_file && !(self.is_pose_of_file && previous == current);
         Ok(if is_known { Some(CameraMotion::between(*camera, &previous, &current)?) } else { None })
     }
@@ -186,7 +186,7 @@ impl Sight {
     }
 }
 
-/// Divides ranges over time by those of the single frame: `single_m`, or the magnitudes of `z`. Holes get 1 and so
+/// Divides temporal ranges by the ranges of the single frame: `single_m`, or the magnitudes of `z`. Holes get 1 and so
 /// stay holes.
 #[inline(always)]
 fn set_ratios(over_time_m: &mut [f32], single_m: Option<&[f32]>, z: &[f32]) {

@@ -10,7 +10,7 @@ const SAMPLES: usize = 10_000;
 const FEW_FRAMES: f32 = 1.5;
 /// From this share of points without any past on, a frame begins a new scene or video.
 const ALL: f64 = 0.99;
-/// Share of the changes that count: those of moving edges do not. Unlike a median, their mean is not 0 for depth in
+/// Share of the changes used; the largest belong to moving edges. Unlike a median, their mean is not 0 for depth in
 /// coarse steps.
 const COUNTED: f64 = 0.95;
 /// Mean magnitude of the smaller 95 % of a normal distribution.
@@ -105,7 +105,7 @@ impl FlickerMeter {
         Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })
     }
 
-    /// Returns the jitter of depths to those of the frame before, in whose place they are kept.
+    /// Returns the jitter between the previous depths and these, which replace them.
     fn jitter_m(
         &mut self,
         is_next: bool,

@@ -7,7 +7,7 @@ struct Step {
     width: u32,
     height: u32,
     input_words: u32,
-    // Of the result over time.
+    // Distance between frames of the temporal result.
     output_words: u32,
     // Places in `memory`, in words: the state, and where it was in the last frame if the camera has moved.
     state_at: u32,
@@ -22,7 +22,7 @@ struct Step {
     // Coefficients of the standard deviation of depth.
     sigma: vec3<f32>,
     fx: f32,
-    // Columns of the rotation from the camera's frame now to that of the last frame, and the translation.
+    // Rotation, by columns, and translation from the current camera frame to the previous one.
     rotation_x: vec3<f32>,
     fy: f32,
     rotation_y: vec3<f32>,

@@ -54,7 +54,7 @@ fn support(local: vec2<u32>) -> f32 {
 // A pixel's state after a frame, and how it shows.
 struct Updated {
     pixel: Pixel,
-    // Range over time; 0 if that of the frame stays.
+    // Temporal range; 0 to keep the range of the frame.
     range: f32,
     waits: bool,
 }

@@ -6,7 +6,7 @@ const THREADS: u32 = 256u;
 const DIGITS: u32 = 16u;
 
 var<workgroup> digits: array<atomic<u32>, 2u * DIGITS>;
-// Tiles that count; pairs of them, and those that change alike.
+// Number of tested tiles, of pairs of them, and of pairs that change alike.
 var<workgroup> counts: array<atomic<u32>, 3>;
 
 fn tile_word(channel: u32, tile: u32) -> u32 {
@@ -81,7 +81,7 @@ fn medians(thread: u32, counted: u32) -> vec2<f32> {
     return bitcast<vec2<f32>>(found);
 }
 
-// Counts tiles, pairs of tiles, and those that change alike.
+// Counts tested tiles, their pairs, and the pairs that change alike.
 fn count(thread: u32) {
     if thread < 3u {
         atomicStore(&counts[thread], 0u);
