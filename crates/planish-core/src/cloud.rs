@@ -125,18 +125,33 @@ impl Attribute {
     }
 }
 
+/// Beyond this, coordinates in 4 bytes lose more than 0.1 mm.
+const FAR_M: f64 = 1000.0;
+
 /// The places and widths of columns x, y and z in a file, so it is written as it was read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
     pub index: [usize; 3],
-    /// Whether the file stores f64.
-    pub double: bool,
+    /// The precision in which they are written.
+    pub precision: Precision,
+}
+
+/// The precision in which x, y and z are written, where a format has both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Precision {
+    /// 4 bytes, and 8 where those would lose more than 0.1 mm, beyond 1000 m.
+    #[default]
+    AsNeeded,
+    /// 4 bytes.
+    F32,
+    /// 8 bytes.
+    F64,
 }
 
 impl Default for PositionColumns {
     fn default() -> Self {
-        Self { index: [0, 1, 2], double: false }
+        Self { index: [0, 1, 2], precision: Precision::AsNeeded }
     }
 }
 
@@ -254,6 +269,19 @@ impl PointCloud {
         let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
         exact.filter(|exact| (exact - origin) as f32 == here)
+    }
+
+    /// Returns true if its coordinates are written in 8 bytes, where a format allows it.
+    pub fn is_written_in_f64(&self) -> bool {
+        match self.position_columns.precision {
+            Precision::F32 => false,
+            Precision::F64 => true,
+            Precision::AsNeeded => (0..3).any(|axis| {
+                let origin_m = self.origin_m[axis];
+                let is_far = |value: &f32| (origin_m + f64::from(*value)).abs() > FAR_M && value.is_finite();
+                origin_m != 0.0 && self.positions.as_slices()[axis].iter().any(is_far)
+            }),
+        }
     }
 
     /// Keeps the coordinates of a file, if f32 loses digits of them.

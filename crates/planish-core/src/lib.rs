@@ -64,7 +64,7 @@ pub mod webgpu {
 }
 
 pub use camera::{Camera, Distortion, SATURATED_DEPTH};
-pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns};
+pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns, Precision};
 pub use cpu::CloudEstimate;
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use engines::{
@@ -116,7 +116,7 @@ pub mod internal {
     pub use crate::pose::RigidTransform;
     #[cfg(feature = "reference")]
     pub use crate::reference::temporal::TemporalReference;
-    pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery};
+    pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery, ResultFilter, ResultSight};
     pub use crate::smoothed::named_fields;
     pub use crate::threads::Threads;
     pub use crate::xyz::validate_shape;

@@ -150,15 +150,14 @@ impl Smoothed {
     /// Returns the available outputs among `fields`, under the field names of clouds.
     pub fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
         let normals = self.normals.as_ref().map(Xyz::as_slices);
-        let mut found = named_fields(
+        named_fields(
             fields,
             normals,
             self.curvature.as_deref(),
             self.status.as_deref(),
             self.neighbours.as_deref(),
-        );
-        found.extend(self.frames.as_ref().filter(|_| fields.frames).map(|frames| ("frames", frames.clone().into())));
-        found
+            self.frames.as_deref(),
+        )
     }
 }
 
@@ -169,6 +168,7 @@ pub fn named_fields(
     curvature: Option<&[f32]>,
     status: Option<&[Status]>,
     neighbours: Option<&[u32]>,
+    frames: Option<&[f32]>,
 ) -> Vec<(&'static str, AttributeValues)> {
     let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
     if let Some(normals) = normals.filter(|_| fields.normals) {
@@ -183,6 +183,9 @@ pub fn named_fields(
     if let Some(neighbours) = neighbours.filter(|_| fields.neighbours) {
         found.push(("neighbours", neighbours.to_vec().into()));
     }
+    if let Some(frames) = frames.filter(|_| fields.frames) {
+        found.push(("frames", frames.to_vec().into()));
+    }
     found
 }
 
@@ -196,14 +199,30 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
     if along.abs() > GRAZING_COSINE * ray_length { (x * nx + y * ny + z * nz) / along } else { z }
 }
 
+/// Fields that do not fit points that have moved: PCL's names of normals and curvature.
+const OF_SURFACE: [&str; 4] = ["normal_x", "normal_y", "normal_z", "curvature"];
+
+impl Outputs {
+    /// Adds the outputs that replace a cloud's own normals and curvature, which do not fit smoothed points.
+    pub fn renewing(self, cloud: &PointCloud) -> Self {
+        let has = |name: &str| cloud.attribute(name).is_some();
+        let [x, y, z, curvature] = OF_SURFACE.map(has);
+        self.with_normals(self.normals || (x && y && z)).with_curvature(self.curvature || curvature)
+    }
+}
+
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours` and `frames`. All other fields are kept. In a file
-    /// of several scans, normals face the scanner of each point.
+    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours` and `frames`. All other fields are kept, except
+    /// for normals and curvature that are not among `fields`: those of the measured points do not fit the result
+    /// ([`Outputs::renewing`]). In a file of several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);
-        for (name, values) in smoothed.fields(fields) {
+        let renewed = smoothed.fields(fields);
+        let is_stale = |name: &str| OF_SURFACE.contains(&name) && renewed.iter().all(|(renewed, _)| *renewed != name);
+        self.attributes.retain(|attribute| !is_stale(&attribute.name));
+        for (name, values) in renewed {
             self.set_attribute(name, values);
         }
         if smoothed.normals.is_some() && fields.normals {

@@ -10,7 +10,11 @@
 )]
 
 #[cfg(feature = "evaluate")]
+pub mod compare;
+#[cfg(feature = "evaluate")]
 pub mod evaluate;
+#[cfg(feature = "evaluate")]
+pub mod mesh;
 #[cfg(feature = "evaluate")]
 pub mod render;
 pub mod simulate;

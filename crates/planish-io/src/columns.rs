@@ -1,6 +1,6 @@
 //! Conversion between a file's columns, x, y and z among them, and a cloud's positions and attributes.
 
-use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, PositionColumns, Xyz};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, PositionColumns, Precision, Xyz};
 
 use super::quoted;
 
@@ -80,7 +80,8 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     let mut cloud = PointCloud::new(positions);
     cloud.origin_m = origin_m;
     cloud.attributes = columns;
-    cloud.position_columns = PositionColumns { index, double: exact.is_some() };
+    let precision = if exact.is_some() { Precision::F64 } else { Precision::AsNeeded };
+    cloud.position_columns = PositionColumns { index, precision };
     exact.into_iter().for_each(|exact| cloud.keep_exact(exact));
     Ok(cloud)
 }
@@ -102,15 +103,18 @@ fn origin_of(values: &[f64]) -> f64 {
 /// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
 pub fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
-    let PositionColumns { index, double } = cloud.position_columns;
-    let double = double || cloud.origin_m != [0.0; 3];
+    let PositionColumns { index, .. } = cloud.position_columns;
+    let double = cloud.is_written_in_f64();
     let mut axes = [(0, cloud.positions.x()), (1, cloud.positions.y()), (2, cloud.positions.z())];
     axes.sort_by_key(|&(axis, _)| index[axis]);
     for (axis, values) in axes {
+        let coordinates = (0..cloud.len()).map(|i| cloud.coordinate(axis, i));
         let values = if double {
-            (0..cloud.len()).map(|i| cloud.coordinate(axis, i)).collect::<Vec<f64>>().into()
-        } else {
+            coordinates.collect::<Vec<f64>>().into()
+        } else if cloud.origin_m[axis] == 0.0 {
             AttributeValues::F32(values.to_vec())
+        } else {
+            coordinates.map(|value| value as f32).collect::<Vec<f32>>().into()
         };
         let at = index[axis].min(columns.len());
         columns.insert(at, Attribute { name: AXES[axis].to_owned(), count: 1, values });

@@ -15,10 +15,12 @@
     clippy::print_stderr
 )]
 
+mod adapt;
 mod atomic_write;
 mod camera_file;
 mod columns;
 mod contents;
+mod convert;
 mod depth_png;
 #[cfg(feature = "tiff")]
 mod depth_tiff;
@@ -47,13 +49,17 @@ mod text;
 #[cfg(feature = "scans")]
 pub mod tiles;
 mod trajectory;
+mod triangle_files;
+mod triangles;
 mod write;
 mod xyz_text;
 
+pub use adapt::{adapt_fields, losses};
 pub use atomic_write::{remove_temporaries, write_whole};
 pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
 pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, organized_if_grid};
+pub use convert::{ConvertOptions, ConvertReport, convert};
 pub(crate) use error_text::{brief, quoted};
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
@@ -76,6 +82,8 @@ pub use read::{
 };
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
 pub use trajectory::{Trajectory, read_trajectory};
+pub use triangle_files::{WRITTEN_MESHES, write_mesh};
+pub use triangles::TriangleMesh;
 pub use write::{check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
 
 /// For planish's other crates and tests; it may change with every version.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted};
-use planish_core::{Attribute, FormatError, PointCloud};
+use planish_core::{Attribute, FormatError, PointCloud, Precision};
 
 /// Reads the lines `v x y z` of a Wavefront OBJ, with optional colours.
 pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
@@ -103,6 +103,6 @@ fn with_points(columns: Vec<Attribute>, name: &str) -> FormatResult<PointCloud> 
     }
     let mut cloud = cloud_from_columns(columns)?;
     // Text files state no type; coordinates near the origin do not need f64.
-    cloud.position_columns.double = cloud.origin_m != [0.0; 3];
+    cloud.position_columns.precision = Precision::AsNeeded;
     Ok(cloud)
 }

@@ -7,8 +7,8 @@ use planish::evaluate::{Evaluation, Suite};
 use planish::io::{self, Contents, Encoding};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
-    Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, SensorChoice,
-    SensorModel, Session, Smoothed, Xyz,
+    Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Precision,
+    SensorChoice, SensorModel, Session, Smoothed, Xyz,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -45,7 +45,7 @@ pub fn read<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyDict>>
     Ok(found)
 }
 
-fn put_cloud<'py>(py: Python<'py>, found: &Bound<'py, PyDict>, cloud: PointCloud) -> PyResult<()> {
+pub fn put_cloud<'py>(py: Python<'py>, found: &Bound<'py, PyDict>, cloud: PointCloud) -> PyResult<()> {
     let len = cloud.len();
     if cloud.origin_m == [0.0; 3] {
         let rows: Vec<f32> = cloud.positions.iter().flatten().collect();
@@ -92,16 +92,47 @@ pub fn write_points(
     pose: Option<[f64; 7]>,
     encoding: &str,
 ) -> PyResult<()> {
-    let encoding = match encoding {
-        "binary" => Encoding::Binary,
-        "ascii" => Encoding::Ascii,
-        "compressed" => Encoding::BinaryCompressed,
-        _ => {
-            return Err(PyValueError::new_err(format!(
-                "encoding = {encoding:?} is not allowed: \"binary\", \"ascii\", \"compressed\""
-            )));
+    let (encoding, precision) = encoding_of(&[encoding.to_owned()])?;
+    let mut cloud = cloud_of(&points, origin_m, fields, pose)?;
+    cloud.position_columns.precision = precision.unwrap_or_default();
+    let encoding = encoding.unwrap_or_default();
+    let written = match grid {
+        None => py.detach(|| io::write_cloud(&path, &cloud, encoding)),
+        Some((height, width)) => {
+            let cloud = OrganizedCloud::new(width, height, cloud).map_err(frame)?;
+            py.detach(|| io::write_cloud(&path, &cloud, encoding))
         }
     };
+    written.map_err(to_py)
+}
+
+/// Returns the encoding and the precision of coordinates that names state.
+pub fn encoding_of(names: &[String]) -> PyResult<(Option<Encoding>, Option<Precision>)> {
+    let (mut encoding, mut precision) = (None, None);
+    for name in names.iter().flat_map(|names| names.split(',')) {
+        match name {
+            "binary" => encoding = Some(Encoding::Binary),
+            "ascii" => encoding = Some(Encoding::Ascii),
+            "compressed" => encoding = Some(Encoding::BinaryCompressed),
+            "f32" => precision = Some(Precision::F32),
+            "f64" => precision = Some(Precision::F64),
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "encoding = {name:?} is not allowed: \"binary\", \"ascii\", \"compressed\", \"f32\", \"f64\""
+                )));
+            }
+        }
+    }
+    Ok((encoding, precision))
+}
+
+/// Returns the cloud of points and fields, relative to an origin.
+pub fn cloud_of(
+    points: &PyReadonlyArray2<'_, f64>,
+    origin_m: [f64; 3],
+    fields: &Bound<'_, PyDict>,
+    pose: Option<[f64; 7]>,
+) -> PyResult<PointCloud> {
     let rows = points.as_array();
     let positions: Xyz = rows.outer_iter().map(|p| [0, 1, 2].map(|axis| (p[axis] - origin_m[axis]) as f32)).collect();
     let mut cloud = PointCloud::new(positions);
@@ -121,14 +152,7 @@ pub fn write_points(
         let count = values.len() / cloud.len().max(1);
         cloud.attributes.push(Attribute { name, count: count.max(1), values });
     }
-    let written = match grid {
-        None => py.detach(|| io::write_cloud(&path, &cloud, encoding)),
-        Some((height, width)) => {
-            let cloud = OrganizedCloud::new(width, height, cloud).map_err(frame)?;
-            py.detach(|| io::write_cloud(&path, &cloud, encoding))
-        }
-    };
-    written.map_err(to_py)
+    Ok(cloud)
 }
 
 fn attribute_values(array: &Bound<'_, PyAny>) -> Option<AttributeValues> {

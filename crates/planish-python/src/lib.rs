@@ -7,6 +7,7 @@ mod files;
 mod settings;
 mod smoother;
 mod stream;
+mod tools;
 
 use std::ffi::OsString;
 
@@ -31,6 +32,8 @@ mod _planish {
     use super::smoother::PySmoother;
     #[pymodule_export]
     use super::stream::PyStream;
+    #[pymodule_export]
+    use super::tools::{clean, compare_files, convert, draw, merge, mesh, remove_floating};
 
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -17,16 +17,30 @@ def smooth_all(frames: Iterable[NDArray[np.uint16]], camera: planish.Camera) -> 
         for frame in frames:
             result = smoother.smooth(frame)
             assert_type(result, planish.Smoothed)
-            assert_type(result.depth, NDArray[np.uint16] | None)
-            if result.depth is not None:
-                results.append(result.depth)
+            assert_type(result.depth, NDArray[np.uint16])
+            results.append(result.depth)
         assert_type(smoother.engine, str | None)
         assert_type(smoother.cloud_choice, planish.CloudChoice | None)
     return results
 
 
-def once(points: NDArray[np.float32]) -> NDArray[np.float32] | None:
+def once(points: NDArray[np.float32]) -> NDArray[np.float32]:
     return planish.smooth(points, neighbours=60, edges="robust").normals
+
+
+def wrong(depth: NDArray[np.uint16], camera: planish.Camera) -> None:
+    # mypy reports comments that suppress nothing.
+    planish.smooth(depth, camera, preset="lightt")  # type: ignore[arg-type]
+    planish.smooth(depth, camera, presett="light")  # type: ignore[call-arg]
+
+
+def tools() -> None:
+    planish.convert("scan.e57", "scan.laz", encoding=None)
+    assert_type(planish.compare("a.pcd", "b.pcd").distances.rms, float)
+    assert_type(planish.merge(["a.pcd", "b.pcd"], "c.ply"), int)
+    assert_type(planish.mesh("depth.png", "chair.glb", camera=planish.Camera.kinect_v1(), preset="strong"), tuple[int, int])
+    assert_type(planish.clean(planish.read("a.pcd"), voxel=0.01).points, NDArray[Any] | None)
+    assert_type(planish.render(planish.read("a.pcd")), NDArray[np.uint8])
 
 
 def files() -> None:

@@ -67,7 +67,7 @@ pub use planish_core::*;
 #[cfg(feature = "simulate")]
 pub use planish_eval::simulate;
 #[cfg(feature = "evaluate")]
-pub use planish_eval::{evaluate, render};
+pub use planish_eval::{compare, evaluate, mesh, render};
 #[cfg(feature = "io")]
 pub use planish_io as io;
 #[cfg(feature = "scans")]

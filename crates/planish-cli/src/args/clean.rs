@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::camera::numbers;
-use super::{CameraArgs, EncodingArg, MemoryArgs};
+use super::{CameraArgs, EncodingArgs, MemoryArgs};
 
 /// Steps apply in the order of these options. Organized clouds keep their grid, and removed points become holes; with
 /// --voxel the output is unorganized.
@@ -30,9 +30,8 @@ pub struct CleanArgs {
     pub radius: Option<RadiusOutliers>,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Encoding of a .pcd or .ply [default: the input's]
-    #[arg(long, value_enum)]
-    pub encoding: Option<EncodingArg>,
+    #[command(flatten)]
+    pub encoding: EncodingArgs,
     /// Allow an output that replaces the input
     #[arg(long)]
     pub overwrite: bool,

@@ -3,22 +3,25 @@
 mod bench;
 mod camera;
 mod clean;
+mod convert;
 mod memory;
 mod rig;
 mod smoothing;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use anyhow::{Result, bail};
 use clap::{Parser, Subcommand, ValueEnum};
 use planish::io::Encoding;
 use planish::simulate::Event;
 use planish::source::{Alignment, StreamMode};
-use planish::{Outputs, ParamError};
+use planish::{Outputs, ParamError, Precision};
 
 pub use bench::{BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, ExperimentArgs};
 pub use camera::{CameraArgs, Direction, PoseArgs, PosesArgs};
 pub use clean::CleanArgs;
+pub use convert::{CompareArgs, ConvertArgs, MergeArgs, MeshArgs};
 pub use memory::MemoryArgs;
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
 pub use smoothing::{
@@ -55,6 +58,14 @@ pub enum Command {
     Smooth(SmoothArgs),
     /// Remove outliers, thin a cloud to voxels, or crop it to a box
     Clean(CleanArgs),
+    /// Convert a file to another format, without smoothing
+    Convert(ConvertArgs),
+    /// Measure the differences of two clouds or depth images
+    Compare(CompareArgs),
+    /// Put several clouds together, each with its pose
+    Merge(MergeArgs),
+    /// Smooth a frame and connect its pixels to a triangle mesh
+    Mesh(MeshArgs),
     /// Describe a file: format, fields, extent, camera, sensor
     Info(InfoArgs),
     /// Draw a cloud as a shaded relief
@@ -136,9 +147,8 @@ pub struct SmoothArgs {
     /// Topic for an additional cloud per depth image
     #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = RECORDINGS)]
     pub points_topic: Option<String>,
-    /// Encoding of a .pcd or .ply [default: the input's]
-    #[arg(long, value_enum, hide_short_help = true, help_heading = OUTPUT)]
-    pub encoding: Option<EncodingArg>,
+    #[command(flatten)]
+    pub encoding: EncodingArgs,
     /// File extension of a folder's results [default: the inputs']
     #[arg(long, value_name = "EXTENSION", hide_short_help = true, help_heading = OUTPUT)]
     pub format: Option<String>,
@@ -456,20 +466,56 @@ pub enum FieldArg {
     None,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(clap::Args)]
+pub struct EncodingArgs {
+    /// Encoding of a .pcd or .ply, and bytes of coordinates, such as compressed,f64 [default: the input's]
+    ///
+    /// Coordinates in .pcd have 4 bytes (f32) unless they are beyond 1000 m: PCL reads those of 8 bytes (f64) as zeros.
+    #[arg(long, value_enum, value_name = "ENCODING", value_delimiter = ',', hide_short_help = true, help_heading = OUTPUT)]
+    pub encoding: Vec<EncodingArg>,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 pub enum EncodingArg {
     Ascii,
     Binary,
     Compressed,
+    F32,
+    F64,
 }
 
-impl From<EncodingArg> for Encoding {
-    fn from(encoding: EncodingArg) -> Self {
-        match encoding {
-            EncodingArg::Ascii => Self::Ascii,
-            EncodingArg::Binary => Self::Binary,
-            EncodingArg::Compressed => Self::BinaryCompressed,
+impl EncodingArgs {
+    pub fn is_given(&self) -> bool {
+        !self.encoding.is_empty()
+    }
+
+    /// Refuses an output whose format is unknown or lacks the encoding, and encodings that contradict each other.
+    pub fn check(&self, output: &Path) -> Result<()> {
+        let is_precision = |encoding: &&EncodingArg| matches!(encoding, EncodingArg::F32 | EncodingArg::F64);
+        let precisions = self.encoding.iter().filter(is_precision).count();
+        if precisions > 1 || self.encoding.len() - precisions > 1 {
+            bail!("--encoding: one of ascii, binary and compressed, and one of f32 and f64");
         }
+        crate::commands::check_output(output, self.is_given())
+    }
+
+    /// Returns the requested encoding.
+    pub fn encoding(&self) -> Option<Encoding> {
+        self.encoding.iter().find_map(|encoding| match encoding {
+            EncodingArg::Ascii => Some(Encoding::Ascii),
+            EncodingArg::Binary => Some(Encoding::Binary),
+            EncodingArg::Compressed => Some(Encoding::BinaryCompressed),
+            EncodingArg::F32 | EncodingArg::F64 => None,
+        })
+    }
+
+    /// Returns the requested precision of coordinates.
+    pub fn precision(&self) -> Option<Precision> {
+        self.encoding.iter().find_map(|encoding| match encoding {
+            EncodingArg::F32 => Some(Precision::F32),
+            EncodingArg::F64 => Some(Precision::F64),
+            _ => None,
+        })
     }
 }
 
@@ -486,10 +532,5 @@ pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
 impl SmoothArgs {
     pub fn outputs(&self) -> Outputs {
         outputs_of(&self.fields)
-    }
-
-    /// Returns the requested encoding.
-    pub fn encoding(&self) -> Option<Encoding> {
-        self.encoding.map(Encoding::from)
     }
 }

@@ -195,8 +195,8 @@ pub struct SmoothingArgs {
     pub even: Option<bool>,
     /// Smooth video from one camera over time [default: off]
     ///
-    /// Streams, folders of frames (in the order of their numbers) and recordings with one topic of frames. Without
-    /// --track or --poses, the camera is stationary. Not for rigs or unorganized clouds.
+    /// Streams, rigs, folders of frames (in the order of their numbers) and recordings. Without --track or --poses, the
+    /// camera is stationary. Not for unorganized clouds.
     #[arg(long, value_enum, help_heading = TUNING)]
     pub temporal: Option<TemporalArg>,
     /// Smooth video from a moving camera over time: its motion is estimated from frame to frame

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use planish::PointCloud;
-use planish::io::Format;
+use planish::io::{self, Format};
+use planish::{PointCloud, Precision};
 use planish_bench::errln;
 
 /// A radius above this share of a cloud's extent is probably in the wrong unit.
@@ -126,26 +126,13 @@ pub fn report_columns(input: &Path, format: Format, cloud: &PointCloud) {
 
 /// Reports holes and fields that the output format cannot represent.
 pub fn report_losses(output: &Path, cloud: &PointCloud) {
-    if matches!(Format::of_extension(output), Some(Format::Las | Format::Laz)) {
-        let holes = cloud.len() - cloud.valid_points();
-        if holes > 0 {
-            errln!("{}: {holes} holes are dropped, since LAS cannot store them", output.display());
-        }
-    }
-    if Format::of_extension(output) == Some(Format::Npy) && !cloud.attributes.is_empty() {
-        let fields = cloud.attributes.len();
-        errln!("{}: {fields} fields are dropped, since NPY cannot store them (write .npz)", output.display());
-    }
+    let losses = Format::of_extension(output).map_or(Vec::new(), |to| io::losses(cloud, to));
+    report_notes(output, &losses);
 }
 
-/// Converts colours and intensities to the representation of the output format.
-pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path) {
-    match Format::of_extension(output) {
-        Some(Format::Ply) if read != Format::Ply => cloud.unpack_colour(),
-        Some(Format::Pcd) if read == Format::Ply => cloud.pack_colour(),
-        Some(Format::Las | Format::Laz) if !matches!(read, Format::Las | Format::Laz) && cloud.scale_intensity() => {
-            errln!("{}: intensities from 0 to 1 are scaled to 0 to 65535, the range of LAS", output.display());
-        }
-        _ => {}
+/// Converts colours, intensities and the precision of coordinates to what the output format's readers expect.
+pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path, precision: Option<Precision>) {
+    if let Some(to) = Format::of_extension(output) {
+        report_notes(output, &io::adapt_fields(cloud, read, to, precision));
     }
 }

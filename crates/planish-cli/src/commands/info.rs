@@ -204,7 +204,7 @@ fn describe_points(cloud: &PointCloud, info: &mut Info) {
 }
 
 fn fields(cloud: &PointCloud) -> Vec<String> {
-    let position = if cloud.position_columns.double { "F8" } else { "F4" };
+    let position = if cloud.is_written_in_f64() { "F8" } else { "F4" };
     let positions = ["x", "y", "z"].iter().map(|axis| format!("{axis}:{position}"));
     positions.chain(cloud.attributes.iter().map(field)).collect()
 }

@@ -28,8 +28,7 @@ use report::{
 };
 
 use super::checks::{
-    check_not_input, check_not_settings, check_output, check_radius, convert_fields, report_columns, report_losses,
-    report_notes,
+    check_not_input, check_not_settings, check_radius, convert_fields, report_columns, report_losses, report_notes,
 };
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
@@ -61,6 +60,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         pose: args.pose.pose()?,
         beside: 1,
         smoothed: Smoothed::default(),
+        renewed: Outputs::POINTS,
         noted: Arc::default(),
     };
     if args.repeat > 1 && worker.settings.temporal_params().is_some() {
@@ -100,7 +100,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     if worker.settings.temporal_params().is_some() {
         errln!("{}: --temporal and --track have no effect on a single frame", args.input.display());
     }
-    check_output(&args.output, args.encoding.is_some())?;
+    args.encoding.check(&args.output)?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
     check_not_settings(args.smoothing.settings.as_deref(), &args.output)?;
     let report = worker.smooth_file(&args.input, &args.output)?;
@@ -122,6 +122,8 @@ struct Worker<'a> {
     /// Number of workers, which share threads and memory equally.
     beside: u64,
     smoothed: Smoothed,
+    /// Fields of the file that are computed again.
+    renewed: Outputs,
     /// Notes already printed, shared by all workers.
     noted: Arc<Mutex<HashSet<String>>>,
 }
@@ -152,11 +154,13 @@ impl Worker<'_> {
         report_notes(input, &notes);
         match &mut contents {
             Contents::Organized(cloud) if !is_depth(output) => {
-                convert_fields(&mut cloud.points, format, output);
+                convert_fields(&mut cloud.points, format, output, self.args.encoding.precision());
+                self.renew_fields(input, &cloud.points);
                 io::check_writable(output, &*cloud, self.outputs())?;
             }
             Contents::General(cloud) => {
-                convert_fields(cloud, format, output);
+                convert_fields(cloud, format, output, self.args.encoding.precision());
+                self.renew_fields(input, cloud);
                 io::check_writable(output, &*cloud, self.outputs())?;
             }
             _ => {}
@@ -187,7 +191,7 @@ impl Worker<'_> {
         }
 
         let start = Instant::now();
-        self.write(output, &result, self.args.encoding().or(encoding).unwrap_or_default())?;
+        self.write(output, &result, self.args.encoding.encoding().or(encoding).unwrap_or_default())?;
         Ok(Report {
             input: input.to_path_buf(),
             output: output.to_path_buf(),
@@ -283,8 +287,24 @@ impl Worker<'_> {
         Ok((result, points, times_ms))
     }
 
-    /// Returns the fields to write: `--fields`, or the outputs of the settings.
+    /// Adds the normals and curvature that a cloud has to the fields to write, since they change with the points.
+    fn renew_fields(&mut self, input: &Path, cloud: &PointCloud) {
+        self.renewed = Outputs::POINTS;
+        let (wanted, renewed) = (self.outputs(), self.outputs().renewing(cloud));
+        if renewed != wanted {
+            errln!("{}: its normals and curvature are computed again for the smoothed points", input.display());
+            self.renewed = renewed;
+        }
+    }
+
+    /// Returns the fields to write: `--fields`, or the outputs of the settings, and those that are renewed.
     fn outputs(&self) -> Outputs {
+        let outputs = self.wanted_outputs();
+        let Outputs { normals, curvature, .. } = self.renewed;
+        outputs.with_normals(outputs.normals || normals).with_curvature(outputs.curvature || curvature)
+    }
+
+    fn wanted_outputs(&self) -> Outputs {
         match self.settings.outputs.filter(|_| self.args.fields.is_empty()) {
             Some(Outputs { normals, curvature, status, frames, .. }) => {
                 let outputs = Outputs::POINTS.with_normals(normals).with_curvature(curvature);

@@ -3,6 +3,7 @@
 //! None of them needs a grid. Holes are never outliers and stay holes.
 
 mod outliers;
+mod steps;
 pub(crate) mod voxel_grid;
 pub(crate) mod voxels;
 
@@ -13,6 +14,7 @@ use crate::error::ParamError;
 use crate::frame::PointsView;
 
 pub use outliers::{radius_outliers, statistical_outliers};
+pub use steps::{CleanCounts, CleanSteps};
 pub use voxels::voxel_downsample;
 
 /// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points

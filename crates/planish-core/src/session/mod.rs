@@ -1,7 +1,9 @@
 //! Smooths frames of any shape: opens and reopens engines, and recovers when a GPU is lost or too small.
 
+mod clock;
 mod evenly;
 mod event;
+mod filtering;
 mod first_pass;
 mod flights;
 mod inspect;
@@ -11,6 +13,7 @@ mod over_time;
 mod pending;
 mod recovery;
 mod resolve;
+mod results;
 mod sight;
 mod watch;
 
@@ -36,6 +39,7 @@ use open::{Open, OpenFor, process_id};
 use over_time::OverTime;
 use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
+pub use results::{ResultFilter, ResultSight};
 use sight::Sight;
 pub use watch::ProgressWatch;
 

@@ -1,11 +1,12 @@
 //! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16): by a
 //! filter of the session, or by a GPU that keeps the state.
 
+use super::clock::VideoClock;
+use super::filtering::Filtering;
 use super::open::Open;
 use super::pending::OnReceipt;
 use super::sight::{Sight, StatedPose};
 use super::{Chosen, Session, SessionEvent};
-use crate::camera::Camera;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::Error;
 use crate::frame::{Frame, FrameGeometry, RangeRule};
@@ -14,28 +15,9 @@ use crate::params::Params;
 use crate::pose::SensorPose;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, Video, VideoStep};
-use crate::temporal::{CameraMotion, Surface, TemporalFilter, TemporalParams, Tracker};
-use crate::threads::{ONE_THREAD, Threads};
+use crate::temporal::{CameraMotion, TemporalFilter, TemporalParams};
+use crate::threads::ONE_THREAD;
 use crate::view::SmoothedView;
-
-/// A longer time between frames begins a new video, in seconds and in intervals.
-const LONGEST_INTERVAL_S: f64 = 1.0;
-const MOST_INTERVALS: f64 = 5.0;
-/// The state of a video since its first frame.
-struct Begun {
-    /// The sight of that frame.
-    sight: Sight,
-    filter: TemporalFilter,
-    threads: Threads,
-    /// The camera: given, or shown by the points; and whether they show none.
-    camera: Option<Camera>,
-    has_no_camera: bool,
-    /// The last frame and what aligns others with it, if the motion of the camera is estimated.
-    tracking: Option<(Tracker, Surface)>,
-    /// The pose of the last frame, and whether the frame itself stated it; how the camera moved before it, if known.
-    last_pose: StatedPose,
-    motion: Option<CameraMotion>,
-}
 
 /// A video whose state is on a device.
 struct OnDevice {
@@ -50,18 +32,11 @@ struct OnDevice {
 /// The filter of a session, with its buffers.
 #[derive(Default)]
 pub(super) struct OverTime {
-    begun: Option<Begun>,
+    filtering: Filtering,
     on_device: Option<OnDevice>,
-    /// Number of the video that the next frame belongs to, and how many were begun because of time stamps.
-    number: u64,
-    gaps: u64,
+    clock: VideoClock,
     /// The pose stated for the next frames.
     pose: Option<SensorPose>,
-    /// Time stamp of the last frame, and the time before it.
-    last_time_s: Option<f64>,
-    last_interval_s: Option<f64>,
-    /// The ranges of the frame before the filter, where they are not its depths.
-    ranges_m: Vec<f32>,
     /// The result, of which the caller gets a copy.
     smoothed: Smoothed,
     spare: Spare,
@@ -113,6 +88,14 @@ impl Spare {
     }
 }
 
+/// Returns the results in space that smoothing over time needs.
+pub(super) fn outputs_in_space(outputs: Outputs, tracks_camera: bool) -> Outputs {
+    let normals = outputs.normals || tracks_camera;
+    let depth_m = outputs.depth_m || outputs.depth;
+    let outputs = outputs.with_depth(false).with_depth_m(depth_m).with_frames(false);
+    outputs.with_points(true).with_status(true).with_normals(normals)
+}
+
 impl Session {
     /// Returns the filter's parameters if a frame is part of a video that is smoothed over time.
     pub(super) fn over_time(&self, frame: Frame<'_>) -> Option<TemporalParams> {
@@ -129,12 +112,7 @@ impl Session {
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         match self.over_time(frame) {
-            Some(_) => {
-                let normals = outputs.normals || self.tracks_camera();
-                let depth_m = outputs.depth_m || outputs.depth;
-                let outputs = outputs.with_depth(false).with_depth_m(depth_m).with_frames(false);
-                outputs.with_points(true).with_status(true).with_normals(normals)
-            }
+            Some(_) => outputs_in_space(outputs, self.tracks_camera()),
             None => outputs,
         }
     }
@@ -188,7 +166,7 @@ impl Session {
     pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
         // The session's own filter is out of date from here on.
-        self.video.begun = None;
+        self.video.filtering.forget();
         let on_device = &mut self.video.on_device;
         let starts =
             on_device.as_ref().is_none_or(|video| !video.sight.goes_on_with(&sight, video.sight.camera.is_some()));
@@ -219,14 +197,15 @@ impl Session {
         before: &OnReceipt,
         smooth: impl FnOnce(&mut Self) -> T,
     ) -> (T, OnReceipt) {
-        let (pose, number, outputs) = (self.video.pose, self.video.number, self.options.outputs);
+        let (pose, clock, outputs) = (self.video.pose, self.video.clock, self.options.outputs);
         if let (false, OnReceipt::Filter(sight) | OnReceipt::Filtered(sight, _)) = (ONE_THREAD, before) {
             self.video.pose = sight.pose.filter(|_| !sight.is_pose_of_file);
-            (self.video.number, self.options.outputs) = (sight.video, sight.outputs);
+            self.video.clock.set_video(sight.video);
+            self.options.outputs = sight.outputs;
         }
         let result = smooth(self);
         let on_receipt = self.on_receipt();
-        (self.video.pose, self.video.number, self.options.outputs) = (pose, number, outputs);
+        (self.video.pose, self.video.clock, self.options.outputs) = (pose, clock, outputs);
         (result, on_receipt)
     }
 
@@ -264,7 +243,7 @@ impl Session {
                 sensor: params.sensor,
                 camera,
                 outputs: self.options.outputs,
-                video: self.video.number,
+                video: self.video.clock.video(),
                 pose: self.video.pose.or(stated),
                 is_pose_of_file: self.video.pose.is_none(),
                 is_tracked: self.tracks_camera(),
@@ -348,53 +327,10 @@ impl Session {
     }
 
     fn filter(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<(), Error> {
-        let is_filtered = self.filter_ranges(sight, smoothed)?;
-        match self.video.begun.as_ref().filter(|_| is_filtered) {
-            Some(Begun { filter, threads, .. }) => threads.install(|| sight.finish(smoothed, Some(filter))),
-            None => Threads::open(self.options.threads)?.install(|| sight.finish(smoothed, None)),
-        }
-        Ok(())
-    }
-
-    /// Returns false for a frame that cannot be smoothed over time.
-    fn filter_ranges(&mut self, sight: &Sight, smoothed: &mut Smoothed) -> Result<bool, Error> {
-        // Without a position of the sensor there are no ranges.
-        if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
-            return Ok(false);
-        }
-        let OverTime { begun, ranges_m, .. } = &mut self.video;
-        if begun.as_ref().is_none_or(|begun| !begun.sight.goes_on_with(sight, begun.camera.is_some())) {
-            *begun = Some(Begun::new(*sight, self.options.threads)?);
-        }
-        if let Some(begun) = begun
-            && begun.find_camera(sight, smoothed)
-        {
+        if self.video.filtering.filter(sight, smoothed, self.options.threads)? {
             self.events.push(SessionEvent::CameraUnknown);
         }
-        let Some(Begun { filter, threads, camera, tracking, last_pose, motion: last_motion, .. }) = begun else {
-            return Ok(false);
-        };
-        threads.install(|| {
-            let motion = match (sight.motion_since(last_pose, camera.as_ref())?, tracking.as_mut()) {
-                (None, Some((tracker, previous))) => sight.track(tracker, previous, smoothed),
-                (stated, _) => stated,
-            };
-            *last_motion = motion;
-            sight.measure(smoothed, ranges_m);
-            let shape @ (width, _) = (smoothed.width, smoothed.height);
-            filter.smooth_rows(motion.as_ref(), shape, |v, row| {
-                let at = v * width..(v + 1) * width;
-                match ranges_m.get(at.clone()) {
-                    Some(ranges_m) => row.copy_from_slice(ranges_m),
-                    None => row.iter_mut().zip(&smoothed.points.z()[at]).for_each(|(range_m, z)| *range_m = z.abs()),
-                }
-            })?;
-            sight.apply(filter, ranges_m, smoothed);
-            if let Some((_, previous)) = tracking {
-                sight.keep(smoothed, previous);
-            }
-            Ok(true)
-        })
+        Ok(())
     }
 
     /// Sets the pose of the camera in the world (x right, y down, z forward) for the frames smoothed or submitted from
@@ -414,8 +350,7 @@ impl Session {
     /// Begins a new video with the next frame that is smoothed or submitted, as after a gap in time or when the camera
     /// was moved. Only for sessions that smooth over time.
     pub fn restart_video(&mut self) {
-        self.video.number += 1;
-        (self.video.last_time_s, self.video.last_interval_s) = (None, None);
+        self.video.clock.restart();
     }
 
     /// Sets the time stamp of the next frame in seconds, if it has one. A new video begins after more than a second
@@ -423,39 +358,28 @@ impl Session {
     /// [`restart_video`](Self::restart_video) does so. Nothing happens if the session does not smooth over time.
     pub fn set_frame_time(&mut self, timestamp_s: Option<f64>) {
         let is_video = self.settings().is_some_and(|settings| settings.temporal_params().is_some());
-        let Some(now_s) = timestamp_s.filter(|time_s| is_video && time_s.is_finite()) else { return };
-        if let Some(last_s) = self.video.last_time_s {
-            let interval_s = now_s - last_s;
-            let usual_s = self.video.last_interval_s.unwrap_or(0.0);
-            if interval_s < 0.0 || interval_s > f64::max(LONGEST_INTERVAL_S, MOST_INTERVALS * usual_s) {
-                self.restart_video();
-                self.video.gaps += 1;
-            }
-            self.video.last_interval_s = Some(interval_s.max(0.0));
+        if is_video {
+            self.video.clock.set_time(timestamp_s);
         }
-        self.video.last_time_s = Some(now_s);
     }
 
     /// Returns how many new videos were begun because of [time stamps](Self::set_frame_time).
     pub fn gaps_in_time(&self) -> u64 {
-        self.video.gaps
-    }
-
-    fn current_video(&self) -> Option<&Begun> {
-        self.video.begun.as_ref().filter(|begun| begun.sight.video == self.video.number)
+        self.video.clock.gaps()
     }
 
     /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
     /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
-        let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == self.video.number);
-        self.current_video().and_then(|begun| begun.motion).or_else(|| on_device.and_then(|video| video.received))
+        let number = self.video.clock.video();
+        let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == number);
+        self.video.filtering.motion(number).or_else(|| on_device.and_then(|video| video.received))
     }
 
     /// Returns the filter over time of the session; `None` before the first frame, if the session does not smooth over
     /// time, or if the GPU does. [`Outputs::frames`] tells with every engine how many frames each pixel averages.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
-        self.current_video().map(|begun| &begun.filter)
+        self.video.filtering.filter_of(self.video.clock.video())
     }
 }
 
@@ -467,32 +391,7 @@ impl OverTime {
 
     /// Frees its memory.
     pub(super) fn close(&mut self) {
-        (self.begun, self.on_device) = (None, None);
-        (self.ranges_m, self.smoothed, self.spare, self.kept) = Default::default();
-    }
-}
-
-impl Begun {
-    fn new(sight: Sight, threads: Option<usize>) -> Result<Self, Error> {
-        let (threads, filter) = (Threads::open(threads)?, TemporalFilter::new(sight.params, sight.sensor)?);
-        let (camera, tracking, last_pose, motion) = Default::default();
-        Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
-    }
-
-    /// Finds the camera where its motion matters; returns true once if the motion is wanted but the points show no
-    /// camera.
-    fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
-        let needs_camera = sight.is_tracked || sight.pose.is_some();
-        if !needs_camera || self.camera.is_some() || self.has_no_camera {
-            return false;
-        }
-        let is_of_camera = matches!(sight.geometry.rule, RangeRule::Depth { .. });
-        self.camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
-        let tracked = self.camera.filter(|_| sight.is_tracked);
-        self.tracking = tracked.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        // A frame of holes shows no camera; the next one may.
-        let has_points = smoothed.points.z().iter().any(|z| z.is_finite());
-        self.has_no_camera = self.camera.is_none() && has_points;
-        self.has_no_camera && (sight.is_tracked || !sight.is_pose_of_file)
+        self.on_device = None;
+        (self.filtering, self.smoothed, self.spare, self.kept) = Default::default();
     }
 }

@@ -299,13 +299,13 @@ impl Settings {
         self.track == Some(true)
     }
 
-    /// Rejects smoothing over time, for inputs other than frames of one camera in order.
+    /// Rejects smoothing over time, for inputs other than frames of a camera in order.
     ///
     /// # Errors
     /// If `temporal` is `steady`, or `track` is set.
     pub fn check_no_video(&self) -> Result<(), ParamError> {
-        let allowed = "only for the frames of one camera: a stream, a folder, one topic of a recording or of ROS, or a \
-                       smoother in Python";
+        let allowed = "only for the frames of a camera, one after another: a stream, a folder, a recording, a topic of \
+                       ROS, a rig, or a smoother in Python";
         match (self.temporal, self.tracks_camera()) {
             (Some(TemporalChoice::Steady), _) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
             (_, true) => Err(ParamError { field: "track", value: "true".into(), allowed }),

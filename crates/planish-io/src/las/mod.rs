@@ -15,7 +15,7 @@ use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 
 use super::format::las_or_laz;
 use super::{Format, FormatResult, ReadOptions};
-use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance, Xyz, internal::middle};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Precision, Provenance, Xyz, internal::middle};
 pub(crate) use stream::LasReader;
 use writer::LasWriter;
 
@@ -127,7 +127,7 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     let mut cloud = PointCloud::new(Xyz::from_arrays([x, y, z])?);
     cloud.origin_m = [origin_x, origin_y, origin_z];
     cloud.keep_exact([exact_x, exact_y, exact_z]);
-    cloud.position_columns.double = true;
+    cloud.position_columns.precision = Precision::F64;
     let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
     cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
     cloud.provenance = Provenance::new(LasHeader(header));

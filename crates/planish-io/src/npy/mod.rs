@@ -78,12 +78,12 @@ pub(super) fn encode_points(cloud: CloudRef<'_>) -> Vec<u8> {
         CloudRef::Organized(_) => vec![height, width, 3],
         CloudRef::General(_) => vec![width, 3],
     };
-    let (positions, origin) = (&cloud.points().positions, cloud.points().origin_m);
-    if origin == [0.0; 3] && !cloud.points().position_columns.double {
-        encode(&shape, positions.iter().flatten())
+    let points = cloud.points();
+    let coordinates = |i: usize| [0, 1, 2].map(|axis| points.coordinate(axis, i));
+    if points.is_written_in_f64() {
+        encode(&shape, (0..points.len()).flat_map(coordinates))
     } else {
-        let far = |i: usize| [0, 1, 2].map(|axis| cloud.points().coordinate(axis, i));
-        encode(&shape, (0..positions.len()).flat_map(far))
+        encode(&shape, (0..points.len()).flat_map(coordinates).map(|value| value as f32))
     }
 }
 

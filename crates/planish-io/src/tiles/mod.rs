@@ -180,6 +180,11 @@ fn smooth_records<R: RecordReader>(
         TileError::Other(error) => error,
     };
     let report = TilesReport { notes, params, ..TilesReport::default() };
+    // Normals of the measured points do not fit smoothed ones.
+    let none = R::cloud_of(&spill.header, &[]).map_err(at_either)?;
+    let renew = |outputs: Outputs| outputs.renewing(&none);
+    let smoother = options.smoother.clone().with_outputs(renew(options.smoother.outputs));
+    let options = &TileOptions { fields: renew(options.fields), smoother, ..options.clone() };
     let mut tiler = Tiler::<R> { options, params, smoother: None, halo_share: 1.0, report, encoder: None };
     tiler.choose_neighbours(&spill).map_err(at_files)?;
     for number in 0..spill.tiles.len() {

@@ -1,6 +1,9 @@
 //! A moment in flight.
 
-use planish_core::{Error, FrameError, SmoothedView, internal::RigidTransform};
+use planish_core::{
+    Error, FrameError, SmoothedView,
+    internal::{ResultSight, RigidTransform},
+};
 
 use super::together::Together;
 use super::voxels::InVoxels;
@@ -35,8 +38,8 @@ impl FlightResults {
 pub(super) enum Submitted {
     /// No frame from this camera.
     Nothing,
-    /// In its smoother.
-    Flying,
+    /// In its smoother; with how it is seen, if its result is smoothed over time.
+    Flying(Option<Box<ResultSight>>),
     Refused(FrameError),
 }
 

@@ -60,13 +60,14 @@ impl RigSmoother {
 
     fn launch(&mut self, frames: &[Option<Frame<'_>>], is_copied: bool) -> Result<FlightResults, Error> {
         if self.way == RigWay::Each {
-            self.open_each(frames, self.options.outputs)?;
+            self.open_each(frames, self.outputs_in_space())?;
             if self.engine.capabilities().pipelined {
+                let (outputs, time_s) = (self.options.outputs, self.time_s);
                 let cameras = self.cameras.iter_mut().zip(frames);
                 let submitted = cameras.map(|(camera, frame)| match frame {
                     None => Ok(Submitted::Nothing),
                     Some(frame) => match camera.submit(*frame, is_copied) {
-                        Ok(()) => Ok(Submitted::Flying),
+                        Ok(()) => Ok(Submitted::Flying(camera.look_at(*frame, time_s, outputs).map(Box::new))),
                         Err(Error::Frame(error)) => Ok(Submitted::Refused(error)),
                         Err(error) => {
                             self.failed = camera.device.clone();
@@ -227,8 +228,8 @@ impl RigSmoother {
         let land = |(camera, submitted): (&mut CameraSmoother, Submitted)| match submitted {
             Submitted::Nothing => Ok(None),
             Submitted::Refused(error) => Ok(Some(Err(error))),
-            Submitted::Flying => match camera.receive() {
-                Ok(view) => Ok(Some(Ok(view))),
+            Submitted::Flying(sight) => match camera.receive() {
+                Ok(view) => Ok(Some(Ok(camera.view_over_time(sight.as_deref(), view)?))),
                 Err(Error::Frame(error)) => Ok(Some(Err(error))),
                 Err(error) => {
                     self.failed = camera.device.clone();
@@ -268,6 +269,7 @@ fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut Poi
 fn fields_of(view: &SmoothedView, fields: Outputs) -> Vec<Attribute> {
     let status: Option<Vec<_>> = fields.status.then(|| view.status()).flatten().map(Iterator::collect);
     let neighbours: Option<Vec<_>> = fields.neighbours.then(|| view.neighbours()).flatten().map(Iterator::collect);
-    let named = named_fields(fields, view.normals(), view.curvature(), status.as_deref(), neighbours.as_deref());
+    let (normals, curvature, frames) = (view.normals(), view.curvature(), view.frames());
+    let named = named_fields(fields, normals, curvature, status.as_deref(), neighbours.as_deref(), frames);
     named.into_iter().map(|(name, values)| Attribute { name: name.to_owned(), count: 1, values }).collect()
 }

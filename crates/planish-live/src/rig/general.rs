@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use planish_core::{CloudParams, Error, FleetDevice, Progress, Smoother, SmootherOptions};
+use planish_core::{CloudParams, Error, FleetDevice, Outputs, Progress, Smoother, SmootherOptions};
 
 /// The smoother of all points together.
 pub(super) struct General {
@@ -56,6 +56,7 @@ impl General {
     pub(super) fn open(
         &mut self,
         options: &SmootherOptions,
+        outputs: Outputs,
         device: Option<&FleetDevice>,
     ) -> Result<&mut Smoother, Error> {
         Ok(match &mut self.smoother {
@@ -63,8 +64,8 @@ impl General {
             empty => {
                 let options = device.map_or_else(|| options.clone(), |device| device.options(options));
                 // Points are carried onto the voxels' tangent planes.
-                let with_normals = options.outputs.with_points(true).with_normals(true);
-                let outputs = if self.voxel_m.is_some() { with_normals } else { options.outputs };
+                let with_normals = outputs.with_points(true).with_normals(true);
+                let outputs = if self.voxel_m.is_some() { with_normals } else { outputs };
                 let smoother = Smoother::open_clouds(self.params, &options.with_outputs(outputs))?;
                 self.stopper.watch(&smoother);
                 empty.insert(smoother)

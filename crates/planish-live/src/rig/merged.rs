@@ -42,9 +42,10 @@ impl RigSmoother {
 
     /// Calls a function with the engine for all points together, which is opened if necessary.
     pub(super) fn with_general<T>(&mut self, work: impl FnOnce(&mut Smoother) -> Result<T, Error>) -> Result<T, Error> {
+        let outputs = self.outputs_in_space();
         let Self { options, devices, failed, general, engine, .. } = self;
         let device = devices.first();
-        let result = general.open(options, device).and_then(|smoother| {
+        let result = general.open(options, outputs, device).and_then(|smoother| {
             *engine = smoother.engine();
             work(smoother)
         });

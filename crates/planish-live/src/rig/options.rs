@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::{Rig, RigWay};
 use planish_core::{
     CloudParams, CloudRadius, FleetDevice, FrameParams, ParamError, SensorChoice, Settings, SmootherOptions,
+    TemporalParams,
 };
 
 /// The smallest voxels, in metres: finer than any depth camera resolves.
@@ -33,6 +34,10 @@ pub struct RigOptions {
     pub devices: Vec<FleetDevice>,
     /// Whether pixels that float between two surfaces are turned into holes before smoothing.
     pub remove_floating: bool,
+    /// How each camera's results are smoothed over time; `None` if they are not.
+    pub temporal: Option<TemporalParams>,
+    /// Whether smoothing over time estimates how each camera moves.
+    pub tracks_cameras: bool,
     /// Stop after N moments.
     pub max_moments: Option<u64>,
     /// Stop after this time.
@@ -54,6 +59,8 @@ impl RigOptions {
             smoother,
             devices: Vec::new(),
             remove_floating: false,
+            temporal: None,
+            tracks_cameras: false,
             max_moments: None,
             max_duration: None,
         }
@@ -71,7 +78,6 @@ impl RigOptions {
         settings: &Settings,
         voxel_m: Option<f64>,
     ) -> Result<Self, planish_core::Error> {
-        settings.check_no_video()?;
         let of_camera = |camera: &super::RigCamera| {
             let mut settings = settings.clone();
             settings.sensor = settings.sensor.or(camera.sensor.map(SensorChoice::Known));
@@ -81,7 +87,9 @@ impl RigOptions {
         let merged = voxel_m.map_or_else(super::merged_params, super::merged_params_in_voxels);
         let general_params = settings.override_cloud(merged)?;
         let options = Self::new(rig, way, settings.options()).with_params(params, general_params);
-        let options = options.with_remove_floating(settings.remove_floating == Some(true));
+        let options = options
+            .with_remove_floating(settings.remove_floating == Some(true))
+            .with_temporal(settings.temporal_params(), settings.tracks_camera());
         Ok(options.with_devices(settings.devices()?).with_voxel_m(voxel_m))
     }
 
@@ -89,13 +97,20 @@ impl RigOptions {
     ///
     /// # Errors
     /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above
-    /// half a fixed radius.
+    /// half a fixed radius; or if `temporal` is invalid or used with voxels.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
             let value = self.registration_m.to_string();
             return Err(ParamError { field: "registration_m", value, allowed: "0 to 0.1 m" });
         }
+        if let Some(temporal) = &self.temporal {
+            temporal.validate()?;
+        }
         let Some(size_m) = self.voxel_m else { return Ok(()) };
+        if self.temporal.is_some() {
+            let allowed = "off with voxels, which differ from moment to moment";
+            return Err(ParamError { field: "temporal", value: "steady".to_owned(), allowed });
+        }
         if self.way != RigWay::Merged {
             let (value, allowed) = (self.way.name().to_owned(), "merged, where points are thinned to voxels");
             return Err(ParamError { field: "way", value, allowed });
@@ -121,6 +136,12 @@ impl RigOptions {
     /// Sets whether pixels that float between two surfaces are turned into holes before smoothing.
     pub fn with_remove_floating(self, remove_floating: bool) -> Self {
         Self { remove_floating, ..self }
+    }
+
+    /// Sets how each camera's results are smoothed over time, and whether the motion of each camera is estimated
+    /// ([`RigSmoother::with_temporal`](super::RigSmoother::with_temporal)).
+    pub fn with_temporal(self, temporal: Option<TemporalParams>, tracks_cameras: bool) -> Self {
+        Self { temporal, tracks_cameras, ..self }
     }
 
     /// Sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.

@@ -12,7 +12,7 @@ use super::{DEFAULT_REGISTRATION_M, Rig, RigCamera};
 use planish_core::{
     Camera, CloudParams, Engine, EngineError, Error, FleetDevice, Frame, FrameError, FrameParams, Outputs, ParamError,
     Smoothed, SmoothedView, Smoother, SmootherOptions,
-    internal::{Rays, RigidTransform, Threads},
+    internal::{Rays, ResultFilter, RigidTransform, Threads},
 };
 
 /// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid
@@ -59,12 +59,16 @@ pub struct RigSmoother {
     /// The cameras of the rig, then those of added viewpoints.
     pub(super) cameras: Vec<CameraSmoother>,
     /// Number of cameras in the rig.
-    of_rig: usize,
+    pub(super) of_rig: usize,
+    /// Whether the motion of each camera is estimated, if results are smoothed over time.
+    pub(super) tracks_cameras: bool,
     /// For all points together.
     pub(super) general: General,
     pub(super) engine: Engine,
     /// Moments that were submitted and not received.
     pub(super) flights: VecDeque<Flight>,
+    /// Time stamp of the next moment, in seconds.
+    pub(super) time_s: Option<f64>,
 }
 
 /// The smoother of one camera, open for the frames that it gives.
@@ -76,9 +80,11 @@ pub(super) struct CameraSmoother {
     camera: Option<Camera>,
     /// Rays of its depth images, if their points are needed.
     pub(super) rays: Arc<Rays>,
-    params: FrameParams,
+    pub(super) params: FrameParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
+    /// Smooths its results over time.
+    pub(super) video: Option<ResultFilter>,
 }
 
 /// The result of each camera that has a frame; a frame that cannot be smoothed is an error of its camera alone.
@@ -138,9 +144,11 @@ impl RigSmoother {
             threads: Threads::open(options.threads)?,
             cameras,
             of_rig,
+            tracks_cameras: false,
             general: General::new(general_params),
             engine: options.engine,
             flights: VecDeque::new(),
+            time_s: None,
         })
     }
 
@@ -178,6 +186,8 @@ impl RigSmoother {
     /// Closes the engines; the next frames open them again, `Some` engine by that name. Moments in flight are lost.
     pub(super) fn close(&mut self, engine: Option<Engine>) {
         self.flights.clear();
+        // Moments in flight are submitted again, so the videos may have seen them.
+        self.restart_videos();
         self.general.close();
         self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
         if let Some(engine) = engine {
@@ -205,11 +215,12 @@ impl RigSmoother {
     }
 
     pub(super) fn smooth_now(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
-        match self.way {
-            RigWay::Each => self.smooth_each(frames, self.options.outputs),
+        let results = match self.way {
+            RigWay::Each => self.smooth_each(frames, self.outputs_in_space()),
             RigWay::Merged => self.smooth_merged(frames),
             RigWay::Views => self.smooth_views(frames),
-        }
+        }?;
+        self.over_time(frames, results)
     }
 
     pub(super) fn check_count(&self, frames: &[Option<Frame<'_>>]) -> Result<(), FrameError> {
@@ -293,7 +304,7 @@ impl RigSmoother {
     }
 
     fn smooth_views(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
-        let outputs = self.options.outputs;
+        let outputs = self.outputs_in_space();
         let measured = self.cameras.par_iter_mut().zip(frames).map(|(camera, frame)| {
             let of =
                 |frame: Frame<'_>| Measured::of(frame, camera.camera, camera.params.sensor, camera.rig_from_camera);
@@ -354,7 +365,7 @@ fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameErr
 impl CameraSmoother {
     fn new(rig_from_camera: RigidTransform, camera: Option<Camera>, params: FrameParams) -> Self {
         let (device, rays) = (None, Arc::default());
-        Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0) }
+        Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0), video: None }
     }
 
     /// Creates empty measurements for added viewpoints.

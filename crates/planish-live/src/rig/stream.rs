@@ -18,7 +18,7 @@ use crate::{
     stream::{SinkThread, StreamFrame, StreamStatistics},
 };
 use planish_core::{
-    Engine, EngineError, Error, IntoFrame, ParamError,
+    Engine, EngineError, Error, IntoFrame, ParamError, SessionEvent,
     internal::{GpuLosses, LIVE_IN_FLIGHT, Recovery},
 };
 
@@ -123,6 +123,7 @@ fn run(
             smoother: smoother
                 .with_registration_m(options.registration_m)
                 .with_voxel_m(options.voxel_m)
+                .with_temporal(options.temporal, options.tracks_cameras)
                 .with_devices(options.devices.clone()),
             pending: VecDeque::new(),
             is_live,
@@ -320,7 +321,9 @@ impl Running<'_> {
     fn submit_pending(&mut self, i: usize) -> Result<(), Error> {
         let started = Instant::now();
         let frames = self.pending[i].frames.iter().map(|arrived| arrived.as_ref()?.frame.into_frame().ok());
-        let submitted = self.smoother.submit(&frames.collect::<Vec<_>>());
+        let frames: Vec<_> = frames.collect();
+        self.smoother.set_moment_time(Some(self.pending[i].time_s));
+        let submitted = self.smoother.submit(&frames);
         self.statistics.moments.time_smoothing += started.elapsed();
         self.was_open |= submitted.is_ok();
         submitted
@@ -349,6 +352,10 @@ impl Running<'_> {
         tell: &mut impl FnMut(RigEvent<'_>),
     ) -> Result<(), Error> {
         self.statistics.moments.engine = self.smoother.engine();
+        for i in self.smoother.take_unknown_cameras() {
+            let name = &self.rig.cameras[i].name;
+            tell(RigEvent::Warning(format!("camera {name}: {}", SessionEvent::CameraUnknown)));
+        }
         let received = Instant::now();
         let index = self.statistics.moments.frames_out;
         let first = moment.frames.iter().flatten().map(|arrived| arrived.since).min().unwrap_or(received);

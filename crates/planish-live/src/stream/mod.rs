@@ -135,7 +135,8 @@ impl<'a> Stream<'a> {
     /// and counted, and the stream continues.
     ///
     /// # Errors
-    /// If the settings are not allowed, an engine fails for good, or the source fails for good.
+    /// If the settings are not allowed, an engine fails for good, or the source fails for good; and the first error of
+    /// a frame if no frame at all could be smoothed.
     pub fn run(self) -> Result<StreamStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { mut source, options, sinks, stop, tell } = self;
@@ -188,8 +189,12 @@ fn run(
             statistics: StreamStatistics::start(),
             smooth_time: TimeSpent::default(),
             number: 0,
+            first_error: None,
         };
-        let result = stream.run(&mailbox, stop, &mut tell);
+        let mut result = stream.run(&mailbox, stop, &mut tell);
+        if let (0, Some(error), Ok(())) = (stream.statistics.frames_out, stream.first_error.take(), &result) {
+            result = Err(error);
+        }
         // Frames that arrive while the engine is closed are not missed.
         mailbox.close();
         let Running { sinks, mut statistics, smooth_time, session, .. } = stream;
@@ -234,6 +239,8 @@ struct Running<'a> {
     smooth_time: TimeSpent,
     /// Number of the next frame of the source.
     number: u64,
+    /// Why the first frame that was left out was.
+    first_error: Option<Error>,
 }
 
 /// A frame that was submitted.
@@ -287,6 +294,7 @@ impl Running<'_> {
                         // It has a number, too.
                         self.number += 1;
                         tell(StreamEvent::Warning(error.to_string()));
+                        self.first_error.get_or_insert(error);
                     }
                 },
                 mailbox::Taken::Nothing if in_flight > 0 => self.receive(tell)?,
@@ -325,7 +333,7 @@ impl Running<'_> {
         match submitted {
             Ok(()) => self.pending.push_back(in_flight),
             // The frame's fault: the stream continues.
-            Err(Error::Frame(error)) => self.refuse(&error, tell),
+            Err(Error::Frame(error)) => self.refuse(error, tell),
             Err(error) => return Err(error),
         }
         Ok(())
@@ -340,9 +348,10 @@ impl Running<'_> {
     }
 
     /// Leaves a frame out that the engine does not take.
-    fn refuse(&mut self, error: &FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
+    fn refuse(&mut self, error: FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.statistics.unreadable += 1;
         tell(StreamEvent::Warning(error.to_string()));
+        self.first_error.get_or_insert_with(|| error.into());
     }
 
     /// Receives the oldest result and passes it to the sinks.
@@ -356,7 +365,7 @@ impl Running<'_> {
             }
             Err(Error::Frame(error)) => {
                 self.pending.pop_front();
-                self.refuse(&error, tell);
+                self.refuse(error, tell);
             }
             Err(error) => return Err(error),
         }

@@ -24,11 +24,14 @@ from ._result import CloudChoice, Smoothed, Status
 from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
 from ._stream import Stream, StreamFrame, stream
+from ._tools import Comparison, Distances, clean, compare, convert, merge, mesh, remove_floating, render
 
 __all__ = [
     "Camera",
     "CloudChoice",
+    "Comparison",
     "Devices",
+    "Distances",
     "Frame",
     "Sensor",
     "Settings",
@@ -40,11 +43,18 @@ __all__ = [
     "Stream",
     "StreamFrame",
     "__version__",
+    "clean",
+    "compare",
+    "convert",
     "devices",
     "evaluate",
     "info",
+    "merge",
+    "mesh",
     "read",
     "read_settings",
+    "remove_floating",
+    "render",
     "simulate",
     "smooth",
     "stream",

@@ -17,12 +17,13 @@ _HOST_DEVICES = (1, 3, 11)
 def as_array(given: Any) -> NDArray[Any]:
     """Return the array of an object, without a copy if possible.
 
-    Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), structured arrays and
-    data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
+    Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), Open3D's clouds, images and
+    tensors, structured arrays and data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
     """
     if hasattr(given, "array") and hasattr(given, "fields"):
         # A planish.Frame.
         given = given.array
+    given = _of_open3d(given)
     if isinstance(given, np.ma.MaskedArray):
         # Masked values were not measured.
         return _without_names(given.filled(np.nan if given.dtype.kind == "f" else 0))
@@ -42,6 +43,20 @@ def as_array(given: Any) -> NDArray[Any]:
     return _without_names(np.asarray(given))
 
 
+def _of_open3d(given: Any) -> Any:
+    """Return the array of Open3D's clouds, images and tensors."""
+    if not type(given).__module__.startswith("open3d"):
+        return given
+    if hasattr(given, "as_tensor"):
+        # An image of its tensor interface.
+        given = given.as_tensor()
+    if hasattr(given, "point") and hasattr(given.point, "positions"):
+        given = given.point.positions
+    elif hasattr(given, "points"):
+        given = given.points
+    return given.cpu().numpy() if hasattr(given, "numpy") else np.asarray(given)
+
+
 def _without_names(array: NDArray[Any]) -> NDArray[Any]:
     """Convert a structured array with x, y and z to points [.., 3]."""
     if array.dtype.names is None:
@@ -54,6 +69,8 @@ def _without_names(array: NDArray[Any]) -> NDArray[Any]:
 def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
     """Return the array of a frame, and True if it is a depth image."""
     array = as_array(given)
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[:, :, 0]
     is_float = array.dtype.kind == "f"
     is_depth = False
     if array.ndim == 3 and array.shape[2] == 3:
@@ -66,9 +83,12 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
         raise ValueError(
             f"a frame of shape {list(array.shape)} is not allowed: depth [H, W], points [H, W, 3] or points [N, 3]"
         )
+    if is_depth and is_float and array.dtype != np.float32:
+        # Depth in metres needs no more digits.
+        array = array.astype(np.float32)
     allowed = (np.uint16, np.float32) if is_depth else (np.float32, np.float64)
     if array.dtype.newbyteorder("=") not in allowed:
-        expected = "depth is uint16 (raw values) or float32 (metres)" if is_depth else "points are float32 or float64"
+        expected = "depth is uint16 (raw values), float32 or float64 (metres)" if is_depth else "points are float32 or float64"
         raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: {expected}")
     if 0 in array.shape and array.shape != (0, 3):
         raise ValueError(f"a frame of shape {list(array.shape)} has no pixels")

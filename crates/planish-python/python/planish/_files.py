@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 from . import _planish
 from ._arrays import as_array, origin_of
 from ._planish import Camera
+from ._result import described
 
 
-@dataclass(slots=True, eq=False)
+Encoding = Literal[
+    "binary", "ascii", "compressed", "f32", "f64",
+    "binary,f32", "binary,f64", "ascii,f32", "ascii,f64", "compressed,f32", "compressed,f64",
+]
+
+
+@dataclass(slots=True, eq=False, repr=False)
 class Frame:
     """Contents of a file: a depth image, or points.
 
@@ -55,8 +62,11 @@ class Frame:
             raise ValueError("the frame has neither depth nor points")
         return self.points
 
+    def __repr__(self) -> str:
+        return described(self)
 
-@dataclass(slots=True, eq=False)
+
+@dataclass(slots=True, eq=False, repr=False)
 class Simulated:
     """A simulated depth image with its truth.
 
@@ -74,6 +84,9 @@ class Simulated:
     camera: Camera
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 @dataclass(slots=True)
@@ -105,14 +118,7 @@ def read(path: str | PathLike[str]) -> Frame:
     ValueError
         If its contents contradict its format.
     """
-    found = _planish.read(path)
-    grid = found.pop("grid", None)
-    if grid is not None:
-        found["points"] = found["points"].reshape(*grid, 3)
-        found["fields"] = {name: values.reshape(*grid, *values.shape[1:]) for name, values in found["fields"].items()}
-    if "pose" in found:
-        found["pose"] = tuple(found["pose"])
-    return Frame(**found)
+    return _frame(_planish.read(path))
 
 
 # Formats that keep the sensor's pose, and formats that keep rows and columns.
@@ -126,7 +132,7 @@ def write(
     *,
     fields: Mapping[str, NDArray[Any]] | None = None,
     pose: Iterable[float] | None = None,
-    encoding: Literal["binary", "ascii", "compressed"] = "binary",
+    encoding: Encoding = "binary",
 ) -> None:
     """Write points or a depth image; the extension determines the format.
 
@@ -140,8 +146,9 @@ def write(
         One value per point: ``{"intensity": ..., "normal_x": ...}``.
     pose : sequence of 7 floats, optional
         Pose of the sensor: x, y, z, qw, qx, qy, qz.
-    encoding : {"binary", "ascii", "compressed"}
-        Encoding of .pcd and .ply.
+    encoding : {"binary", "ascii", "compressed", "f32", "f64"}
+        Encoding of .pcd and .ply, or bytes of their coordinates; both with a comma (``"compressed,f64"``). Coordinates have 4 bytes (f32) unless
+        they exceed a kilometre; PCL reads those of 8 bytes in .pcd as zeros.
 
     Warns
     -----
@@ -155,9 +162,7 @@ def write(
         fields = {**data.fields, **(fields or {})}
         pose = data.pose if pose is None else pose
         data = data.array
-    array = as_array(data)
-    if not array.dtype.isnative:
-        array = array.astype(array.dtype.newbyteorder("="))
+    array = _native(as_array(data))
     if fields and Path(path).suffix.lower() == ".npy":
         raise ValueError(f"{path}: an .npy file cannot store fields; write .npz")
     if array.ndim == 2 and (array.dtype == np.uint16 or (array.dtype == np.float32 and array.shape[1] != 3)):
@@ -171,6 +176,22 @@ def write(
         raise ValueError(
             f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: points [H, W, 3] or [N, 3], or depth [H, W] of uint16 or float32"
         )
+    rows, origin, grid, flat, pose = _cloud(array, fields, pose)
+    _planish.write_points(path, rows, origin, grid, flat, pose, encoding)
+    suffix = Path(path).suffix.lower()
+    lost = ["the sensor's pose"] if pose is not None and suffix not in _WITH_POSES else []
+    lost += ["the grid"] if grid is not None and suffix not in _WITH_GRIDS else []
+    if lost:
+        warnings.warn(f"{path}: {suffix} cannot store {' and '.join(lost)}; .pcd can", RuntimeWarning, stacklevel=2)
+
+
+_Cloud = tuple[
+    NDArray[np.float64], tuple[float, float, float], tuple[int, int] | None, dict[str, NDArray[Any]], tuple[float, ...] | None
+]
+
+
+def _cloud(array: NDArray[Any], fields: Mapping[str, NDArray[Any]] | None, pose: Iterable[float] | None) -> _Cloud:
+    """Return points and their fields as the extension module takes them."""
     grid = (array.shape[0], array.shape[1]) if array.ndim == 3 else None
     flat = {}
     for name, values in (fields or {}).items():
@@ -179,13 +200,23 @@ def write(
             raise ValueError(f"fields[{name!r}]: the shape {list(array.shape[:-1])} is expected, not {list(values.shape)}")
         flat[name] = np.ascontiguousarray(values).reshape(-1)
     rows = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
-    pose = None if pose is None else tuple(pose)
-    _planish.write_points(path, rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, pose, encoding)
-    suffix = Path(path).suffix.lower()
-    lost = ["the sensor's pose"] if pose is not None and suffix not in _WITH_POSES else []
-    lost += ["the grid"] if grid is not None and suffix not in _WITH_GRIDS else []
-    if lost:
-        warnings.warn(f"{path}: {suffix} cannot store {' and '.join(lost)}; .pcd can", RuntimeWarning, stacklevel=2)
+    return rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, None if pose is None else tuple(pose)
+
+
+def _native(array: NDArray[Any]) -> NDArray[Any]:
+    """Convert to this machine's order of bytes."""
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
+
+
+def _frame(found: dict[str, Any]) -> Frame:
+    """Return the frame that the extension module has read or made."""
+    grid = found.pop("grid", None)
+    if grid is not None:
+        found["points"] = found["points"].reshape(*grid, 3)
+        found["fields"] = {name: values.reshape(*grid, *values.shape[1:]) for name, values in found["fields"].items()}
+    if "pose" in found:
+        found["pose"] = tuple(found["pose"])
+    return Frame(**{"format": "", **found})
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:

@@ -102,6 +102,48 @@ def write_points(
     pose: tuple[float, ...] | None,
     encoding: str,
 ) -> None: ...
+def convert(
+    input: str | PathLike[str],
+    output: str | PathLike[str],
+    camera: Camera | None,
+    drop_holes: bool,
+    fields: list[str] | None,
+    encoding: list[str],
+) -> tuple[str, str, tuple[int, int], int, list[str]]: ...
+def compare_files(a: str | PathLike[str], b: str | PathLike[str], camera: Camera | None, nearest: bool) -> str: ...
+def merge(
+    inputs: list[str | PathLike[str]],
+    output: str | PathLike[str],
+    poses: list[tuple[float, ...]] | None,
+    encoding: list[str],
+) -> int: ...
+def mesh(
+    input: str | PathLike[str],
+    output: str | PathLike[str],
+    camera: Camera | None,
+    raw: bool,
+    settings: dict[str, Any],
+) -> tuple[int, int]: ...
+
+_Cloud = tuple[
+    NDArray[np.float64],
+    tuple[float, float, float],
+    tuple[int, int] | None,
+    dict[str, NDArray[Any]],
+    tuple[float, ...] | None,
+]
+
+def clean(
+    cloud: _Cloud,
+    crop: list[list[float]] | None,
+    voxel: float | None,
+    statistical: tuple[int, float] | None,
+    radius: tuple[float, int] | None,
+) -> dict[str, Any]: ...
+def draw(cloud: _Cloud, direction: tuple[float, ...]) -> NDArray[np.uint8]: ...
+def remove_floating(
+    depth: NDArray[np.uint16], camera: Camera, sensor: str
+) -> tuple[NDArray[np.uint16], int]: ...
 def write_depth(path: str | PathLike[str], depth: NDArray[Any]) -> None: ...
 def simulate(
     scene: str, seed: int, camera: Camera, sensor: str, index: int

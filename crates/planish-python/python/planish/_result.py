@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -44,9 +45,32 @@ class CloudChoice(NamedTuple):
     noise_m: float | None
 
 
-@dataclass(slots=True, eq=False)
+def _is_empty(value: Any) -> bool:
+    return isinstance(value, dict) and not value
+
+
+def described(of: Any) -> str:
+    """Return one line: the attributes that are not ``None``, arrays by their type and shape."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, np.ndarray):
+            return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
+        if isinstance(value, dict):
+            return "{" + ", ".join(f"{key}: {text(item)}" for key, item in value.items()) + "}"
+        return repr(value)
+
+    values = ((field.name, getattr(of, field.name)) for field in dataclasses.fields(of))
+    given = [f"{name}={text(value)}" for name, value in values if value is not None and not _is_empty(value)]
+    return f"{type(of).__name__}({', '.join(given)})"
+
+
+# Outputs that were not requested. Code that uses those it requested needs no checks for ``None``.
+_ABSENT: Any = None
+
+
+@dataclass(slots=True, eq=False, repr=False)
 class Smoothed:
-    """The result of a frame; outputs that were not requested are ``None``.
+    """The result of a frame; outputs that were not requested are ``None`` (to type checkers they are arrays).
 
     Attributes
     ----------
@@ -68,11 +92,14 @@ class Smoothed:
         With ``temporal``: effective number of frames averaged into each point, 1 to 16; 0 for holes.
     """
 
-    points: NDArray[Any] | None = None
-    normals: NDArray[np.float32] | None = None
-    curvature: NDArray[np.float32] | None = None
-    status: NDArray[np.uint8] | None = None
-    neighbours: NDArray[np.uint32] | None = None
-    depth: NDArray[np.uint16] | None = None
-    depth_m: NDArray[np.float32] | None = None
-    frames: NDArray[np.float32] | None = None
+    points: NDArray[Any] = _ABSENT
+    normals: NDArray[np.float32] = _ABSENT
+    curvature: NDArray[np.float32] = _ABSENT
+    status: NDArray[np.uint8] = _ABSENT
+    neighbours: NDArray[np.uint32] = _ABSENT
+    depth: NDArray[np.uint16] = _ABSENT
+    depth_m: NDArray[np.float32] = _ABSENT
+    frames: NDArray[np.float32] = _ABSENT
+
+    def __repr__(self) -> str:
+        return described(self)

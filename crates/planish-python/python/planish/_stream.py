@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ._drivers import find_realsense
 from ._planish import Camera
 from ._planish import Stream as _Stream
-from ._result import Smoothed
+from ._result import Smoothed, described
 from ._settings import Output, Settings
 from ._smoothing import Smoother
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, repr=False)
 class StreamFrame:
     """A frame of a stream with its result.
 
@@ -59,6 +59,9 @@ class StreamFrame:
     camera: Camera | None = None
     name: str | None = None
     timestamp_s: float | None = None
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 class Stream:

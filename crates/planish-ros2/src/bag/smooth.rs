@@ -117,10 +117,6 @@ pub fn smooth_bag(
     let survey = Survey::of(input, &options.read)?;
     let camera_topic = options.camera_info_topic.as_deref();
     let chosen = survey.choose(input, &options.topics, camera_topic, options.camera.as_ref())?;
-    if chosen.len() > 1 {
-        // Their frames would be mixed.
-        smoother.settings().map_or(Ok(()), planish_core::Settings::check_no_video)?;
-    }
     if let Some(name) = options.points_topic.as_ref().filter(|name| !is_topic(name)) {
         let allowed = "a name of letters, digits, _ and / that begins with a slash";
         return Err(ParamError { field: "points_topic", value: format!("{name:?}"), allowed }.into());
@@ -346,6 +342,7 @@ impl Copy<'_> {
 
     /// Returns the bytes of the smoothed message, and of a cloud if that is wanted.
     fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<(Vec<u8>, Option<Vec<u8>>), MessageError> {
+        self.smoother.set_topic(&chosen.topic)?;
         let message = match chosen.kind {
             MessageKind::PointCloud2 => {
                 let cloud: PointCloud2 = from_cdr(data)?;

@@ -1,5 +1,7 @@
 //! Smooths messages, whatever their shape.
 
+use std::collections::BTreeMap;
+
 use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
 use planish_core::{
     Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
@@ -37,6 +39,10 @@ impl From<FrameError> for MessageError {
 /// Smooths depth images and clouds one after another, whatever their shape.
 pub struct MessageSmoother {
     session: Session,
+    /// The topic that the session smooths, and the sessions of other topics: only videos need one for each.
+    topic: Option<String>,
+    others: BTreeMap<String, Session>,
+    events: Vec<SessionEvent>,
     /// The fields that are added to clouds.
     outputs: Outputs,
     read: ReadOptions,
@@ -49,6 +55,10 @@ pub struct MessageSmoother {
     warned: bool,
 }
 
+fn session_of(settings: Settings) -> Result<Session, Error> {
+    Ok(Session::new(settings)?.with_kept_sensor(true).with_cloud_estimates(false))
+}
+
 impl MessageSmoother {
     /// Creates a smoother; the settings' outputs are the fields added to clouds.
     ///
@@ -56,7 +66,7 @@ impl MessageSmoother {
     /// If settings are outside their ranges or contradict each other, or a device is not there.
     pub fn new(settings: Settings) -> Result<Self, Error> {
         let outputs = settings.outputs.unwrap_or_default();
-        Ok(Self::of(Session::new(settings)?.with_kept_sensor(true).with_cloud_estimates(false), outputs))
+        Ok(Self::of(session_of(settings)?, outputs))
     }
 
     /// Creates a smoother with explicit parameters.
@@ -71,6 +81,9 @@ impl MessageSmoother {
     fn of(session: Session, outputs: Outputs) -> Self {
         Self {
             session,
+            topic: None,
+            others: BTreeMap::new(),
+            events: Vec::new(),
             outputs,
             read: ReadOptions::default(),
             smoothed: Smoothed::default(),
@@ -93,7 +106,34 @@ impl MessageSmoother {
     pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
         let outputs = settings.outputs.unwrap_or_default();
         self.session.set_settings(settings)?;
+        self.others.clear();
         self.outputs = outputs;
+        Ok(())
+    }
+
+    /// Sets the topic of the next messages. If they are smoothed over time, every topic is a video of its own, with its
+    /// own engine; otherwise this has no effect.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn set_topic(&mut self, topic: &str) -> Result<(), Error> {
+        let Some(settings) = self.session.settings().filter(|settings| settings.temporal_params().is_some()) else {
+            return Ok(());
+        };
+        match &self.topic {
+            Some(current) if current == topic => return Ok(()),
+            Some(current) => {
+                let next = match self.others.remove(topic) {
+                    Some(session) => session,
+                    None => session_of(settings.clone())?,
+                };
+                let mut before = std::mem::replace(&mut self.session, next);
+                self.events.extend(before.take_events());
+                self.others.insert(current.clone(), before);
+            }
+            None => {}
+        }
+        self.topic = Some(topic.to_owned());
         Ok(())
     }
 
@@ -122,7 +162,9 @@ impl MessageSmoother {
 
     /// Takes the session's events: another engine, an estimated sensor.
     pub fn take_events(&mut self) -> Vec<SessionEvent> {
-        self.session.take_events()
+        let mut events = std::mem::take(&mut self.events);
+        events.extend(self.session.take_events());
+        events
     }
 
     /// Takes a warning, the first time that a message has lost more than a hundredth of its points.

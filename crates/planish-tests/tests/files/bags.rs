@@ -100,6 +100,51 @@ fn clouds_come_back_with_all_their_fields() {
 }
 
 #[test]
+fn each_topic_of_a_recording_is_a_video_of_its_own() {
+    let folder = TempDir::new().unwrap();
+    let frames = frames(small_camera());
+    // Depth, clouds, or both, of the same frames.
+    let written = |name: &str, has_depth: bool, has_clouds: bool| {
+        let path = folder.path().join(name);
+        let mut writer = BagWriter::create(&path).unwrap();
+        for frame in &frames {
+            if has_depth {
+                writer.add(&OwnedFrame::Depth(frame.clone())).unwrap();
+            }
+            if has_clouds {
+                let cloud = frame.deproject().unwrap();
+                writer.add_cloud(&cloud.points, Some((cloud.width(), cloud.height())), frame.timestamp_s).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        path
+    };
+    let topics = ["/camera/depth/image_rect", "/camera/depth/points"];
+    let smoothed = |input: &Path, topic: &str| {
+        let output = input.with_extension("smoothed.mcap");
+        if !output.exists() {
+            let mut smoother = MessageSmoother::new("engine=cpu temporal=steady".parse().unwrap()).unwrap();
+            let is_both = input.ends_with("both.mcap");
+            let chosen = topics.iter().filter(|&&chosen| is_both || chosen == topic).map(|&topic| topic.to_owned());
+            let (options, stop) = (SmoothBagOptions::default().with_topics(chosen.collect()), AtomicBool::new(false));
+            smooth_bag(input, &output, &mut smoother, &options, &stop, &mut |_, _| ()).unwrap();
+        }
+        let mut source = BagSource::open(&output, Some(topic), None, None).unwrap();
+        // The camera of clouds is in the recording of depth only.
+        let measured = |frame: OwnedFrame| match frame {
+            OwnedFrame::Depth(depth) => format!("{:?}", depth.raw),
+            OwnedFrame::Cloud { cloud, .. } => format!("{:?}", cloud.points),
+        };
+        std::iter::from_fn(|| source.next_frame().unwrap()).map(measured).collect::<Vec<_>>()
+    };
+    let both = written("both.mcap", true, true);
+    for (name, has_depth, topic) in [("depth.mcap", true, topics[0]), ("clouds.mcap", false, topics[1])] {
+        let alone = smoothed(&written(name, has_depth, !has_depth), topic);
+        assert!(alone.len() == FRAMES as usize && alone == smoothed(&both, topic), "{topic}");
+    }
+}
+
+#[test]
 fn smoothing_a_recording_is_smoothing_its_frames() {
     let folder = TempDir::new().unwrap();
     let (path, frames) = recording(&folder, small_camera());

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use planish::io::{self, Contents, Encoding, Format};
 use planish::{
-    Attribute, AttributeValues, Camera, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns, SensorPose,
-    Xyz,
+    Attribute, AttributeValues, Camera, DepthImage, DepthView, OrganizedCloud, PointCloud, PositionColumns, Precision,
+    SensorPose, Xyz,
 };
 use planish_tests::data::{folder, general_cloud};
 use proptest::collection::vec;
@@ -57,7 +57,7 @@ fn cloud() -> impl Strategy<Value = OrganizedCloud> {
                 let index = [0, 1, 2].map(|axis| free.remove((places >> (8 * axis)) as usize % free.len()));
                 let mut cloud = PointCloud::new(points.into_iter().collect::<Xyz>());
                 cloud.attributes = attributes;
-                cloud.position_columns = PositionColumns { index, double: false };
+                cloud.position_columns = PositionColumns { index, ..PositionColumns::default() };
                 let viewpoint = viewpoint.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 });
                 cloud.pose = SensorPose::from_viewpoint(viewpoint);
                 OrganizedCloud::new(width, height, cloud).unwrap()
@@ -209,7 +209,7 @@ fn numpys_own_files_are_read() {
     let points: Vec<u8> = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f8", "(2, 3)", points), None).unwrap();
     let mut expected = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
-    expected.position_columns.double = true;
+    expected.position_columns.precision = Precision::F64;
     assert_eq!(contents, Contents::General(expected));
     let depth: Vec<u8> = [1.5f32, 0.0, 2.5, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f4", "(2, 2)", depth), None).unwrap();

@@ -6,6 +6,7 @@ mod rig;
 mod rig_endurance;
 mod rig_stop;
 mod rig_stream;
+mod rig_video;
 mod rig_viewpoints;
 mod rig_voxels;
 mod stream;

@@ -71,7 +71,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         bail!("{}: a recording has many frames; write a folder, or a name that ends in .mcap", args.output.display());
     }
     for (option, is_given) in [
-        ("--encoding", args.encoding.is_some()),
+        ("--encoding", args.encoding.is_given()),
         ("--repeat", args.repeat > 1),
         ("--gpus", args.gpus.gpus.is_some()),
         ("--sensor-pose", args.pose.sensor_pose.is_some()),

@@ -15,7 +15,6 @@ use planish::io::{self, Trajectory};
 use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
 use planish_bench::{errln, outln};
 
-use super::super::checks::check_output;
 use super::Worker;
 use super::memory::NeedsMemory;
 use super::report::{Failure, FolderReport, Report};
@@ -151,7 +150,7 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     }
     fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
-    outputs.iter().try_for_each(|output| check_output(output, args.encoding.is_some()))?;
+    outputs.iter().try_for_each(|output| args.encoding.check(output))?;
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
@@ -237,6 +236,7 @@ fn beside_each_other(
             pose,
             beside: workers as u64,
             smoothed: Smoothed::default(),
+            renewed: planish::Outputs::POINTS,
             noted: Arc::clone(noted),
         };
         while !stop.load(Ordering::Relaxed) {

@@ -40,7 +40,7 @@ impl Worker<'_> {
         let options = TileOptions::new(self.settings.clone(), smoother, allowed)
             .with_fields(self.outputs())
             .with_pose(self.pose)
-            .with_encoding(self.args.encoding());
+            .with_encoding(self.args.encoding.encoding());
         let progress = Arc::new(Progress::default());
         let start = Instant::now();
         let report =

@@ -1,0 +1,110 @@
+//! The arguments of `planish convert`, `compare`, `merge` and `mesh`.
+
+use std::path::PathBuf;
+
+use super::{CameraArgs, EncodingArgs, MemoryArgs, SmoothingArgs};
+
+/// Nothing is smoothed. Fields, colours, grid and holes are kept as far as the format has them; what is dropped is
+/// reported.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  planish convert scan.e57 scan.laz\n  planish convert depth.png cloud.ply --camera 525,525,319.5,239.5"
+)]
+pub struct ConvertArgs {
+    /// Cloud or depth image
+    pub input: PathBuf,
+    /// File to write
+    ///
+    /// A depth image stays one in .png, .tiff and .npy, and becomes an organized cloud in other formats. An organized
+    /// cloud becomes a depth image in .png and .tiff, in millimetres unless --depth-units-per-metre says otherwise.
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Leave out holes; an organized cloud becomes unorganized
+    #[arg(long)]
+    pub drop_holes: bool,
+    /// Fields to keep besides x, y and z, such as intensity,label; none keeps no field [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    pub fields: Vec<String>,
+    #[command(flatten)]
+    pub encoding: EncodingArgs,
+    /// Allow an output that replaces the input
+    #[arg(long, hide_short_help = true)]
+    pub overwrite: bool,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
+    /// Print a report as one JSON object
+    #[arg(long, hide_short_help = true)]
+    pub json: bool,
+}
+
+/// Pixels and points are compared with those of the same index. Clouds of different size are compared by the nearest
+/// points, in both directions.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish compare raw.pcd smooth.pcd --picture difference.png --max 0.02")]
+pub struct CompareArgs {
+    /// Cloud or depth image
+    pub a: PathBuf,
+    /// The other one
+    pub b: PathBuf,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    /// Compare with the nearest points, whatever their index
+    #[arg(long)]
+    pub nearest: bool,
+    /// Exit with 1 if a distance is larger, or if pixels are holes in one input only
+    ///
+    /// In metres; for depth images without --camera in their units.
+    #[arg(long, value_name = "DISTANCE")]
+    pub max: Option<f64>,
+    /// Picture of the distances to write, for two inputs on one grid
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
+    /// Print a report as one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The frame is smoothed, and pixels on one surface are connected; steps are left open. An unorganized cloud has no
+/// pixels: build its mesh with Open3D or MeshLab.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish mesh depth.png chair.glb --camera 525,525,319.5,239.5")]
+pub struct MeshArgs {
+    /// Depth image, or organized cloud
+    pub input: PathBuf,
+    /// Mesh to write: .ply, .obj, .stl or .glb
+    pub output: PathBuf,
+    /// Connect the points as they are, without smoothing
+    #[arg(long)]
+    pub raw: bool,
+    #[command(flatten)]
+    pub smoothing: SmoothingArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
+}
+
+/// Holes are left out. The field `scan` has the number of each point's cloud, from 0.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish merge 000.pcd 001.pcd 002.pcd --poses trajectory.log --out room.ply")]
+pub struct MergeArgs {
+    /// Clouds, or depth images with --camera
+    #[arg(required = true)]
+    pub inputs: Vec<PathBuf>,
+    /// Cloud to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Pose of each input in the common frame: trajectory.log, by number, or TUM's groundtruth.txt, by file names that
+    /// are times [default: all are in one frame]
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+    #[command(flatten)]
+    pub encoding: EncodingArgs,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
+}

@@ -1,0 +1,199 @@
+//! `planish convert`, `compare` and `merge`: files without smoothing.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use planish::compare::{Comparison, Distances, Matching};
+use planish::io::{self, CloudRef, Contents, ConvertOptions, FileRead, Format, read_trajectory};
+use planish::{Error, Outputs, PointCloud, SensorPose, rig};
+use planish_bench::{errln, outln};
+use serde_json::json;
+
+use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes};
+use super::organized;
+use crate::args::{CameraArgs, CompareArgs, ConvertArgs, MergeArgs};
+use crate::exit::ExitCode;
+
+/// Converts a file.
+pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
+    let ConvertArgs { input, output, .. } = args;
+    args.encoding.check(output)?;
+    check_not_input(input, output, Some(args.overwrite))?;
+    let mut file = io::read_file(input, &args.memory.read_options())?;
+    report_notes(input, &std::mem::take(&mut file.notes));
+    if let Contents::General(cloud) = &file.contents {
+        report_columns(input, file.format, cloud);
+    }
+    let shape = file.contents.shape();
+    let stays_depth = match Format::of_extension(output) {
+        Some(Format::DepthPng | Format::DepthTiff) => true,
+        Some(Format::Npy) => file.contents.is_depth(),
+        _ => false,
+    };
+    let camera = match (file.contents.is_depth(), stays_depth, args.camera.depth_units_per_metre) {
+        (true, false, _) => Some(args.camera.required(shape, input)?),
+        // Only the unit matters.
+        (_, true, Some(units)) => Some(
+            args.camera
+                .camera(shape)?
+                .unwrap_or(planish::Camera::new(shape, [1.0; 2], [0.0; 2]))
+                .with_depth_units_per_metre(units),
+        ),
+        _ => args.camera.camera(shape)?,
+    };
+    let fields = (!args.fields.is_empty()).then(|| match &args.fields[..] {
+        [none] if none == "none" => Vec::new(),
+        names => names.to_vec(),
+    });
+    let options = ConvertOptions::default()
+        .with_camera(camera)
+        .with_drop_holes(args.drop_holes)
+        .with_fields(fields)
+        .with_encoding(args.encoding.encoding())
+        .with_precision(args.encoding.precision());
+    let report = io::convert(file, output, &options)?;
+    report_notes(output, &report.notes);
+    let (width, height) = report.shape;
+    let (from, to, valid) = (report.from.name(), report.to.name(), report.valid);
+    if args.json {
+        let report = json!({
+            "input": input, "output": output, "from": from, "to": to, "width": width, "height": height,
+            "valid": valid, "notes": report.notes,
+        });
+        outln!("{report}");
+    } else {
+        let points =
+            if height > 1 { format!("{width}x{height}, {valid} of them no holes") } else { format!("{width} points") };
+        outln!("{} -> {}: {from} to {to}, {points}", input.display(), output.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Reads a file; a depth image becomes points if there is a camera.
+fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<(Format, Contents)> {
+    let FileRead { format, contents, notes, .. } = io::read_file(file, options)?;
+    report_notes(file, &notes);
+    let contents = match contents {
+        Contents::General(cloud) => {
+            report_columns(file, format, &cloud);
+            Contents::General(cloud)
+        }
+        contents if contents.is_depth() && !camera.is_given() => contents,
+        contents => Contents::Organized(organized(contents, camera, file)?),
+    };
+    Ok((format, contents))
+}
+
+/// Compares two files.
+pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
+    if args.max.is_some_and(|max| max.is_nan() || max < 0.0) {
+        bail!("--max: a distance of 0 or more is expected");
+    }
+    let options = args.memory.read_options();
+    let (_, a) = read(&args.a, &args.camera, &options)?;
+    let (_, b) = read(&args.b, &args.camera, &options)?;
+    let names = || format!("{} and {}", args.a.display(), args.b.display());
+    let found = planish::compare::compare(&a, &b, args.nearest).with_context(names)?;
+    if let Some(picture) = &args.picture {
+        if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+            bail!("{}: not a .png; pictures are written as .png", picture.display());
+        }
+        for input in [&args.a, &args.b] {
+            check_not_input(input, picture, None)?;
+        }
+        let full_scale = [args.max, Some(found.distances.p95)].into_iter().flatten().find(|scale| *scale > 0.0);
+        let full_scale = full_scale.unwrap_or(f64::MIN_POSITIVE);
+        let map = planish::compare::difference_map(&a, &b, full_scale);
+        let map = map.with_context(|| format!("{}: a picture needs two inputs on one grid", picture.display()))?;
+        planish::internal::write_rgb_png(picture, &map)?;
+        errln!("{}: red is {} or more", picture.display(), length(full_scale, found.unit));
+    }
+    let is_within = args.max.is_none_or(|max| found.is_within(max));
+    if args.json {
+        outln!("{}", serde_json::to_string(&found)?);
+    } else {
+        print(args, &found);
+    }
+    Ok(if is_within { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// Formats a distance.
+fn length(value: f64, unit: &str) -> String {
+    if unit == "m" { format!("{:.3} mm", 1e3 * value) } else { format!("{value:.2} units") }
+}
+
+fn print(args: &CompareArgs, found: &Comparison) {
+    let Comparison { matching, unit, valid: [valid_a, valid_b], only_in: [only_a, only_b], .. } = found;
+    let how = match matching {
+        Matching::Index => "point by point",
+        Matching::Nearest => "to the nearest point",
+    };
+    outln!("{} and {}, {how}", args.a.display(), args.b.display());
+    outln!("  points      {valid_a} and {valid_b}");
+    if *matching == Matching::Index {
+        outln!("  in one only {only_a} and {only_b}");
+    }
+    let line = |name: &str, distances: &Distances| {
+        let Distances { count, equal, mean, rms, median, p95, max, .. } = *distances;
+        let [mean, rms, median, p95, max] = [mean, rms, median, p95, max].map(|value| length(value, unit));
+        outln!("  {name} {equal} of {count} equal; mean {mean}, RMS {rms}, median {median}, 95 % {p95}, max {max}");
+    };
+    line("distance   ", &found.distances);
+    if let Some(back) = &found.back {
+        line("and back   ", back);
+    }
+    for field in &found.fields {
+        match (field.is_in, field.differing) {
+            ([true, false], _) => outln!("  {} is only in the first", field.name),
+            ([false, true], _) => outln!("  {} is only in the second", field.name),
+            (_, Some((count, most))) => outln!("  {} differs in {count} values, by up to {most}", field.name),
+            _ => {}
+        }
+    }
+}
+
+/// Puts clouds together.
+pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
+    args.encoding.check(&args.out)?;
+    if matches!(Format::of_extension(&args.out), Some(Format::DepthPng | Format::DepthTiff)) {
+        bail!("{}: an image cannot store points; end the name in .pcd or .ply", args.out.display());
+    }
+    let poses = args.poses.as_ref().map(|file| read_trajectory(file)).transpose()?;
+    let options = args.memory.read_options();
+    let mut clouds: Vec<(PointCloud, SensorPose)> = Vec::new();
+    let mut bytes = 0u64;
+    let mut first_format = None;
+    for (i, input) in args.inputs.iter().enumerate() {
+        check_not_input(input, &args.out, None)?;
+        let (format, contents) =
+            read(input, &args.camera, &options.with_max_memory_bytes(options.max_memory_bytes - bytes))?;
+        first_format.get_or_insert(format);
+        let cloud = match contents {
+            Contents::General(cloud) => cloud,
+            Contents::Organized(cloud) => cloud.points,
+            contents => organized(contents, &args.camera, input)?.points,
+        };
+        let pose = poses.as_ref().map(|poses| {
+            let name = input.file_stem().and_then(|name| name.to_str());
+            let missing = || missing_pose(input, args.poses.as_ref());
+            poses.pose(i as u64, None, name).with_context(missing)
+        });
+        bytes = (bytes + 12 * cloud.len() as u64).min(options.max_memory_bytes);
+        clouds.push((cloud, pose.transpose()?.unwrap_or(SensorPose::IDENTITY)));
+    }
+    let mut merged = rig::merge(&clouds).map_err(Error::from)?;
+    if merged.is_empty() {
+        bail!("{}: no points; nothing is written", args.out.display());
+    }
+    convert_fields(&mut merged, first_format.unwrap_or(Format::Pcd), &args.out, args.encoding.precision());
+    io::check_writable(&args.out, &merged, Outputs::POINTS)?;
+    report_losses(&args.out, &merged);
+    io::write_cloud(&args.out, CloudRef::General(&merged), args.encoding.encoding().unwrap_or_default())?;
+    outln!("{} clouds -> {}: {} points", clouds.len(), args.out.display(), merged.len());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn missing_pose(input: &Path, poses: Option<&PathBuf>) -> String {
+    let file = poses.map_or(String::new(), |file| file.display().to_string());
+    format!("{}: has no pose in {file}", input.display())
+}

@@ -1,0 +1,46 @@
+//! `planish mesh`: a frame to a triangle mesh.
+
+use anyhow::{Context, Result, bail};
+use planish::io::{self, Contents, WRITTEN_MESHES};
+use planish::mesh::{FrameMesh, mesh_of};
+use planish_bench::{errln, outln};
+
+use super::checks::{check_not_input, report_notes};
+use super::organized;
+use crate::args::{MeshArgs, by_option_of_error};
+use crate::exit::ExitCode;
+
+pub fn run(args: &MeshArgs) -> Result<ExitCode> {
+    let MeshArgs { input, output, .. } = args;
+    let extension = output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+    if !matches!(extension.as_deref(), Some("ply" | "obj" | "stl" | "glb")) {
+        bail!("{}: not a mesh by its name: end it in {WRITTEN_MESHES}", output.display());
+    }
+    check_not_input(input, output, None)?;
+    let settings = args.smoothing.settings()?;
+    let file = io::read_file(input, &args.memory.read_options())?;
+    report_notes(input, &file.notes);
+    if let Contents::General(cloud) = &file.contents {
+        bail!(
+            "{}: an unorganized cloud of {} points has no pixels to connect; build its mesh with Open3D \
+             (create_from_point_cloud_poisson) or MeshLab",
+            input.display(),
+            cloud.len()
+        );
+    }
+    let cloud = organized(file.contents, &args.camera, input)?;
+    let remove_floating = settings.remove_floating == Some(true);
+    let made = mesh_of(cloud, settings, args.raw).map_err(by_option_of_error);
+    let FrameMesh { mesh, floating, events, .. } = made.with_context(|| input.display().to_string())?;
+    if remove_floating {
+        errln!("{}: {floating} floating pixels became holes", input.display());
+    }
+    events.iter().for_each(|event| errln!("{}: {event}", input.display()));
+    if mesh.triangles.is_empty() {
+        bail!("{}: no pixels are connected; nothing is written", input.display());
+    }
+    io::write_mesh(output, &mesh)?;
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    outln!("{} -> {}: {vertices} vertices, {triangles} triangles", input.display(), output.display());
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,109 @@
+//! Several steps of cleaning in their order.
+
+use super::{cloud_outside_box, radius_outliers, statistical_outliers, voxel_downsample};
+use crate::cloud::PointCloud;
+use crate::error::{Error, ParamError};
+use crate::frame::PointsView;
+
+/// What to remove of a cloud, in the order of these fields; `None` leaves a step out.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CleanSteps {
+    /// Box to keep: smallest and largest x, y, z in metres, in the frame of the cloud's file.
+    pub crop_m: Option<[[f64; 3]; 2]>,
+    /// Size of voxels in metres; one point is kept per voxel, and the grid is lost.
+    pub voxel_m: Option<f64>,
+    /// Number of neighbours, and by how many standard deviations a point's mean distance to them may exceed the
+    /// average.
+    pub statistical: Option<(usize, f32)>,
+    /// Radius in metres, and the fewest neighbours within it.
+    pub radius: Option<(f32, usize)>,
+}
+
+/// Number of points removed by each step; `None` for steps that were left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct CleanCounts {
+    /// Points of the input that are no holes.
+    pub points_in: usize,
+    /// Holes of an unorganized cloud, which are dropped.
+    pub holes_dropped: usize,
+    /// Points outside the box.
+    pub outside_box: Option<usize>,
+    /// Points replaced by another in the same voxel.
+    pub merged: Option<usize>,
+    /// Statistical outliers.
+    pub statistical_outliers: Option<usize>,
+    /// Points with too few neighbours within the radius.
+    pub radius_outliers: Option<usize>,
+    /// Points that remain.
+    pub points_out: usize,
+}
+
+impl CleanSteps {
+    /// Returns true if there is no step.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Applies the steps. On a grid (width and height) removed points become holes; without one they are left out, as
+    /// are holes. With voxels, `grid` becomes `None`.
+    ///
+    /// # Errors
+    /// If a value is outside its range; `field` names the step and the value: `crop`, `voxel`,
+    /// `statistical.neighbours`, `statistical.deviations`, `radius.radius_m`, `radius.neighbours`.
+    pub fn apply(&self, points: &mut PointCloud, grid: &mut Option<(usize, usize)>) -> Result<CleanCounts, Error> {
+        let points_in = points.valid_points();
+        let mut counts = CleanCounts { points_in, ..CleanCounts::default() };
+        if grid.is_none() && points_in < points.len() {
+            counts.holes_dropped = points.len() - points_in;
+            let is_hole: Vec<bool> = (0..points.len()).map(|i| !points.positions.is_finite(i)).collect();
+            remove(points, &is_hole, false);
+        }
+        if let Some([low, high]) = self.crop_m {
+            let is_outside = cloud_outside_box(points, low, high).map_err(named(|_| "crop"))?;
+            counts.outside_box = Some(remove(points, &is_outside, grid.is_some()));
+        }
+        if let Some(size_m) = self.voxel_m {
+            let before = points.valid_points();
+            *points = voxel_downsample(points, size_m).map_err(named(|_| "voxel"))?;
+            *grid = None;
+            counts.merged = Some(before - points.len());
+        }
+        if let Some((neighbours, deviations)) = self.statistical {
+            let is_outlier = statistical_outliers(&PointsView::from_cloud(points)?, neighbours, deviations);
+            let is_outlier = is_outlier.map_err(named(|field| match field {
+                "neighbours" => "statistical.neighbours",
+                _ => "statistical.deviations",
+            }))?;
+            counts.statistical_outliers = Some(remove(points, &is_outlier, grid.is_some()));
+        }
+        if let Some((radius_m, least)) = self.radius {
+            let is_outlier = radius_outliers(&PointsView::from_cloud(points)?, radius_m, least);
+            let is_outlier = is_outlier.map_err(named(|field| match field {
+                "neighbours" => "radius.neighbours",
+                _ => "radius.radius_m",
+            }))?;
+            counts.radius_outliers = Some(remove(points, &is_outlier, grid.is_some()));
+        }
+        counts.points_out = points.valid_points();
+        Ok(counts)
+    }
+}
+
+/// Names the step of an error.
+fn named(name: impl Fn(&str) -> &'static str) -> impl Fn(ParamError) -> ParamError {
+    move |error| ParamError { field: name(error.field), ..error }
+}
+
+/// Makes holes of marked points on a grid, and leaves them out elsewhere; returns how many.
+fn remove(points: &mut PointCloud, is_marked: &[bool], is_on_grid: bool) -> usize {
+    if is_on_grid {
+        let marked = is_marked.iter().enumerate().filter(|(_, marked)| **marked);
+        marked.for_each(|(i, _)| points.positions.set(i, [f32::NAN; 3]));
+    } else {
+        let kept: Vec<usize> = (0..is_marked.len()).filter(|&i| !is_marked[i]).collect();
+        *points = points.select(&kept);
+    }
+    is_marked.iter().filter(|marked| **marked).count()
+}

@@ -1,0 +1,90 @@
+//! Smooths over time what was smoothed in space elsewhere, such as the results of a rig's cameras.
+
+use super::clock::VideoClock;
+use super::filtering::Filtering;
+use super::over_time::outputs_in_space;
+use super::sight::Sight;
+use crate::error::Error;
+use crate::frame::{Frame, FrameGeometry, GeometryScratch};
+use crate::outputs::Outputs;
+use crate::sensor::SensorModel;
+use crate::smoothed::Smoothed;
+use crate::temporal::TemporalParams;
+
+/// Smooths the results of one camera over time.
+pub struct ResultFilter {
+    params: TemporalParams,
+    tracks_camera: bool,
+    filtering: Filtering,
+    clock: VideoClock,
+    scratch: GeometryScratch,
+    is_camera_unknown: bool,
+}
+
+/// How a frame is seen whose result is smoothed over time later.
+#[derive(Debug, Clone, Copy)]
+pub struct ResultSight(Sight);
+
+impl ResultFilter {
+    /// Creates a filter that has not seen any frame; it estimates the motion of the camera if `tracks_camera` is set.
+    pub fn new(params: TemporalParams, tracks_camera: bool) -> Self {
+        let (filtering, clock, scratch) = Default::default();
+        Self { params, tracks_camera, filtering, clock, scratch, is_camera_unknown: false }
+    }
+
+    /// Returns the results that [`filter`](Self::filter) needs to compute `outputs`.
+    pub fn outputs_in_space(outputs: Outputs, tracks_camera: bool) -> Outputs {
+        outputs_in_space(outputs, tracks_camera)
+    }
+
+    /// Begins a new video with the next frame.
+    pub fn restart(&mut self) {
+        self.clock.restart();
+    }
+
+    /// Looks at a frame that is about to be smoothed in space, in the order of the video; `None` if it has no grid.
+    /// Gaps in time stamps begin a new video.
+    pub fn look_at(
+        &mut self,
+        frame: Frame<'_>,
+        time_s: Option<f64>,
+        sensor: SensorModel,
+        outputs: Outputs,
+    ) -> Option<ResultSight> {
+        frame.grid()?;
+        self.clock.set_time(time_s);
+        let geometry = FrameGeometry::of(frame, true, &mut self.scratch);
+        let camera = match frame {
+            Frame::Depth(depth) => Some(*depth.camera()),
+            Frame::Points(points) => points.camera().copied(),
+        };
+        Some(ResultSight(Sight {
+            geometry,
+            sensor,
+            camera,
+            outputs,
+            shape: frame.shape(),
+            params: self.params,
+            video: self.clock.video(),
+            pose: None,
+            is_pose_of_file: false,
+            is_tracked: self.tracks_camera,
+        }))
+    }
+
+    /// Smooths the result of a frame over time, in the order of the video, and leaves the outputs that were requested.
+    ///
+    /// # Errors
+    /// If the parameters are outside their ranges.
+    pub fn filter(&mut self, ResultSight(sight): &ResultSight, smoothed: &mut Smoothed) -> Result<(), Error> {
+        self.is_camera_unknown |= self.filtering.filter(sight, smoothed, None)?;
+        let (width, height) = sight.shape;
+        smoothed.prepare(width, height, sight.outputs);
+        Ok(())
+    }
+
+    /// Returns true once if the motion of the camera is wanted but the points show no camera.
+    pub fn take_camera_unknown(&mut self) -> bool {
+        std::mem::take(&mut self.is_camera_unknown)
+    }
+}

@@ -1,0 +1,79 @@
+//! Adapts the fields of a cloud that was read from one format to the readers of another.
+
+use planish_core::{PointCloud, Precision};
+
+use super::Format;
+
+/// Converts colours, intensities and the precision of coordinates to what readers of the format `to` expect, of a cloud
+/// read from the format `read`. Returns notes for users, one clause each.
+///
+/// PCD files get coordinates of 4 bytes unless they are beyond 1000 m, since PCL reads those of 8 bytes as zeros
+/// without an error; a PCD file that has 8 bytes keeps them. `precision` overrides this.
+pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision: Option<Precision>) -> Vec<String> {
+    let mut notes = Vec::new();
+    match to {
+        Format::Ply if read != Format::Ply => cloud.unpack_colour(),
+        Format::Pcd if read == Format::Ply => cloud.pack_colour(),
+        Format::Las | Format::Laz if !matches!(read, Format::Las | Format::Laz) && cloud.scale_intensity() => {
+            notes.push("intensities from 0 to 1 are scaled to 0 to 65535, the range of LAS".to_owned());
+        }
+        _ => {}
+    }
+    let current = &mut cloud.position_columns.precision;
+    if let Some(precision) = precision {
+        *current = precision;
+    } else if to == Format::Pcd && read != Format::Pcd {
+        *current = Precision::AsNeeded;
+    }
+    if to == Format::Pcd && precision.is_none() && cloud.is_written_in_f64() {
+        notes.push("coordinates have 8 bytes, which PCL reads as zeros (--encoding f32 rounds them to 4)".to_owned());
+    }
+    notes
+}
+
+/// Lists what a format cannot represent of a cloud: holes and fields, one clause each.
+pub fn losses(cloud: &PointCloud, to: Format) -> Vec<String> {
+    let holes = cloud.len() - cloud.valid_points();
+    match to {
+        Format::Las | Format::Laz if holes > 0 => {
+            vec![format!("{holes} holes are dropped, since LAS cannot store them")]
+        }
+        Format::Npy if !cloud.attributes.is_empty() => {
+            let fields = cloud.attributes.len();
+            vec![format!("{fields} fields are dropped, since NPY cannot store them (write .npz)")]
+        }
+        _ => Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_core::Xyz;
+
+    fn cloud(x: f32, origin_m: f64, precision: Precision) -> PointCloud {
+        let mut cloud = PointCloud::new(Xyz::filled(3, x));
+        cloud.origin_m = [origin_m; 3];
+        cloud.position_columns.precision = precision;
+        cloud
+    }
+
+    #[test]
+    fn pcd_has_four_bytes_unless_they_lose_digits_or_the_file_had_eight() {
+        let written = |mut cloud: PointCloud, read, precision| {
+            let notes = adapt_fields(&mut cloud, read, Format::Pcd, precision);
+            (cloud.is_written_in_f64(), notes.len())
+        };
+        let near = || cloud(2.0, 3.0, Precision::F64);
+        let far = || cloud(2.0, 500_000.0, Precision::F64);
+        assert_eq!(written(near(), Format::Las, None), (false, 0));
+        assert_eq!(written(near(), Format::Pcd, None), (true, 1));
+        assert_eq!(written(near(), Format::Las, Some(Precision::F64)), (true, 0));
+        assert_eq!(written(far(), Format::E57, None), (true, 1));
+        assert_eq!(written(far(), Format::E57, Some(Precision::F32)), (false, 0));
+        // Other formats keep what they had.
+        let mut kept = near();
+        adapt_fields(&mut kept, Format::Las, Format::Ply, None);
+        assert!(kept.is_written_in_f64());
+    }
+}

@@ -1,0 +1,248 @@
+//! Converts files from one format to another, without smoothing.
+
+use std::path::Path;
+
+use planish_core::{
+    Camera, DepthFrame, DepthImage, DepthView, Error, FormatError, IoError, OrganizedCloud, Outputs, PointCloud,
+    PointsView, Precision, RangeRule,
+};
+
+use super::{
+    CloudRef, Contents, Encoding, FileRead, Format, adapt_fields, check_writable, losses, quoted, write_cloud,
+    write_depth, write_depth_metres,
+};
+
+/// A camera whose focal length differs from that of the points by more than this factor is not theirs.
+const FOCAL_LENGTH_FACTOR: f64 = 1.25;
+
+/// Raw units per metre of depth images, if no camera states others.
+const MILLIMETRES: f64 = 1000.0;
+
+/// How a file is converted.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub struct ConvertOptions {
+    /// The camera, which depth images need to become points.
+    pub camera: Option<Camera>,
+    /// Leave out holes; an organized cloud then loses its grid.
+    pub drop_holes: bool,
+    /// The fields to keep besides x, y and z; `None` for all.
+    pub fields: Option<Vec<String>>,
+    /// The encoding of PCD and PLY; `None` for the input's.
+    pub encoding: Option<Encoding>,
+    /// The precision of coordinates; `None` for what suits the format ([`adapt_fields`]).
+    pub precision: Option<Precision>,
+}
+
+impl ConvertOptions {
+    /// Sets the camera.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// Sets whether holes are left out.
+    pub fn with_drop_holes(self, drop_holes: bool) -> Self {
+        Self { drop_holes, ..self }
+    }
+
+    /// Sets the fields to keep.
+    pub fn with_fields(self, fields: Option<Vec<String>>) -> Self {
+        Self { fields, ..self }
+    }
+
+    /// Sets the encoding.
+    pub fn with_encoding(self, encoding: Option<Encoding>) -> Self {
+        Self { encoding, ..self }
+    }
+
+    /// Sets the precision of coordinates.
+    pub fn with_precision(self, precision: Option<Precision>) -> Self {
+        Self { precision, ..self }
+    }
+}
+
+/// Report on a converted file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ConvertReport {
+    /// The format that was read.
+    pub from: Format,
+    /// The format that was written.
+    pub to: Format,
+    /// Width and height; the number of points and 1 without a grid.
+    pub shape: (usize, usize),
+    /// Pixels or points that are no holes.
+    pub valid: usize,
+    /// What was dropped, changed or guessed, one clause each, for users.
+    pub notes: Vec<String>,
+}
+
+/// Converts a file that was read, and writes it in the format of the path's extension.
+///
+/// Depth images stay depth images if the format has them, and become organized clouds otherwise. An organized cloud in
+/// its sensor's frame becomes a depth image.
+///
+/// # Errors
+/// If the camera is missing or does not fit, the format cannot represent the contents, or the file cannot be written.
+pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Result<ConvertReport, Error> {
+    let at_output = |problem: FormatError| Error::from(IoError::at(output)(problem));
+    let FileRead { format: from, encoding, contents, mut notes, .. } = file;
+    let to = Format::of_output(output).map_err(at_output)?;
+    let is_image = matches!(to, Format::DepthPng | Format::DepthTiff);
+    let stays_depth = is_image || (to == Format::Npy && contents.is_depth());
+    let shape @ (width, height) = contents.shape();
+    if stays_depth {
+        if options.drop_holes || options.fields.is_some() {
+            let reason = "a depth image has holes and no fields; drop holes and choose fields only for clouds";
+            return Err(at_output(FormatError::Unsupported(reason.into())));
+        }
+        let valid = match contents {
+            Contents::Depth(image) => {
+                write_depth(output, &image)?;
+                image.raw.iter().filter(|&&raw| raw != 0 && raw != planish_core::SATURATED_DEPTH).count()
+            }
+            Contents::DepthMetres { depth_m, .. } if to == Format::Npy => {
+                write_depth_metres(output, width, &depth_m)?;
+                depth_m.iter().filter(|depth_m| depth_m.is_finite() && **depth_m > 0.0).count()
+            }
+            Contents::DepthMetres { depth_m, .. } => write_raw(output, shape, &depth_m, options, &mut notes)?,
+            contents => {
+                let cloud = contents.into_organized(options.camera.as_ref()).map_err(at_output)?;
+                let view = PointsView::from_organized(&cloud)?;
+                if !cloud.points.pose.is_identity() || !matches!(view.range_rule(), RangeRule::Depth { .. }) {
+                    let reason = "the points are not in their camera's frame, so z is no depth";
+                    return Err(at_output(FormatError::Unsupported(reason.into())));
+                }
+                write_raw(output, shape, cloud.points.positions.z(), options, &mut notes)?
+            }
+        };
+        return Ok(ConvertReport { from, to, shape, valid, notes });
+    }
+    let (mut points, grid) = match contents {
+        Contents::General(cloud) => (cloud, None),
+        contents => {
+            let cloud = contents.into_organized(options.camera.as_ref()).map_err(at_output)?;
+            (cloud.points, Some((width, height)))
+        }
+    };
+    let grid = grid.filter(|_| !options.drop_holes);
+    if options.drop_holes {
+        let kept: Vec<usize> = (0..points.len()).filter(|&i| points.positions.is_finite(i)).collect();
+        if kept.len() < points.len() {
+            notes.push(format!("{} holes are left out", points.len() - kept.len()));
+            points = points.select(&kept);
+        }
+    }
+    if let Some(fields) = &options.fields {
+        keep_fields(&mut points, fields).map_err(at_output)?;
+    }
+    notes.extend(adapt_fields(&mut points, from, to, options.precision));
+    notes.extend(losses(&points, to));
+    let encoding = options.encoding.or(encoding).unwrap_or_default();
+    let valid = points.valid_points();
+    let written = match grid {
+        Some((width, height)) => {
+            let cloud = OrganizedCloud::new(width, height, points)?;
+            check_writable(output, &cloud, Outputs::POINTS)?;
+            write_cloud(output, CloudRef::Organized(&cloud), encoding)?;
+            (width, height)
+        }
+        None => {
+            check_writable(output, &points, Outputs::POINTS)?;
+            write_cloud(output, CloudRef::General(&points), encoding)?;
+            (points.len(), 1)
+        }
+    };
+    Ok(ConvertReport { from, to, shape: written, valid, notes })
+}
+
+/// Writes depth in metres as an image of integers; returns the number of pixels with depth.
+fn write_raw(
+    output: &Path,
+    (width, height): (usize, usize),
+    depth_m: &[f32],
+    options: &ConvertOptions,
+    notes: &mut Vec<String>,
+) -> Result<usize, Error> {
+    let any = Camera::new((width, height), [1.0; 2], [0.0; 2]).with_depth_units_per_metre(MILLIMETRES);
+    let camera = options.camera.unwrap_or(any);
+    let raw: Vec<u16> = depth_m.iter().map(|&depth_m| camera.raw_depth(depth_m)).collect();
+    let valid = raw.iter().filter(|&&raw| raw > 0).count();
+    let lost = depth_m.iter().filter(|depth_m| depth_m.is_finite() && **depth_m > 0.0).count() - valid;
+    let units = camera.depth_units_per_metre;
+    if lost > 0 {
+        notes.push(format!(
+            "{lost} pixels became holes: their depth is beyond 65534 units of 1/{units} m, or below one"
+        ));
+    }
+    write_depth(output, &DepthImage { width, height, raw })?;
+    Ok(valid)
+}
+
+/// Keeps the fields of these names.
+fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatError> {
+    if let Some(unknown) = fields.iter().find(|name| cloud.attribute(name).is_none()) {
+        let names: Vec<&str> = cloud.attributes.iter().map(|field| field.name.as_str()).collect();
+        let there = if names.is_empty() { "it has none".to_owned() } else { format!("it has {}", names.join(" ")) };
+        return Err(FormatError::Unsupported(format!("the input has no field {}; {there}", quoted(unknown))));
+    }
+    cloud.attributes.retain(|field| fields.contains(&field.name));
+    Ok(())
+}
+
+impl Contents {
+    /// Returns the points on their grid: those of an organized cloud, or of a depth image by its camera. A camera that
+    /// is given replaces that of a cloud.
+    ///
+    /// # Errors
+    /// If a depth image has no camera, the camera contradicts the points, or there is no grid.
+    pub fn into_organized(self, camera: Option<&Camera>) -> Result<OrganizedCloud, FormatError> {
+        let unsupported = |reason: String| Err(FormatError::Unsupported(reason));
+        let (width, height) = self.shape();
+        match self {
+            Self::Organized(mut cloud) => {
+                if let Some(camera) = camera {
+                    check_camera(&cloud, camera)?;
+                    cloud.camera = Some(*camera);
+                }
+                Ok(cloud)
+            }
+            Self::General(cloud) => unsupported(format!(
+                "an unorganized cloud of {} points (height 1); an organized cloud or a depth image is needed",
+                cloud.len()
+            )),
+            depth => {
+                let Some(camera) = camera else {
+                    return unsupported(format!("a depth image of {width}x{height} needs its camera"));
+                };
+                Ok(match depth {
+                    Self::Depth(image) => DepthFrame::from_image(*camera, image)?.deproject()?,
+                    Self::DepthMetres { depth_m, .. } => DepthView::from_metres(&depth_m, camera)?.deproject()?,
+                    _ => return unsupported("neither depth nor points".to_owned()),
+                })
+            }
+        }
+    }
+}
+
+/// Refuses a camera that contradicts the points of a cloud.
+fn check_camera(cloud: &OrganizedCloud, camera: &Camera) -> Result<(), FormatError> {
+    let contradicts = |reason: String| Err(FormatError::Unsupported(reason));
+    match PointsView::from_organized(cloud)?.range_rule() {
+        RangeRule::Depth { pitch_at_1m: Some(pitch) } => {
+            let ratio = camera.fx * pitch;
+            if (1.0 / FOCAL_LENGTH_FACTOR..=FOCAL_LENGTH_FACTOR).contains(&ratio) {
+                return Ok(());
+            }
+            contradicts(format!(
+                "the camera has fx = {}, but the points {:.1}; give the camera of this cloud, or none",
+                camera.fx,
+                1.0 / pitch
+            ))
+        }
+        RangeRule::Depth { .. } => Ok(()),
+        _ => contradicts(
+            "the grid does not match a camera in this frame; give the sensor's pose, or no camera".to_owned(),
+        ),
+    }
+}

@@ -1,0 +1,189 @@
+//! Triangles between the pixels of a smoothed frame.
+//!
+//! Two adjacent pixels are connected if their tangent planes meet between them: the plane of one predicts the range of
+//! the other up to the noise of the sensor, or up to half the difference of the two slopes, as at a crease. Steps are
+//! left open.
+
+use glam::DVec3;
+use planish_core::{FrameError, OrganizedCloud, PointsView, SensorModel, Xyz};
+
+/// Ranges differ by at most this many standard deviations of the sensor's noise.
+const DEVIATIONS: f64 = 3.0;
+
+/// At a crease between two pixels, one of the two planes predicts the other pixel's range to half the difference of
+/// their slopes.
+const SHARE_OF_SLOPES: f64 = 0.5;
+
+/// Planes at a smaller angle to the ray predict nothing (cosine).
+const GRAZING_COSINE: f64 = 0.03;
+
+/// A triangle mesh.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TriangleMesh {
+    /// Vertices in metres, relative to `origin_m`.
+    pub positions: Xyz,
+    /// Offset of all vertices.
+    pub origin_m: [f64; 3],
+    /// Unit normals, towards the sensor.
+    pub normals: Xyz,
+    /// Colours, if the frame has them.
+    pub colours: Option<Vec<[u8; 3]>>,
+    /// Position of each vertex in the image, from 0 to 1, from the upper left corner.
+    pub texture: Vec<[f32; 2]>,
+    /// Indices of three vertices, counterclockwise as seen from the sensor.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Seen from the sensor: points and normals relative to its position.
+struct Seen<'a> {
+    positions: &'a Xyz,
+    normals: &'a Xyz,
+    sensor: DVec3,
+    noise: SensorModel,
+}
+
+impl Seen<'_> {
+    fn point(&self, i: usize) -> DVec3 {
+        DVec3::from_array(self.positions.get(i).map(f64::from)) - self.sensor
+    }
+
+    /// Returns the range at which the tangent plane of point `i` meets a ray.
+    fn predicted_m(&self, i: usize, ray: DVec3) -> Option<f64> {
+        let normal = DVec3::from_array(self.normals.get(i).map(f64::from));
+        let along = normal.dot(ray);
+        // False for a NaN.
+        (along < -GRAZING_COSINE).then(|| normal.dot(self.point(i)) / along)
+    }
+
+    /// Returns true if two adjacent points belong to one surface.
+    fn is_connected(&self, i: usize, j: usize) -> bool {
+        let (p, q) = (self.point(i), self.point(j));
+        let (range_p, range_q) = (p.length(), q.length());
+        let noise_m = DEVIATIONS * self.noise.sigma_m(range_p.min(range_q));
+        if !(range_p > 0.0 && range_q > 0.0) {
+            return false;
+        }
+        match (self.predicted_m(i, q / range_q), self.predicted_m(j, p / range_p)) {
+            (Some(at_q), Some(at_p)) => {
+                let slopes = ((at_q - range_p) - (range_q - at_p)).abs();
+                let off = (at_q - range_q).abs().min((at_p - range_p).abs());
+                off <= noise_m + SHARE_OF_SLOPES * slopes.min(2.0 * (p - q).length())
+                    && (at_q - range_q).abs().max((at_p - range_p).abs()) <= noise_m + slopes
+            }
+            _ => (range_p - range_q).abs() <= noise_m,
+        }
+    }
+}
+
+impl TriangleMesh {
+    /// Connects the points of a smoothed frame. `normals` are theirs; `noise` is the sensor's.
+    ///
+    /// # Errors
+    /// If the number of normals differs, or the pose of the sensor is invalid.
+    pub fn of(cloud: &OrganizedCloud, normals: &Xyz, noise: SensorModel) -> Result<Self, FrameError> {
+        normals.check_len("the normals", cloud.points.len())?;
+        let view = PointsView::from_organized(cloud)?;
+        let positions = &cloud.points.positions;
+        let seen = Seen { positions, normals, sensor: view.transform().translation, noise };
+        let (width, height) = (cloud.width(), cloud.height());
+        let mut of_pixels: Vec<[usize; 3]> = Vec::new();
+        for v in 1..height {
+            for u in 1..width {
+                let [d, c] = [v * width + u, v * width + u - 1];
+                let [b, a] = [d - width, c - width];
+                of_pixels.extend(seen.triangles([a, b, c, d]));
+            }
+        }
+        // Only vertices in use, in the order of the pixels.
+        let mut index = vec![u32::MAX; positions.len()];
+        for &pixel in of_pixels.iter().flatten() {
+            index[pixel] = 0;
+        }
+        let used: Vec<usize> = (0..index.len()).filter(|&pixel| index[pixel] == 0).collect();
+        for (number, &pixel) in (0..).zip(&used) {
+            index[pixel] = number;
+        }
+        let select = |of: &Xyz| used.iter().map(|&pixel| of.get(pixel)).collect::<Xyz>();
+        let colours = cloud.points.shown_rgb();
+        let place = |pixel: usize| {
+            let (u, v) = ((pixel % width) as f32, (pixel / width) as f32);
+            [(u + 0.5) / width as f32, (v + 0.5) / height as f32]
+        };
+        Ok(Self {
+            positions: select(positions),
+            origin_m: cloud.points.origin_m,
+            normals: select(normals),
+            colours: colours.map(|colours| used.iter().map(|&pixel| colours[pixel]).collect()),
+            texture: used.iter().map(|&pixel| place(pixel)).collect(),
+            triangles: of_pixels.into_iter().map(|pixels| pixels.map(|pixel| index[pixel])).collect(),
+        })
+    }
+}
+
+impl Seen<'_> {
+    /// Returns the triangles of a square of pixels: upper left, upper right, lower left, lower right.
+    fn triangles(&self, [a, b, c, d]: [usize; 4]) -> impl Iterator<Item = [usize; 3]> + use<> {
+        let has_point = |i: usize| self.positions.is_finite(i);
+        let along_ad = self.point(a).distance_squared(self.point(d));
+        let along_bc = self.point(b).distance_squared(self.point(c));
+        let by_ad = [[a, c, d], [a, d, b]];
+        let by_bc = [[a, c, b], [b, c, d]];
+        // Holes make distances NaN; the other diagonal is then the one.
+        let first_is_ad = along_ad <= along_bc || along_bc.is_nan();
+        let (first, second) = if first_is_ad { (by_ad, by_bc) } else { (by_bc, by_ad) };
+        let is_whole = |&[i, j, k]: &[usize; 3]| {
+            let has_points = [i, j, k].into_iter().all(has_point);
+            has_points && self.is_connected(i, j) && self.is_connected(j, k) && self.is_connected(k, i)
+        };
+        let of_first: Vec<[usize; 3]> = first.into_iter().filter(is_whole).collect();
+        // One triangle of the other diagonal may fit where none of this one does.
+        let found =
+            if of_first.is_empty() { second.into_iter().filter(is_whole).collect::<Vec<_>>() } else { of_first };
+        found.into_iter()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame of 8x8 pixels, 5 mm apart at 1 m, whose depth is given.
+    fn frame(depth_m: impl Fn(usize, usize) -> f32, normal: [f32; 3]) -> TriangleMesh {
+        let point = |i: usize| {
+            let (u, v) = (i % 8, i / 8);
+            let z = depth_m(u, v);
+            [0.005 * (u as f32 - 3.5) * z, 0.005 * (v as f32 - 3.5) * z, z]
+        };
+        let cloud = OrganizedCloud::from_positions(8, 8, (0..64).map(point).collect()).unwrap();
+        TriangleMesh::of(&cloud, &(0..64).map(|_| normal).collect(), SensorModel::KINECT_V1).unwrap()
+    }
+
+    #[test]
+    fn planes_are_whole_and_face_the_sensor() {
+        let mesh = frame(|_, _| 1.0, [0.0, 0.0, -1.0]);
+        assert_eq!((mesh.positions.len(), mesh.triangles.len()), (64, 98));
+        for &[i, j, k] in &mesh.triangles {
+            let [i, j, k] = [i, j, k].map(|i| DVec3::from_array(mesh.positions.get(i as usize).map(f64::from)));
+            assert!((j - i).cross(k - i).z < 0.0);
+        }
+        assert_eq!(mesh.texture[0], [0.0625, 0.0625]);
+    }
+
+    #[test]
+    fn steps_and_holes_are_left_open_and_creases_are_not() {
+        // 5 cm, which is 30 deviations.
+        let step = frame(|u, _| if u < 4 { 1.0 } else { 1.05 }, [0.0, 0.0, -1.0]);
+        assert_eq!(step.triangles.len(), 98 - 14);
+        let hole = frame(|u, v| if (u, v) == (3, 3) { f32::NAN } else { 1.0 }, [0.0, 0.0, -1.0]);
+        assert_eq!((hole.positions.len(), hole.triangles.len()), (63, 98 - 8 + 4));
+        // A roof of 45 degrees on both sides of a ridge along v.
+        let roof = |u: usize| 1.0 + (u as f32 - 3.5).abs() * 0.005;
+        let point = |i: usize| [0.005 * ((i % 8) as f32 - 3.5), 0.005 * ((i / 8) as f32 - 3.5), roof(i % 8)];
+        let cloud = OrganizedCloud::from_positions(8, 8, (0..64).map(point).collect()).unwrap();
+        let s = std::f32::consts::FRAC_1_SQRT_2;
+        let normals: Xyz = (0..64).map(|i| if i % 8 < 4 { [-s, 0.0, -s] } else { [s, 0.0, -s] }).collect();
+        let mesh = TriangleMesh::of(&cloud, &normals, SensorModel::KINECT_V1).unwrap();
+        assert_eq!(mesh.triangles.len(), 98);
+    }
+}

@@ -1,0 +1,196 @@
+//! Files and clouds without smoothing: conversion, comparison, merging, meshes, cleaning, pictures.
+
+use std::path::{Path, PathBuf};
+
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
+use planish::clean::CleanSteps;
+use planish::compare;
+use planish::io::{self, Contents, ConvertOptions, Format};
+use planish::mesh::mesh_of;
+use planish::{Camera, DepthFrame, DepthImage, OrganizedCloud, PointCloud, SensorPose, render, rig};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::camera::PyCamera;
+use crate::errors::{frame, to_py};
+use crate::files::{cloud_of, encoding_of, put_cloud};
+use crate::settings::{from_dict, sensor_named};
+
+/// The formats that were read and written, the shape, the number of valid points, and notes.
+type Converted = (String, String, (usize, usize), usize, Vec<String>);
+
+/// Converts a file; returns what was read and written, and what was dropped or changed.
+#[pyfunction]
+pub fn convert(
+    py: Python<'_>,
+    input: PathBuf,
+    output: PathBuf,
+    camera: Option<PyRef<'_, PyCamera>>,
+    drop_holes: bool,
+    fields: Option<Vec<String>>,
+    encoding: Vec<String>,
+) -> PyResult<Converted> {
+    let (encoding, precision) = encoding_of(&encoding)?;
+    let options = ConvertOptions::default()
+        .with_camera(camera.map(|camera| camera.0))
+        .with_drop_holes(drop_holes)
+        .with_fields(fields)
+        .with_encoding(encoding)
+        .with_precision(precision);
+    let report = py.detach(|| {
+        let file = io::read_file(&input, &io::ReadOptions::default())?;
+        io::convert(file, &output, &options)
+    });
+    let report = report.map_err(to_py)?;
+    let (width, height) = report.shape;
+    Ok((report.from.name().into(), report.to.name().into(), (height, width), report.valid, report.notes))
+}
+
+/// Returns the points of a depth image that has a camera, and everything else as it is.
+fn with_points(contents: Contents, camera: Option<&Camera>) -> Result<Contents, planish::FormatError> {
+    match (contents.is_depth(), camera) {
+        (true, Some(camera)) => Ok(Contents::Organized(contents.into_organized(Some(camera))?)),
+        _ => Ok(contents),
+    }
+}
+
+fn read(file: &Path, camera: Option<&Camera>) -> Result<Contents, planish::Error> {
+    let (_, contents) = io::read(file)?;
+    Ok(with_points(contents, camera).map_err(planish::IoError::at(file))?)
+}
+
+/// Compares two files; returns JSON.
+#[pyfunction]
+pub fn compare_files(
+    py: Python<'_>,
+    a: PathBuf,
+    b: PathBuf,
+    camera: Option<PyRef<'_, PyCamera>>,
+    nearest: bool,
+) -> PyResult<String> {
+    let camera = camera.map(|camera| camera.0);
+    let found = py.detach(|| compare::compare(&read(&a, camera.as_ref())?, &read(&b, camera.as_ref())?, nearest));
+    serde_json::to_string(&found.map_err(to_py)?).map_err(|error| PyValueError::new_err(error.to_string()))
+}
+
+/// Puts the clouds of files together, each with its pose; returns the number of points.
+#[pyfunction]
+pub fn merge(
+    py: Python<'_>,
+    inputs: Vec<PathBuf>,
+    output: PathBuf,
+    poses: Option<Vec<[f64; 7]>>,
+    encoding: Vec<String>,
+) -> PyResult<usize> {
+    let (encoding, precision) = encoding_of(&encoding)?;
+    let merged = py.detach(|| {
+        let mut format = None;
+        let mut clouds = Vec::new();
+        for (i, input) in inputs.iter().enumerate() {
+            let (read, contents) = io::read(input)?;
+            format.get_or_insert(read);
+            let cloud = match contents {
+                Contents::General(cloud) => cloud,
+                contents => contents.into_organized(None).map_err(planish::IoError::at(input))?.points,
+            };
+            let pose = poses.as_ref().and_then(|poses| poses.get(i)).map(|pose| SensorPose::from_viewpoint(*pose));
+            clouds.push((cloud, pose.unwrap_or(SensorPose::IDENTITY)));
+        }
+        let mut merged = rig::merge(&clouds)?;
+        if let (Some(read), Some(to)) = (format, Format::of_extension(&output)) {
+            io::adapt_fields(&mut merged, read, to, precision);
+        }
+        io::write_cloud(&output, &merged, encoding.unwrap_or_default())?;
+        Ok::<usize, planish::Error>(merged.len())
+    });
+    merged.map_err(to_py)
+}
+
+/// Smooths the frame of a file and writes its mesh; returns the numbers of vertices and triangles.
+#[pyfunction]
+pub fn mesh(
+    py: Python<'_>,
+    input: PathBuf,
+    output: PathBuf,
+    camera: Option<PyRef<'_, PyCamera>>,
+    raw: bool,
+    settings: &Bound<'_, PyDict>,
+) -> PyResult<(usize, usize)> {
+    let settings = from_dict(settings)?;
+    let camera = camera.map(|camera| camera.0);
+    let written = py.detach(|| {
+        let (_, contents) = io::read(&input)?;
+        let cloud = contents.into_organized(camera.as_ref()).map_err(planish::IoError::at(&input))?;
+        let mesh = mesh_of(cloud, settings, raw)?.mesh;
+        io::write_mesh(&output, &mesh)?;
+        Ok::<(usize, usize), planish::Error>((mesh.positions.len(), mesh.triangles.len()))
+    });
+    written.map_err(to_py)
+}
+
+/// A cloud of points and fields, with its origin, grid (height, width) and pose.
+type Given<'py> = (PyReadonlyArray2<'py, f64>, [f64; 3], Option<(usize, usize)>, Bound<'py, PyDict>, Option<[f64; 7]>);
+
+fn cloud_given(given: &Given<'_>) -> PyResult<PointCloud> {
+    let (points, origin_m, _, fields, pose) = given;
+    cloud_of(points, *origin_m, fields, *pose)
+}
+
+/// Cleans a cloud; returns what is left, as `read` does.
+#[pyfunction]
+pub fn clean<'py>(
+    py: Python<'py>,
+    given: Given<'py>,
+    crop_m: Option<[[f64; 3]; 2]>,
+    voxel_m: Option<f64>,
+    statistical: Option<(usize, f32)>,
+    radius: Option<(f32, usize)>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let mut cloud = cloud_given(&given)?;
+    let mut grid = given.2.map(|(height, width)| (width, height));
+    let steps = CleanSteps { crop_m, voxel_m, statistical, radius };
+    py.detach(|| steps.apply(&mut cloud, &mut grid)).map_err(to_py)?;
+    let found = PyDict::new(py);
+    if let Some((width, height)) = grid {
+        found.set_item("grid", (height, width))?;
+    }
+    put_cloud(py, &found, cloud)?;
+    Ok(found)
+}
+
+/// Draws a cloud as a shaded relief, and its colours beside it; [H, W, 3] bytes.
+#[pyfunction]
+pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult<Bound<'py, PyAny>> {
+    /// Pixels of an unorganized cloud's picture.
+    const LONGEST_SIDE: usize = 1280;
+    let cloud = cloud_given(&given)?;
+    let grid = given.2;
+    let picture = py.detach(|| {
+        let cloud = match grid {
+            Some((height, width)) => OrganizedCloud::new(width, height, cloud)?,
+            None => render::seen_from(&cloud, from, LONGEST_SIDE)?,
+        };
+        let mut pictures = vec![render::relief(cloud.width(), cloud.height(), &render::normals_of(&cloud))];
+        pictures.extend(render::colours(&cloud));
+        Ok::<_, planish::FrameError>(render::side_by_side(&pictures))
+    });
+    let picture = picture.map_err(frame)?;
+    Ok(PyArray1::from_vec(py, picture.rgb).reshape([picture.height, picture.width, 3])?.into_any())
+}
+
+/// Turns floating pixels of a depth image into holes; returns the image and their number.
+#[pyfunction]
+pub fn remove_floating<'py>(
+    py: Python<'py>,
+    depth: PyReadonlyArray2<'py, u16>,
+    camera: PyRef<'py, PyCamera>,
+    sensor: &str,
+) -> PyResult<(Bound<'py, PyAny>, usize)> {
+    let sensor = sensor_named(sensor)?;
+    let (height, width) = (depth.as_array().nrows(), depth.as_array().ncols());
+    let raw: Vec<u16> = depth.as_array().iter().copied().collect();
+    let mut image = DepthFrame::from_image(camera.0, DepthImage { width, height, raw }).map_err(frame)?;
+    let count = py.detach(|| image.remove_floating(&sensor));
+    Ok((PyArray1::from_vec(py, image.raw).reshape([height, width])?.into_any(), count))
+}
