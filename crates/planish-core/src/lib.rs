@@ -22,6 +22,7 @@ mod colour;
 mod constants;
 mod cpu;
 mod devices;
+mod doubts;
 mod eigen;
 mod engines;
 mod error;
@@ -35,6 +36,7 @@ mod neighbours;
 mod outputs;
 mod params;
 mod pose;
+mod preparation;
 mod progress;
 mod provenance;
 mod range;
@@ -67,6 +69,7 @@ pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns, Precision};
 pub use cpu::CloudEstimate;
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
+pub use doubts::{Doubt, doubts};
 pub use engines::{
     Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters, silence_vulkan_drivers,
 };
@@ -80,6 +83,7 @@ pub use params::{
     CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength, Window, WindowSize,
 };
 pub use pose::SensorPose;
+pub use preparation::{Preparation, Prepared};
 pub use progress::Progress;
 pub use provenance::Provenance;
 pub use sensor::SensorModel;

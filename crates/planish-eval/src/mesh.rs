@@ -1,6 +1,6 @@
 //! Meshes of frames.
 
-use planish_core::{Error, OrganizedCloud, Outputs, Session, SessionEvent, Settings, Smoothed};
+use planish_core::{Error, OrganizedCloud, Outputs, Params, SensorModel, Session, SessionEvent, Settings, Smoothed};
 use planish_io::TriangleMesh;
 
 use crate::render::normals_of;
@@ -24,10 +24,13 @@ pub struct FrameMesh {
 pub fn mesh_of(mut cloud: OrganizedCloud, mut settings: Settings, raw: bool) -> Result<FrameMesh, Error> {
     settings.check_no_video()?;
     settings.outputs = Some(Outputs::POINTS.with_normals(true));
-    let removes_floating = settings.remove_floating == Some(true);
+    let steps = settings.preparation();
     let mut session = Session::new(settings)?.with_single_frame(true);
-    let noise = session.params_for(&cloud)?.1.unwrap_or_default();
-    let floating = if removes_floating { cloud.remove_floating(&noise) } else { 0 };
+    let noise = match session.params_for(&cloud)?.0 {
+        Params::Frame(params) => params.sensor,
+        Params::Cloud(_) => SensorModel::default(),
+    };
+    let floating = steps.cloud(&mut cloud, &noise)?.floating;
     let normals = if raw {
         normals_of(&cloud)
     } else {

@@ -33,7 +33,7 @@ mod _planish {
     #[pymodule_export]
     use super::stream::PyStream;
     #[pymodule_export]
-    use super::tools::{clean, compare_files, convert, draw, merge, mesh, remove_floating};
+    use super::tools::{clean, compare_files, convert, draw, merge, mesh, prepare};
 
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");

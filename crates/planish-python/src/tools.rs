@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use crate::camera::PyCamera;
 use crate::errors::{frame, to_py};
 use crate::files::{cloud_of, encoding_of, put_cloud};
-use crate::settings::{from_dict, sensor_named};
+use crate::settings::from_dict;
 
 /// The formats that were read and written, the shape, the number of valid points, and notes.
 type Converted = (String, String, (usize, usize), usize, Vec<String>);
@@ -179,18 +179,20 @@ pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult
     Ok(PyArray1::from_vec(py, picture.rgb).reshape([picture.height, picture.width, 3])?.into_any())
 }
 
-/// Turns floating pixels of a depth image into holes; returns the image and their number.
+/// Applies the steps before smoothing to a depth image; returns the image and its camera.
 #[pyfunction]
-pub fn remove_floating<'py>(
+pub fn prepare<'py>(
     py: Python<'py>,
     depth: PyReadonlyArray2<'py, u16>,
     camera: PyRef<'py, PyCamera>,
-    sensor: &str,
-) -> PyResult<(Bound<'py, PyAny>, usize)> {
-    let sensor = sensor_named(sensor)?;
+    settings: &Bound<'_, PyDict>,
+) -> PyResult<(Bound<'py, PyAny>, PyCamera)> {
+    let settings = from_dict(settings)?;
+    let (steps, sensor) = (settings.preparation(), settings.known_sensor().unwrap_or_default());
     let (height, width) = (depth.as_array().nrows(), depth.as_array().ncols());
     let raw: Vec<u16> = depth.as_array().iter().copied().collect();
     let mut image = DepthFrame::from_image(camera.0, DepthImage { width, height, raw }).map_err(frame)?;
-    let count = py.detach(|| image.remove_floating(&sensor));
-    Ok((PyArray1::from_vec(py, image.raw).reshape([height, width])?.into_any(), count))
+    py.detach(|| steps.depth(&mut image, &sensor)).map_err(frame)?;
+    let DepthFrame { raw, camera, .. } = image;
+    Ok((PyArray1::from_vec(py, raw).reshape([camera.height, camera.width])?.into_any(), PyCamera(camera)))
 }

@@ -112,11 +112,26 @@ def test_clouds_are_cleaned_and_drawn():
     assert planish.render(points, direction=(0, 0, 1)).ndim == 3
 
 
-def test_floating_pixels_become_holes():
-    cleaned, count = planish.remove_floating(FRAME.depth, FRAME.camera)
-    assert count == (cleaned != FRAME.depth).sum() and (cleaned[cleaned != FRAME.depth] == 0).all()
+def test_frames_are_prepared():
+    cleaned, camera = planish.prepare(FRAME.depth, FRAME.camera, remove_floating=True)
+    assert 0 < (cleaned != FRAME.depth).sum() < 5000 and (cleaned[cleaned != FRAME.depth] == 0).all()
+    near, _ = planish.prepare(FRAME.depth, FRAME.camera, min_range_m=0.7, max_range_m=1.0)
+    assert np.array_equal(near, np.where((FRAME.depth >= 700) & (FRAME.depth <= 1000), FRAME.depth, 0))
+    half, camera = planish.prepare(FRAME.depth, FRAME.camera, decimate=2)
+    assert half.shape == (240, 320) and (camera.fx, camera.cx) == (262.5, 159.5)
+    # Half the noise: means of four pixels with a correlation of their noise, on the flat parts.
+    truth = FRAME.points[..., 2].reshape(240, 2, 320, 2).transpose(0, 2, 1, 3).reshape(240, 320, 4)
+    flat = (np.ptp(truth, axis=2) < 0.01) & (half > 0)
+    raw = np.abs(FRAME.depth[::2, ::2] / 1000.0 - truth[..., 0])[flat]
+    assert np.sqrt(((half / 1000.0 - truth.mean(axis=2))[flat] ** 2).mean()) < 0.95 * np.sqrt((raw**2).mean())
+    with pytest.raises(ValueError, match="decimate"):
+        planish.prepare(FRAME.depth, FRAME.camera, decimate=9)
+    with pytest.raises(ValueError, match="planish.prepare"):
+        planish.Smoother(FRAME.camera, decimate=2)
     with pytest.raises(TypeError, match="uint16"):
-        planish.remove_floating(FRAME.points, FRAME.camera)
+        planish.prepare(FRAME.points, FRAME.camera)
+    (frame,) = planish.stream("synthetic", frames=1, decimate=4)
+    assert frame.smoothed.points.shape == (120, 160, 3)
 
 
 def test_results_are_described_in_a_line():

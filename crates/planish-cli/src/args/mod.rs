@@ -155,7 +155,7 @@ pub struct SmoothArgs {
     /// Allow an output that replaces the input
     #[arg(long, hide_short_help = true, help_heading = OUTPUT)]
     pub overwrite: bool,
-    /// Allow a radius over a fifth of an unorganized cloud's extent
+    /// Smooth even if the input makes no sense: an unlikely camera or range, or a radius over a fifth of a cloud
     #[arg(long, hide_short_help = true, help_heading = TUNING)]
     pub force: bool,
     #[command(flatten)]

@@ -149,6 +149,18 @@ pub struct SmoothingArgs {
     /// Turn pixels that float between two surfaces into holes before smoothing [default: false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_floating: Option<bool>,
+    /// Turn pixels of a frame that are nearer into holes before smoothing
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
+    pub min_range: Option<f32>,
+    /// Turn pixels of a frame that are farther into holes before smoothing
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
+    pub max_range: Option<f32>,
+    /// Reduce the resolution before smoothing: blocks of KxK pixels become one, 2 to 8
+    ///
+    /// A block becomes the mean of its pixels on the surface of the median; surfaces are not mixed. The camera is
+    /// scaled too.
+    #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
+    pub decimate: Option<u32>,
     /// Half-width of the window in samples, 1 to 7: (2K+1)² candidates
     #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
     pub window: Option<u32>,
@@ -308,12 +320,15 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 22] = [
+        let given: [(&str, SettingValue); 25] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
             ("edges", named(self.edges.as_ref())),
             ("remove_floating", self.remove_floating.into()),
+            ("min_range_m", self.min_range.into()),
+            ("max_range_m", self.max_range.into()),
+            ("decimate", self.decimate.into()),
             ("remove_isolated", self.remove_isolated.into()),
             ("window", self.window.into()),
             ("stride", self.stride.into()),

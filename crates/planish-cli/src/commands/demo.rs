@@ -35,7 +35,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     let mut session = Session::new(args.smoothing.settings()?)?;
     session.set_outputs(outputs);
     if let (_, Some(sensor)) = session.params_for(&frame)? {
-        frame.remove_floating(&sensor);
+        args.smoothing.settings()?.preparation().depth(&mut frame, &sensor).map_err(Error::from)?;
     }
     let mut smoothed = Smoothed::default();
     let mut times_ms: Vec<f64> = Vec::new();

@@ -79,7 +79,12 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     match (&args.input, args.rig) {
         (Some(file), _) => on_file(args, file),
         (None, Some(cameras)) => super::rig::evaluate(args, cameras.into()),
-        (None, None) => on_suite(args),
+        (None, None) => {
+            if args.smoothing.settings()?.decimate.is_some() {
+                bail!("--decimate has no effect on simulated frames, which are compared pixel by pixel with the truth");
+            }
+            on_suite(args)
+        }
     }
 }
 
@@ -94,7 +99,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     let mut session = Session::new(args.smoothing.settings()?)?;
     session.set_outputs(outputs);
     if let (_, Some(sensor)) = session.params_for(&cloud)? {
-        cloud.remove_floating(&sensor);
+        args.smoothing.settings()?.preparation().cloud(&mut cloud, &sensor).map_err(Error::from)?;
     }
     let (width, height) = (cloud.width(), cloud.height());
     let (points, normals) = match args.results.first() {
@@ -306,8 +311,10 @@ impl Method {
     fn smooth(&mut self, frame: &DepthFrame, smoothing: &SmoothingArgs) -> Result<()> {
         let mut frame = frame.clone();
         let settings = smoothing.settings()?;
-        if let Some(sensor) = settings.frame_floating_sensor().filter(|_| self.name != PAPER) {
-            frame.remove_floating(&sensor);
+        let steps = settings.preparation();
+        if self.name != PAPER {
+            let sensor = settings.known_sensor().unwrap_or_default();
+            steps.depth(&mut frame, &sensor).map_err(Error::from)?;
         }
         if self.is_general {
             let cloud = frame.deproject().map_err(Error::from)?;

@@ -18,7 +18,7 @@ use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
 use planish::{
     Camera, CloudChoice, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud,
-    Outputs, PointCloud, PointsView, RangeRule, SensorPose, Session, SessionEvent, Settings, Smoothed,
+    Outputs, PointCloud, PointsView, RangeRule, SensorModel, SensorPose, Session, SessionEvent, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
 
@@ -103,7 +103,13 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     args.encoding.check(&args.output)?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
     check_not_settings(args.smoothing.settings.as_deref(), &args.output)?;
-    let report = worker.smooth_file(&args.input, &args.output)?;
+    let report = match worker.smooth_file(&args.input, &args.output) {
+        Err(error) if error.is::<NothingLeft>() => {
+            errln!("error: {error:#}");
+            return Ok(ExitCode::from(1));
+        }
+        report => report?,
+    };
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
     } else {
@@ -165,7 +171,6 @@ impl Worker<'_> {
             }
             _ => {}
         }
-        let (width, height) = contents.shape();
         self.set_pose(input, &mut contents)?;
 
         let (mut result, points, times_ms) = match contents {
@@ -198,8 +203,8 @@ impl Worker<'_> {
             engine: self.session.engine().unwrap_or_default().name(),
             adapter: self.session.gpu_name().map(str::to_owned),
             engine_reason: self.session.chosen_because().map(ToString::to_string),
-            width,
-            height,
+            width: self.smoothed.width,
+            height: self.smoothed.height,
             points_in: points.valid,
             points_lost: points.lost,
             status: self.status_counts(),
@@ -263,7 +268,12 @@ impl Worker<'_> {
             }
             contents => (None, Some(organized(contents, &self.args.camera, input)?)),
         };
-        self.remove_floating(input, &mut depth, &mut cloud)?;
+        self.prepare(input, &mut depth, &mut cloud)?;
+        let shape = match (&depth, &cloud) {
+            (Some(depth), _) => (depth.camera.width, depth.camera.height),
+            (_, Some(cloud)) => (cloud.width(), cloud.height()),
+            _ => shape,
+        };
         let of_input = |error| anyhow::Error::new(error).context(input.display().to_string());
         let frame = match (&depth, &cloud) {
             (Some(depth), _) => depth.into_frame(),
@@ -273,6 +283,9 @@ impl Worker<'_> {
         let frame = frame.map_err(of_input)?;
         if depth_out && frame.camera().is_none() {
             bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
+        }
+        if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
+            bail!("{}: {doubt} (if it is right, add --force)", input.display());
         }
         let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
@@ -314,33 +327,44 @@ impl Worker<'_> {
         }
     }
 
-    /// Turns floating pixels into holes, if `remove_floating` is set.
-    fn remove_floating(
+    /// Applies the steps before smoothing.
+    fn prepare(
         &mut self,
         input: &Path,
         depth: &mut Option<DepthFrame>,
         cloud: &mut Option<OrganizedCloud>,
     ) -> Result<()> {
-        if self.settings.remove_floating != Some(true) {
+        let steps = self.settings.preparation();
+        if steps.is_empty() {
             return Ok(());
         }
         let of_input = || input.display().to_string();
-        let count = match (depth, cloud) {
+        let sensor = |session: &mut Session, frame: Frame<'_>| -> Result<SensorModel> {
+            Ok(session.params_for(frame).with_context(of_input)?.1.unwrap_or_default())
+        };
+        let prepared = match (depth, cloud) {
             (Some(depth), _) => {
-                let (_, sensor) = self.session.params_for(&*depth).with_context(of_input)?;
-                sensor.map_or(0, |sensor| depth.remove_floating(&sensor))
+                let sensor = sensor(&mut self.session, (&*depth).into_frame().map_err(Error::from)?)?;
+                steps.depth(depth, &sensor)
             }
             (None, Some(cloud)) => {
                 let view = PointsView::from_organized(cloud).map_err(Error::from)?;
                 if matches!(view.range_rule(), RangeRule::Constant { .. }) {
-                    bail!("{}: --remove-floating needs the sensor's position: give --sensor-pose", input.display());
+                    let options = "--remove-floating, --decimate, --min-range and --max-range";
+                    bail!("{}: {options} need the sensor's position: give --sensor-pose", input.display());
                 }
-                let (_, sensor) = self.session.params_for(&*cloud).with_context(of_input)?;
-                sensor.map_or(0, |sensor| cloud.remove_floating(&sensor))
+                let sensor = sensor(&mut self.session, (&*cloud).into_frame().map_err(Error::from)?)?;
+                steps.cloud(cloud, &sensor)
             }
-            (None, None) => 0,
+            (None, None) => return Ok(()),
         };
-        errln!("{}: {count} floating pixels became holes", input.display());
+        let prepared = prepared.map_err(Error::from).with_context(of_input)?;
+        if steps.remove_floating {
+            errln!("{}: {} floating pixels became holes", input.display(), prepared.floating);
+        }
+        if prepared.out_of_range > 0 {
+            errln!("{}: {} pixels out of range became holes", input.display(), prepared.out_of_range);
+        }
         Ok(())
     }
 
@@ -416,7 +440,10 @@ impl Worker<'_> {
                 let share = 100.0 * count as f64 / valid as f64;
                 let cause = match self.session.rebuilt_grid() {
                     Some(_) => "They are probably isolated between holes; try --grid off".to_owned(),
-                    None => likely_cause(frame, &self.session.params_for(frame)?.0),
+                    None => {
+                        let params = self.session.params_for(frame)?.0;
+                        likely_cause(frame, &params, self.settings.sensor.is_some())
+                    }
                 };
                 errln!(
                     "{}: {count} of {valid} valid points ({share:.1} %) {became}: they have too few neighbours. \
@@ -424,6 +451,10 @@ impl Worker<'_> {
                     output.display()
                 );
             }
+        }
+        if lost == valid && valid > 0 {
+            let reason = "every point became a hole, since none has enough neighbours; nothing is written";
+            return Err(NothingLeft(format!("{}: {reason}", input.display())).into());
         }
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
@@ -483,6 +514,11 @@ impl Worker<'_> {
 fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
+
+/// No point of a frame is left.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct NothingLeft(String);
 
 /// Number of input points, and of points that became holes.
 struct PointCounts {

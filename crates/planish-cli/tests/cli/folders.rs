@@ -80,7 +80,7 @@ fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
     let camera = format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy);
     let smooth = |name: &str, options: &[&str]| {
         let out = folder.path().join(name);
-        let arguments = ["smooth", str(&input), str(&out), "--camera", &camera, "--engine", "cpu", "--json"];
+        let arguments = ["smooth", str(&input), str(&out), "--camera", &camera, "--engine", "cpu", "--force", "--json"];
         let run = planish(&[&arguments, options].concat());
         assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
         assert_eq!(text(&run.stderr).matches("5.png").count(), 1, "{}", text(&run.stderr));
@@ -120,5 +120,5 @@ fn a_folder_is_a_video_in_the_order_of_its_numbers() {
     let message =
         refused(&["smooth", str(&input), str(&video), "--overwrite", "--temporal", "steady", "--repeat", "3"]);
     assert!(message.contains("--repeat"), "{message}");
-    assert!(refused(&["evaluate", "--temporal", "steady"]).contains("only for the frames of one camera"));
+    assert!(refused(&["evaluate", "--temporal", "steady"]).contains("only for the frames of a camera"));
 }

@@ -11,6 +11,7 @@ mod mutation;
 mod outputs;
 mod rigs;
 mod settings;
+mod tools;
 mod video;
 
 use std::path::{Path, PathBuf};

@@ -169,7 +169,6 @@ impl<'a> DepthView<'a> {
         })
     }
 
-    #[cfg(any(feature = "gpu", feature = "webgpu"))]
     pub(crate) fn is_metres(&self) -> bool {
         matches!(self.samples, DepthSamples::F32(_))
     }

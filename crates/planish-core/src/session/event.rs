@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::cpu::CloudEstimate;
+use crate::doubts::Doubt;
 use crate::error::EngineError;
 use crate::fleet::FleetDevice;
 use crate::params::{CloudParams, CloudRadius, Edges};
@@ -70,6 +71,8 @@ pub enum SessionEvent {
         /// Height in pixels.
         height: usize,
     },
+    /// Something about the frame makes no sense for a depth camera; it is smoothed all the same.
+    Doubtful(Doubt),
     /// The motion of the camera is to be compensated over time, but no camera fits the points of the frames.
     CameraUnknown,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
@@ -123,6 +126,7 @@ impl fmt::Display for SessionEvent {
             Self::GridRebuilt { width, height } => {
                 write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")
             }
+            Self::Doubtful(doubt) => doubt.fmt(f),
             Self::CameraUnknown => f.write_str(
                 "the points are on the pixels of no camera without distortion, so the motion of the camera cannot be \
                  compensated; give the camera",

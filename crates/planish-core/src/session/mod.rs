@@ -20,6 +20,7 @@ mod watch;
 use std::collections::VecDeque;
 
 use crate::cpu::CloudEstimate;
+use crate::doubts::{Doubt, doubts};
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
@@ -95,6 +96,8 @@ pub struct Session {
     /// The filter over time, and how the frame that was last opened for is seen.
     video: OverTime,
     sight: Option<Sight>,
+    /// What was doubtful about earlier frames.
+    doubts: Vec<Doubt>,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -167,6 +170,7 @@ impl Session {
             is_first: None,
             video: OverTime::default(),
             sight: None,
+            doubts: Vec::new(),
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -389,12 +393,23 @@ impl Session {
             self.video.leave_device();
             // Finishing the flights may have looked at other frames.
             if !ONE_THREAD {
+                self.doubt(frame);
                 self.rule = Some(geometry.rule);
                 self.look_at(frame, geometry, params);
             }
         }
         self.watch.set(self.open.as_ref().and_then(Open::progress));
         Ok(AdmittedFrame::new(frame, geometry))
+    }
+
+    /// Reports once what is doubtful about frames.
+    fn doubt(&mut self, frame: Frame<'_>) {
+        for doubt in doubts(frame) {
+            if !self.doubts.contains(&doubt) {
+                self.doubts.push(doubt);
+                self.events.push(SessionEvent::Doubtful(doubt));
+            }
+        }
     }
 
     fn engine_for(&self, is_cloud: bool) -> Engine {

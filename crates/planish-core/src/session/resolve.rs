@@ -33,7 +33,7 @@ impl Session {
                     self.estimated = Some(params.sensor);
                     self.events.push(SessionEvent::SensorEstimated { sensor: params.sensor });
                 }
-                Ok((resolved.params, resolved.floating_sensor))
+                Ok((resolved.params, resolved.preparation_sensor))
             }
             Chosen::Settings(settings) if frame.grid().is_none() && settings.chooses_neighbours() => {
                 if !self.estimates_clouds {
@@ -56,7 +56,7 @@ impl Session {
             }
             Chosen::Settings(settings) => {
                 let resolved = settings.resolve(frame)?;
-                Ok((resolved.params, resolved.floating_sensor))
+                Ok((resolved.params, resolved.preparation_sensor))
             }
         }
     }

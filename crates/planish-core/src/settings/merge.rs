@@ -38,6 +38,9 @@ impl Settings {
             sensor,
             edges,
             remove_floating,
+            min_range_m,
+            max_range_m,
+            decimate,
             remove_isolated,
             window,
             stride,
@@ -64,6 +67,9 @@ impl Settings {
         self.sensor = sensor.or(self.sensor);
         self.edges = edges.or(self.edges);
         self.remove_floating = remove_floating.or(self.remove_floating);
+        self.min_range_m = min_range_m.or(self.min_range_m);
+        self.max_range_m = max_range_m.or(self.max_range_m);
+        self.decimate = decimate.or(self.decimate);
         self.remove_isolated = remove_isolated.or(self.remove_isolated);
         self.window = window.or(self.window);
         self.stride = stride.or(self.stride);

@@ -21,6 +21,7 @@ use crate::error::ParamError;
 use crate::fleet::FleetDevice;
 use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges, Params, Project, Strength};
+use crate::preparation::Preparation;
 use crate::sensor::SensorModel;
 use crate::temporal::TemporalParams;
 use crate::threads::ONE_THREAD;
@@ -57,6 +58,12 @@ pub struct Settings {
     pub edges: Option<Edges>,
     /// Whether pixels that float between two surfaces become holes first [default: no].
     pub remove_floating: Option<bool>,
+    /// Pixels of a frame that are nearer become holes first, in metres.
+    pub min_range_m: Option<f32>,
+    /// Pixels of a frame that are farther become holes first, in metres.
+    pub max_range_m: Option<f32>,
+    /// Side of the blocks of pixels that become one pixel each before smoothing, 2 to 8.
+    pub decimate: Option<u32>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
     pub remove_isolated: Option<bool>,
     /// Half-width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
@@ -111,8 +118,8 @@ pub struct Settings {
 pub struct Resolved {
     /// The parameters.
     pub params: Params,
-    /// The sensor whose noise decides which pixels float, if those are to be removed before smoothing.
-    pub floating_sensor: Option<SensorModel>,
+    /// The sensor whose noise the steps before smoothing need, if there are any ([`Settings::preparation`]).
+    pub preparation_sensor: Option<SensorModel>,
     /// The parameters of a first pass over an unorganized cloud, if there is one.
     pub first_pass: Option<CloudParams>,
     /// The estimate for an unorganized cloud, if it decides the number of neighbours.
@@ -127,19 +134,23 @@ const SENSORS: &str =
 const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames";
 const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
-const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, \
+const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, min_range_m, max_range_m, decimate, remove_isolated, \
+                      window, stride, \
                       average_blocks, \
                       radius_m, neighbours, passes, grid, even, temporal, track, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
                       outputs";
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 25] = [
+    pub const NAMES: [&'static str; 28] = [
         "preset",
         "strength",
         "sensor",
         "edges",
         "remove_floating",
+        "min_range_m",
+        "max_range_m",
+        "decimate",
         "remove_isolated",
         "window",
         "stride",
@@ -175,6 +186,9 @@ impl Settings {
             "sensor" => self.sensor = sensor_of(value)?,
             "edges" => self.edges = edges_of(&value)?,
             "remove_floating" => self.remove_floating = value.truth("remove_floating")?,
+            "min_range_m" => self.min_range_m = value.number("min_range_m", "a range in metres, 0 or more")?,
+            "max_range_m" => self.max_range_m = value.number("max_range_m", "a range in metres, 0 or more")?,
+            "decimate" => self.decimate = value.whole("decimate", "2 to 8")?,
             "remove_isolated" => self.remove_isolated = value.truth("remove_isolated")?,
             "window" => self.window = value.whole("window", "1 to 7")?,
             "stride" => self.stride = value.whole("stride", "1 to 8")?,
@@ -256,6 +270,7 @@ impl Settings {
         self.given_strength()?;
         self.frame_params_for(SensorModel::KINECT_V1)?.validate()?;
         self.cloud_params_unchecked().validate()?;
+        self.preparation().validate()?;
         if self.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" });
         }
@@ -318,10 +333,14 @@ impl Settings {
         self.sensor == Some(SensorChoice::Auto)
     }
 
-    /// Returns the sensor whose noise decides which pixels float, if those are to be removed and the sensor is not to
-    /// be estimated.
-    pub fn frame_floating_sensor(&self) -> Option<SensorModel> {
-        self.known_sensor().filter(|_| self.remove_floating == Some(true))
+    /// Returns the steps before smoothing, which a front end applies to frames on a grid ([`Preparation`]).
+    pub fn preparation(&self) -> Preparation {
+        Preparation {
+            min_range_m: self.min_range_m,
+            max_range_m: self.max_range_m,
+            remove_floating: self.remove_floating == Some(true),
+            decimate: self.decimate,
+        }
     }
 
     /// Returns the sensor; `None` if it is to be estimated.

@@ -5,6 +5,7 @@ use crate::cpu::{CloudEstimate, Decided};
 use crate::error::ParamError;
 use crate::frame::Frame;
 use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Strength};
+use crate::preparation::Preparation;
 use crate::sensor::SensorModel;
 use crate::threads::Threads;
 
@@ -37,16 +38,16 @@ impl Settings {
             };
             let params = self.cloud_params_by(cloud_estimate)?.into();
             let (first_pass, unused) = (self.first_pass(cloud_estimate), self.unused_by_clouds());
-            return Ok(Resolved { params, floating_sensor: None, first_pass, cloud_estimate, unused });
+            return Ok(Resolved { params, preparation_sensor: None, first_pass, cloud_estimate, unused });
         }
         let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
             let allowed = "a named sensor such as kinect1, since this frame has too few depths for an estimate";
             ParamError { field: "sensor", value: "auto".into(), allowed }
         })?;
         let params = self.checked_frame_params(sensor)?.into();
-        let floating_sensor = Some(sensor).filter(|_| self.remove_floating == Some(true));
+        let preparation_sensor = Some(sensor).filter(|_| !self.preparation().is_empty());
         let unused = self.unused_by_frames();
-        Ok(Resolved { params, floating_sensor, first_pass: None, cloud_estimate: None, unused })
+        Ok(Resolved { params, preparation_sensor, first_pass: None, cloud_estimate: None, unused })
     }
 
     /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
@@ -116,11 +117,18 @@ impl Settings {
             let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
             return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
         }
-        if self.remove_floating == Some(true) {
-            let allowed = "only frames on a grid, since it needs the pixels around each point";
-            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
+        let Preparation { min_range_m, max_range_m, remove_floating, decimate } = self.preparation();
+        let given = [
+            ("remove_floating", remove_floating.then(|| "true".to_owned())),
+            ("min_range_m", min_range_m.map(|range_m| range_m.to_string())),
+            ("max_range_m", max_range_m.map(|range_m| range_m.to_string())),
+            ("decimate", decimate.map(|k| k.to_string())),
+        ];
+        let allowed = "only frames on a grid, since it needs the pixels around each point";
+        match given.into_iter().find_map(|(field, value)| Some((field, value?))) {
+            Some((field, value)) => Err(ParamError { field, value, allowed }),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     fn checked_frame_params(&self, sensor: SensorModel) -> Result<FrameParams, ParamError> {

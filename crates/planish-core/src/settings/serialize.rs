@@ -45,6 +45,9 @@ impl Serialize for Settings {
         }
         entry!("edges", self.edges.map(super::Edges::name));
         entry!("remove_floating", self.remove_floating);
+        entry!("min_range_m", self.min_range_m);
+        entry!("max_range_m", self.max_range_m);
+        entry!("decimate", self.decimate);
         entry!("remove_isolated", self.remove_isolated);
         entry!("window", self.window);
         entry!("stride", self.stride);

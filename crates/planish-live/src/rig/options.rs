@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use super::{Rig, RigWay};
 use planish_core::{
-    CloudParams, CloudRadius, FleetDevice, FrameParams, ParamError, SensorChoice, Settings, SmootherOptions,
-    TemporalParams,
+    CloudParams, CloudRadius, FleetDevice, FrameParams, ParamError, Preparation, SensorChoice, Settings,
+    SmootherOptions, TemporalParams,
 };
 
 /// The smallest voxels, in metres: finer than any depth camera resolves.
@@ -32,8 +32,8 @@ pub struct RigOptions {
     pub smoother: SmootherOptions,
     /// The devices that cameras are spread over, instead of the one of the options; none for that one.
     pub devices: Vec<FleetDevice>,
-    /// Whether pixels that float between two surfaces are turned into holes before smoothing.
-    pub remove_floating: bool,
+    /// The steps before smoothing.
+    pub preparation: Preparation,
     /// How each camera's results are smoothed over time; `None` if they are not.
     pub temporal: Option<TemporalParams>,
     /// Whether smoothing over time estimates how each camera moves.
@@ -58,7 +58,7 @@ impl RigOptions {
             voxel_m: None,
             smoother,
             devices: Vec::new(),
-            remove_floating: false,
+            preparation: Preparation::default(),
             temporal: None,
             tracks_cameras: false,
             max_moments: None,
@@ -88,7 +88,7 @@ impl RigOptions {
         let general_params = settings.override_cloud(merged)?;
         let options = Self::new(rig, way, settings.options()).with_params(params, general_params);
         let options = options
-            .with_remove_floating(settings.remove_floating == Some(true))
+            .with_preparation(settings.preparation())
             .with_temporal(settings.temporal_params(), settings.tracks_camera());
         Ok(options.with_devices(settings.devices()?).with_voxel_m(voxel_m))
     }
@@ -133,9 +133,9 @@ impl RigOptions {
         Self { params, general_params, ..self }
     }
 
-    /// Sets whether pixels that float between two surfaces are turned into holes before smoothing.
-    pub fn with_remove_floating(self, remove_floating: bool) -> Self {
-        Self { remove_floating, ..self }
+    /// Sets the steps before smoothing.
+    pub fn with_preparation(self, preparation: Preparation) -> Self {
+        Self { preparation, ..self }
     }
 
     /// Sets how each camera's results are smoothed over time, and whether the motion of each camera is estimated

@@ -14,7 +14,7 @@ use super::{
     RigSmoother, RigStatistics, RigWay,
 };
 use crate::{
-    source::{Source, WithoutFloating},
+    source::{PreparedSource, Source},
     stream::{SinkThread, StreamFrame, StreamStatistics},
 };
 use planish_core::{
@@ -84,10 +84,11 @@ impl<'a> RigStream<'a> {
     pub fn run(self) -> Result<RigStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { rig, mut sources, options, sinks, stop, tell } = self;
-        if options.remove_floating {
+        let steps = options.preparation;
+        if !steps.is_empty() {
             let sensors = options.params.iter().map(|params| params.sensor);
-            let without = |(source, sensor)| Box::new(WithoutFloating::new(source, sensor)) as Box<dyn Source>;
-            sources = sources.into_iter().zip(sensors).map(without).collect();
+            let prepared = |(source, sensor)| Box::new(PreparedSource::new(source, steps, sensor)) as Box<dyn Source>;
+            sources = sources.into_iter().zip(sensors).map(prepared).collect();
         }
         run(rig, sources, &options, sinks, stop.unwrap_or(&never), tell)
     }

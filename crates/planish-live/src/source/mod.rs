@@ -11,12 +11,12 @@ mod freenect;
 mod kinect;
 mod openni2;
 mod paced;
+mod prepared;
 mod realsense;
 mod reconnecting;
 mod silence;
 mod synthetic;
 mod tum;
-mod without_floating;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -40,11 +40,11 @@ pub(crate) mod internal {
 pub use kinect::KinectSource;
 pub use openni2::OpenNi2Source;
 pub use paced::Paced;
+pub use prepared::PreparedSource;
 pub use realsense::{RealSenseInput, RealSenseSource};
 pub use reconnecting::Reconnecting;
 pub use synthetic::SyntheticSource;
 pub use tum::{TumRecorder, TumSource};
-pub use without_floating::WithoutFloating;
 
 /// Delivers one frame after another.
 pub trait Source: Send {

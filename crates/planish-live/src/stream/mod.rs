@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::source::{OwnedFrame, Source, WithoutFloating};
+use crate::source::{OwnedFrame, PreparedSource, Source};
 use capture::capture;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, Session, Smoothed, SmoothedView};
@@ -140,8 +140,8 @@ impl<'a> Stream<'a> {
     pub fn run(self) -> Result<StreamStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { mut source, options, sinks, stop, tell } = self;
-        if let Some(sensor) = options.floating_sensor() {
-            source = Box::new(WithoutFloating::new(source, sensor));
+        if let Some((steps, sensor)) = options.preparation() {
+            source = Box::new(PreparedSource::new(source, steps, sensor));
         }
         run(source, &options, sinks, stop.unwrap_or(&never), tell)
     }

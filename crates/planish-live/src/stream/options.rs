@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use planish_core::{
-    CloudParams, Error, FleetDevice, FrameParams, SensorChoice, SensorModel, Session, Settings, SmootherOptions,
+    CloudParams, Error, FleetDevice, FrameParams, Preparation, SensorChoice, SensorModel, Session, Settings,
+    SmootherOptions,
 };
 use planish_io::Trajectory;
 
@@ -69,10 +70,13 @@ impl StreamOptions {
         Self { smoother, ..self }
     }
 
-    /// Returns the sensor whose noise determines floating pixels, if they are to be removed.
-    pub(super) fn floating_sensor(&self) -> Option<SensorModel> {
+    /// Returns the steps before smoothing and the sensor whose noise they need, if there are any.
+    pub(super) fn preparation(&self) -> Option<(Preparation, SensorModel)> {
         match &self.params {
-            StreamParams::Settings(settings) => settings.frame_floating_sensor(),
+            StreamParams::Settings(settings) => {
+                let steps = Some(settings.preparation()).filter(|steps| !steps.is_empty())?;
+                Some((steps, settings.known_sensor().unwrap_or_default()))
+            }
             StreamParams::Params(_) => None,
         }
     }

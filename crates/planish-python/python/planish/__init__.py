@@ -24,7 +24,7 @@ from ._result import CloudChoice, Smoothed, Status
 from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
 from ._stream import Stream, StreamFrame, stream
-from ._tools import Comparison, Distances, clean, compare, convert, merge, mesh, remove_floating, render
+from ._tools import Comparison, Distances, clean, compare, convert, merge, mesh, prepare, render
 
 __all__ = [
     "Camera",
@@ -51,9 +51,9 @@ __all__ = [
     "info",
     "merge",
     "mesh",
+    "prepare",
     "read",
     "read_settings",
-    "remove_floating",
     "render",
     "simulate",
     "smooth",

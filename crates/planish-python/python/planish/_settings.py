@@ -84,7 +84,13 @@ class Settings(TypedDict, total=False):
     project: Literal["ray", "normal"] | None
     """Direction in which points move onto the surface; frames only."""
     remove_floating: bool | None
-    """Whether pixels that float between two surfaces become holes before smoothing; streams and the command only."""
+    """Whether pixels that float between two surfaces become holes before smoothing; streams, `mesh` and the command only."""
+    min_range_m: float | None
+    """Pixels of a frame that are nearer become holes before smoothing; streams, `mesh` and the command only."""
+    max_range_m: float | None
+    """Pixels of a frame that are farther become holes before smoothing; streams, `mesh` and the command only."""
+    decimate: int | None
+    """Side of the blocks of pixels that become one before smoothing, 2 to 8; streams, `mesh` and the command only."""
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None

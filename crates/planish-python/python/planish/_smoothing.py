@@ -85,8 +85,9 @@ class Smoother:
     ) -> None:
         if camera is not None and not isinstance(camera, Camera):
             raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
-        if settings.get("remove_floating"):
-            raise ValueError("remove_floating: applies to streams and the command; a Smoother does not change its input")
+        for name in ("remove_floating", "min_range_m", "max_range_m", "decimate"):
+            if settings.get(name):
+                raise ValueError(f"{name}: applies to streams and the command; a Smoother takes what planish.prepare returns")
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}

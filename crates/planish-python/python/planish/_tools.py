@@ -279,14 +279,52 @@ def render(cloud: Any, *, direction: Sequence[float] = (0.0, 0.0, 1.0)) -> NDArr
     return _planish.draw(_cloud(_points(cloud), fields, pose), (float(x), float(y), float(z)))
 
 
-def remove_floating(
-    depth: NDArray[np.uint16], camera: Camera, *, sensor: str = "kinect1"
-) -> tuple[NDArray[np.uint16], int]:
-    """Turn pixels that float between two surfaces into holes; returns the image and their number."""
+def prepare(
+    depth: NDArray[np.uint16],
+    camera: Camera,
+    *,
+    min_range_m: float | None = None,
+    max_range_m: float | None = None,
+    remove_floating: bool = False,
+    decimate: int | None = None,
+    sensor: str = "kinect1",
+) -> tuple[NDArray[np.uint16], Camera]:
+    """Cut off ranges, remove floating pixels and reduce the resolution of a depth image, in this order.
+
+    Parameters
+    ----------
+    depth : ndarray of uint16, [H, W]
+        The depth image.
+    camera : Camera
+        Its camera.
+    min_range_m, max_range_m : float, optional
+        Pixels that are nearer or farther become holes, in metres.
+    remove_floating : bool
+        Whether pixels that float between two surfaces become holes.
+    decimate : int, optional
+        Side of the blocks of pixels that become one, 2 to 8. A block becomes the mean of its pixels on the surface of the median.
+    sensor : str
+        Sensor whose noise tells surfaces apart; see `Settings`.
+
+    Returns
+    -------
+    tuple of ndarray and Camera
+        The image, and its camera.
+
+    Examples
+    --------
+    >>> import planish
+    >>> frame = planish.simulate("table")
+    >>> depth, camera = planish.prepare(frame.depth, frame.camera, max_range_m=2.0, decimate=2)
+    >>> planish.smooth(depth, camera).points.shape
+    (240, 320, 3)
+    """
     array = _native(as_array(depth))
     if array.ndim != 2 or array.dtype != np.uint16:
         raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: depth [H, W] of uint16")
-    return _planish.remove_floating(np.ascontiguousarray(array), camera, sensor)
+    given: dict[str, Any] = {"min_range_m": min_range_m, "max_range_m": max_range_m, "decimate": decimate}
+    steps = {name: value for name, value in given.items() if value is not None}
+    return _planish.prepare(np.ascontiguousarray(array), camera, {"remove_floating": remove_floating, "sensor": sensor, **steps})
 
 
 def _points(cloud: Any) -> NDArray[Any]:

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
 use planish_core::{
     Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
-    PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
+    ParamError, PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
 };
 use planish_io::ReadOptions;
 
@@ -56,6 +56,11 @@ pub struct MessageSmoother {
 }
 
 fn session_of(settings: Settings) -> Result<Session, Error> {
+    if !settings.preparation().is_empty() {
+        let allowed = "only for files and streams: messages keep their grid and camera_info (remove_floating, min_range_m, \
+                       max_range_m, decimate)";
+        return Err(ParamError { field: "settings", value: "steps before smoothing".into(), allowed }.into());
+    }
     Ok(Session::new(settings)?.with_kept_sensor(true).with_cloud_estimates(false))
 }
 

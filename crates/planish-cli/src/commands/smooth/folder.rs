@@ -1,7 +1,7 @@
 //! Smooths every frame of a folder. Several workers run at once with one thread each, so reading and writing overlap
 //! with smoothing. With several devices, each worker has one.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -49,6 +49,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left")?;
     // Hidden automatically if standard error is not a terminal.
     let bar = ProgressBar::new(jobs.len() as u64).with_style(style);
+    let told = Told { bar: &bar, errors: Mutex::default() };
     let stop = stop_flag();
     let largest =
         jobs.iter().filter_map(|(input, _)| fs::metadata(input).ok()).map(|file| file.len()).max().unwrap_or(0);
@@ -57,23 +58,24 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     while next < jobs.len() && !stop.load(Ordering::Relaxed) {
         let (input, output) = &jobs[next];
         poses.set(&mut worker.session, next, input)?;
-        done[next] = Some(told(worker.smooth_file(input, output), &bar));
+        done[next] = Some(told.tell(worker.smooth_file(input, output), input));
         next += 1;
         // The first frames report sensor and engine for all others.
         let workers = workers(worker, jobs.len() - next, largest)?;
         if workers > 1 {
-            beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &bar);
+            beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &told);
             // A frame that lacked memory, because others used it, is retried alone.
             for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
                 if matches!(done, Some(Err(error)) if needs_memory(error)) {
                     let is_stopped = stop.load(Ordering::Relaxed);
-                    *done = (!is_stopped).then(|| told(worker.smooth_file(&job.0, &job.1), &bar));
+                    *done = (!is_stopped).then(|| told.tell(worker.smooth_file(&job.0, &job.1), &job.0));
                 }
             }
             break;
         }
     }
     bar.finish_and_clear();
+    told.report();
     poses.report(&args.input);
     let mut report = FolderReport { frames: Vec::new(), failed: Vec::new(), interrupted: false };
     for ((input, _), done) in jobs.into_iter().zip(done) {
@@ -131,13 +133,39 @@ impl Poses {
     }
 }
 
-/// Prints an error, and counts the frame.
-fn told(result: Result<Report>, bar: &ProgressBar) -> Result<Report> {
-    if let Err(error) = &result {
-        bar.suspend(|| errln!("error: {error:#}"));
+/// Prints errors, each kind once, and counts the frames.
+struct Told<'a> {
+    bar: &'a ProgressBar,
+    /// How often each error occurred, without the name of its frame.
+    errors: Mutex<BTreeMap<String, usize>>,
+}
+
+impl Told<'_> {
+    fn tell(&self, result: Result<Report>, input: &Path) -> Result<Report> {
+        if let Err(error) = &result {
+            let text = format!("{error:#}");
+            let kind = text.replace(&input.display().to_string(), "");
+            let mut errors = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
+            let count = errors.entry(kind).or_default();
+            *count += 1;
+            if *count == 1 {
+                self.bar.suspend(|| errln!("error: {text}"));
+            }
+        }
+        self.bar.inc(1);
+        result
     }
-    bar.inc(1);
-    result
+
+    /// Reports how many more frames had the same errors.
+    fn report(&self) {
+        for (kind, &count) in &*self.errors.lock().unwrap_or_else(PoisonError::into_inner) {
+            if count > 1 {
+                let more = count - 1;
+                let frames = if more == 1 { "frame" } else { "frames" };
+                errln!("{more} more {frames}: {}", kind.trim_start_matches([':', ' ']));
+            }
+        }
+    }
 }
 
 /// Returns the frames of a folder; refuses what would overwrite an input or write two to one file.
@@ -217,7 +245,7 @@ fn beside_each_other(
     jobs: &[Job],
     done: &mut [Option<Result<Report>>],
     stop: &AtomicBool,
-    bar: &ProgressBar,
+    told: &Told<'_>,
 ) {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
@@ -249,7 +277,7 @@ fn beside_each_other(
                 Err(anyhow!("{}: planish panicked (please report this bug)", input.display()))
             });
             let may_be_tried_again = matches!(&result, Err(error) if needs_memory(error));
-            let result = if may_be_tried_again { result } else { told(result, bar) };
+            let result = if may_be_tried_again { result } else { told.tell(result, input) };
             results.lock().unwrap_or_else(PoisonError::into_inner)[at] = Some(result);
         }
     };

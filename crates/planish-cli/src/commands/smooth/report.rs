@@ -150,7 +150,7 @@ pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
 }
 
 /// Why points have too few neighbours, as far as the parameters tell, and what would help.
-pub fn likely_cause(frame: Frame<'_>, params: &Params) -> String {
+pub fn likely_cause(frame: Frame<'_>, params: &Params, sensor_is_given: bool) -> String {
     let too_small = |radius_m: f32, other: &str| {
         format!(
             "The radius of {radius_m} m is probably below the spacing of the points; try a larger --radius, or {other}"
@@ -168,7 +168,12 @@ pub fn likely_cause(frame: Frame<'_>, params: &Params) -> String {
                 "They are probably isolated, or the file lacks the sensor's pose; try --sensor-pose, or --radius METRES"
                     .to_owned()
             }
-            _ => "They are probably isolated between holes; try --radius METRES".to_owned(),
+            _ if !sensor_is_given => {
+                "They are probably isolated between holes. A sensor with more noise than a Kinect v1 \
+                                      has wider windows: give it with --sensor"
+                    .to_owned()
+            }
+            _ => "They are probably isolated between holes; try --preset strong".to_owned(),
         },
     }
 }

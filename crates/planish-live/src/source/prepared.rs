@@ -1,25 +1,26 @@
-//! Removal of floating pixels before smoothing.
+//! The steps before smoothing.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::{OwnedFrame, Source};
-use planish_core::{Error, SensorModel};
+use planish_core::{Error, Preparation, SensorModel};
 
-/// A source whose floating pixels, between two surfaces, are turned into holes.
-pub struct WithoutFloating {
+/// A source whose frames are prepared: ranges cut off, floating pixels removed, resolution reduced.
+pub struct PreparedSource {
     source: Box<dyn Source>,
+    steps: Preparation,
     sensor: SensorModel,
 }
 
-impl WithoutFloating {
-    /// Wraps a source; the sensor's noise determines which pixels float.
-    pub fn new(source: Box<dyn Source>, sensor: SensorModel) -> Self {
-        Self { source, sensor }
+impl PreparedSource {
+    /// Wraps a source; the sensor's noise tells surfaces apart.
+    pub fn new(source: Box<dyn Source>, steps: Preparation, sensor: SensorModel) -> Self {
+        Self { source, steps, sensor }
     }
 }
 
-impl Source for WithoutFloating {
+impl Source for PreparedSource {
     fn end_with(&mut self, ended: Arc<AtomicBool>) {
         self.source.end_with(ended);
     }
@@ -28,10 +29,10 @@ impl Source for WithoutFloating {
         let mut frame = self.source.next_frame()?;
         match &mut frame {
             Some(OwnedFrame::Depth(depth)) => {
-                depth.remove_floating(&self.sensor);
+                self.steps.depth(depth, &self.sensor)?;
             }
             Some(OwnedFrame::Cloud { cloud, .. }) => {
-                cloud.remove_floating(&self.sensor);
+                self.steps.cloud(cloud, &self.sensor)?;
             }
             _ => {}
         }
@@ -91,6 +92,12 @@ mod tests {
         };
         assert_eq!(holes_of("engine=cpu outputs=points"), 0);
         assert_eq!(holes_of("engine=cpu outputs=points remove_floating=true"), 1);
+        assert_eq!(holes_of("engine=cpu outputs=points max_range_m=1.8"), 48 * 32 - 1);
+        let settings: Settings = "engine=cpu decimate=2".parse().unwrap();
+        let options = StreamOptions::from_settings(settings).unwrap();
+        let mut frames = Frames::start(Box::new(Steps(Some(frame.clone()))), options).unwrap();
+        let smoothed = frames.next().unwrap().unwrap();
+        assert_eq!((smoothed.smoothed.width, smoothed.source.shape()), (32, (32, 24)));
         let auto: Settings = "sensor=auto remove_floating=true".parse().unwrap();
         assert!(StreamOptions::from_settings(auto).unwrap_err().to_string().contains("sensor"));
     }

@@ -1,0 +1,182 @@
+//! Questions inputs that make no sense: a wrong unit of depth, the camera of another image.
+
+use std::fmt;
+
+use crate::camera::Camera;
+use crate::frame::{Frame, RangeRule};
+use crate::threads::ONE_THREAD;
+
+/// No depth camera has most of its points farther away, or nearer, in metres.
+const FARTHEST_M: f32 = 20.0;
+const NEAREST_M: f32 = 0.1;
+
+/// The principal point is within this part of the width and height of an image.
+const MIDDLE: std::ops::RangeInclusive<f64> = 0.3..=0.7;
+
+/// Half a pixel and rounding, relative to half the image.
+const SAME: f64 = 0.02;
+
+/// Focal lengths in widths of the image: a field of view of 150 degrees, and of 3.
+const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 0.13..=20.0;
+
+/// Maximum number of points that are looked at.
+const SAMPLE: usize = 4096;
+
+/// Something about a frame that no depth camera would measure. [`Display`](fmt::Display) gives one line for a user.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Doubt {
+    /// Less than one depth unit per metre: the inverse was meant.
+    UnitsPerMetre {
+        /// The number stated.
+        units: f64,
+    },
+    /// Most points are nearer or farther than any depth camera measures.
+    Range {
+        /// Their median in metres.
+        median_m: f32,
+        /// Units per metre of raw depth; `None` for depth or points in metres.
+        units: Option<f64>,
+    },
+    /// The focal length is half the size of the image: the two were swapped.
+    Swapped {
+        /// The camera.
+        camera: Camera,
+    },
+    /// The principal point is far from the middle of the image.
+    PrincipalPoint {
+        /// The camera.
+        camera: Camera,
+    },
+    /// The field of view is wider or narrower than any depth camera's.
+    FocalLength {
+        /// The camera.
+        camera: Camera,
+    },
+}
+
+/// Returns what is doubtful about a frame; nothing for unorganized clouds, which any scanner may have measured.
+pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
+    if frame.grid().is_none() {
+        return Vec::new();
+    }
+    let units = match frame {
+        Frame::Depth(depth) => (!depth.is_metres()).then_some(depth.camera().depth_units_per_metre),
+        Frame::Points(_) => None,
+    };
+    let mut found = Vec::new();
+    if let Some(units) = units.filter(|&units| units < 1.0) {
+        found.push(Doubt::UnitsPerMetre { units });
+    } else if let Some(median_m) = median_m(frame)
+        && !(NEAREST_M..=FARTHEST_M).contains(&median_m)
+    {
+        found.push(Doubt::Range { median_m, units });
+    }
+    found.extend(frame.camera().and_then(of_camera));
+    found
+}
+
+fn of_camera(camera: &Camera) -> Option<Doubt> {
+    let Camera { fx, fy, cx, cy, .. } = *camera;
+    let (width, height) = (camera.width as f64, camera.height as f64);
+    let is_half = |focal: f64, size: f64| (2.0 * focal / size - 1.0).abs() < SAME;
+    if is_half(fx, width) && is_half(fy, height) && (cx / cy - 1.0).abs() < SAME {
+        return Some(Doubt::Swapped { camera: *camera });
+    }
+    // A principal point is stated for the size of the camera's images, so it shows that they were of another size.
+    if !MIDDLE.contains(&((cx + 0.5) / width)) || !MIDDLE.contains(&((cy + 0.5) / height)) {
+        return Some(Doubt::PrincipalPoint { camera: *camera });
+    }
+    (!FOCAL_LENGTHS.contains(&(fx / width))).then_some(Doubt::FocalLength { camera: *camera })
+}
+
+/// Returns the median depth of a camera's frame; `None` without points, and for frames of other scanners.
+fn median_m(frame: Frame<'_>) -> Option<f32> {
+    let (width, height) = frame.shape();
+    let step = (width * height).div_ceil(SAMPLE).max(1);
+    let mut depths_m: Vec<f32> = match frame {
+        Frame::Depth(depth) => (0..width * height).step_by(step).map(|i| depth.depth_m(i % width, i / width)).collect(),
+        Frame::Points(points) => {
+            // Lidars measure hundreds of metres.
+            if !points.pose().is_identity() || !matches!(points.range_rule(), RangeRule::Depth { pitch_at_1m: Some(_) })
+            {
+                return None;
+            }
+            (0..width * height).step_by(step).map(|i| points.get(i)[2] as f32).collect()
+        }
+    };
+    depths_m.retain(|depth_m| depth_m.is_finite() && *depth_m > 0.0);
+    depths_m.sort_by(f32::total_cmp);
+    depths_m.get(depths_m.len() / 2).copied()
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if ONE_THREAD {
+            return Ok(());
+        }
+        match self {
+            Self::UnitsPerMetre { units } => write!(
+                f,
+                "{units} depth units per metre are less than one; this is the number of units in a metre, 1000 for \
+                 millimetres, and the inverse of librealsense's depth scale"
+            ),
+            Self::Range { median_m, units: Some(units) } => write!(
+                f,
+                "most depths are about {median_m} m at {units} depth units per metre, which no depth camera measures; \
+                 is the unit of depth right?"
+            ),
+            Self::Range { median_m, units: None } => write!(
+                f,
+                "most points are {median_m} m away, which no depth camera measures; are they in millimetres, or is it \
+                 a disparity image?"
+            ),
+            Self::Swapped { camera: Camera { fx, fy, cx, cy, .. } } => write!(
+                f,
+                "the focal length {fx}, {fy} is half the size of the image; fx, fy, cx, cy may be swapped: \
+                 {cx},{cy},{fx},{fy}"
+            ),
+            Self::PrincipalPoint { camera: Camera { width, height, cx, cy, .. } } => write!(
+                f,
+                "the principal point {cx}, {cy} is far from the middle of an image of {width}x{height}; is it the \
+                 camera of images of another size?"
+            ),
+            Self::FocalLength { camera: Camera { width, height, fx, .. } } => {
+                write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; is it in pixels?")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{DepthView, IntoFrame};
+
+    fn of(raw: u16, camera: Camera) -> Vec<Doubt> {
+        let raw = vec![raw; camera.width * camera.height];
+        doubts(DepthView::new(&raw, &camera).unwrap().into_frame().unwrap())
+    }
+
+    #[test]
+    fn cameras_of_other_images_and_wrong_units_are_doubtful_and_others_are_not() {
+        let kinect = Camera::kinect_v1();
+        assert_eq!(of(1500, kinect), []);
+        assert_eq!(of(0, kinect), []);
+        assert!(matches!(of(1500, kinect.with_depth_units_per_metre(0.001))[..], [Doubt::UnitsPerMetre { .. }]));
+        assert!(matches!(of(1500, kinect.with_depth_units_per_metre(1e5))[..], [Doubt::Range { units: Some(_), .. }]));
+        assert!(matches!(of(1500, kinect.with_depth_units_per_metre(10.0))[..], [Doubt::Range { .. }]));
+        let camera = |fx, fy, cx, cy| Camera::new((640, 480), [fx, fy], [cx, cy]);
+        assert!(matches!(of(1500, camera(319.5, 239.5, 525.0, 525.0))[..], [Doubt::Swapped { .. }]));
+        assert!(matches!(of(1500, camera(525.0, 525.0, 159.5, 119.5))[..], [Doubt::PrincipalPoint { .. }]));
+        assert!(matches!(of(1500, camera(0.00525, 0.00525, 319.5, 239.5))[..], [Doubt::FocalLength { .. }]));
+        // A real wide-angle camera, and one with an odd principal point.
+        assert_eq!(of(1500, camera(252.0, 252.0, 330.0, 240.0)), []);
+        let metres = vec![1090.0f32; 640 * 480];
+        let frame = DepthView::from_metres(&metres, &kinect).unwrap().into_frame().unwrap();
+        let found = doubts(frame);
+        assert!(
+            matches!(found[..], [Doubt::Range { units: None, .. }]) && found[0].to_string().contains("millimetres")
+        );
+    }
+}
