@@ -34,6 +34,9 @@ pub struct Outputs {
     /// Effective number of frames of a video averaged into each pixel. Only from a [`Session`](crate::Session) that
     /// smooths over time ([`Settings::temporal`](crate::Settings::temporal)).
     pub frames: bool,
+    /// Standard error of each smoothed position along its ray, in metres. Only for frames on a grid, from a
+    /// [`Session`](crate::Session) (docs/method.md, section 17).
+    pub sigma: bool,
 }
 
 impl Outputs {
@@ -47,12 +50,14 @@ impl Outputs {
         status: false,
         neighbours: false,
         frames: false,
+        sigma: false,
     };
     /// Points only.
     pub const POINTS: Self = Self { points: true, ..Self::NONE };
     /// Depth only.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
-    /// All outputs except `depth` and `depth_m`, which need a camera, and `frames`, which needs a video.
+    /// All outputs except `depth` and `depth_m`, which need a camera, `frames`, which needs a video, and `sigma`, which
+    /// needs a session.
     pub const ALL: Self =
         Self { points: true, normals: true, curvature: true, status: true, neighbours: true, ..Self::NONE };
 
@@ -101,6 +106,11 @@ impl Outputs {
         Self { frames, ..self }
     }
 
+    /// Sets whether the standard error of each position is computed.
+    pub const fn with_sigma(self, sigma: bool) -> Self {
+        Self { sigma, ..self }
+    }
+
     /// Adds the output with this name; `None` for an unknown name.
     pub(crate) fn with_named(self, name: &str) -> Option<Self> {
         Some(match name {
@@ -112,13 +122,14 @@ impl Outputs {
             "status" => self.with_status(true),
             "neighbours" => self.with_neighbours(true),
             "frames" => self.with_frames(true),
+            "sigma" => self.with_sigma(true),
             _ => return None,
         })
     }
 
     /// Returns the names of these outputs.
     pub fn names(self) -> Vec<&'static str> {
-        let Self { points, depth, depth_m, normals, curvature, status, neighbours, frames } = self;
+        let Self { points, depth, depth_m, normals, curvature, status, neighbours, frames, sigma } = self;
         let all = [
             ("points", points),
             ("depth", depth),
@@ -128,6 +139,7 @@ impl Outputs {
             ("status", status),
             ("neighbours", neighbours),
             ("frames", frames),
+            ("sigma", sigma),
         ];
         all.into_iter().filter(|(_, is_wanted)| *is_wanted).map(|(name, _)| name).collect()
     }
@@ -285,6 +297,8 @@ pub struct SmoothedMut<'a> {
     pub depth_m: Option<&'a mut [f32]>,
     /// Effective number of frames of a video averaged into each pixel, 1 to 16; 0 for holes.
     pub frames: Option<&'a mut [f32]>,
+    /// Standard error of each position along its ray in metres; NaN for holes.
+    pub sigma: Option<&'a mut [f32]>,
 }
 
 impl<'a> SmoothedMut<'a> {
@@ -349,6 +363,7 @@ impl<'a> SmoothedMut<'a> {
         copy(&mut self.depth, from.depth.as_deref());
         copy(&mut self.depth_m, from.depth_m.as_deref());
         copy(&mut self.frames, from.frames.as_deref());
+        copy(&mut self.sigma, from.sigma.as_deref());
     }
 
     /// Without buffers.
@@ -396,6 +411,11 @@ impl<'a> SmoothedMut<'a> {
         Self { frames: Some(frames), ..self }
     }
 
+    /// Sets the buffer for the standard error of each position.
+    pub fn with_sigma(self, sigma: &'a mut [f32]) -> Self {
+        Self { sigma: Some(sigma), ..self }
+    }
+
     /// Borrows the buffers for a shorter time.
     pub fn reborrow(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
@@ -407,6 +427,7 @@ impl<'a> SmoothedMut<'a> {
             depth: self.depth.as_deref_mut(),
             depth_m: self.depth_m.as_deref_mut(),
             frames: self.frames.as_deref_mut(),
+            sigma: self.sigma.as_deref_mut(),
         }
     }
 
@@ -421,6 +442,7 @@ impl<'a> SmoothedMut<'a> {
             ("depth", self.depth.is_some(), outputs.depth),
             ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
             ("frames", self.frames.is_some(), outputs.frames),
+            ("sigma", self.sigma.is_some(), outputs.sigma),
         ];
         if let Some((output, ..)) = opened.into_iter().find(|(_, given, opened)| *given && !opened) {
             return Err(FrameError::OutputNotOpened { output });
@@ -434,6 +456,7 @@ impl<'a> SmoothedMut<'a> {
             ("the buffer for depth", self.depth.as_ref().map(|buffer| buffer.len())),
             ("the buffer for depth in metres", self.depth_m.as_ref().map(|buffer| buffer.len())),
             ("the buffer for frames", self.frames.as_ref().map(|buffer| buffer.len())),
+            ("the buffer for sigma", self.sigma.as_ref().map(|buffer| buffer.len())),
         ];
         lengths.into_iter().try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
     }

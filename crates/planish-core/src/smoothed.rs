@@ -33,6 +33,8 @@ pub struct Smoothed {
     pub neighbours: Option<Vec<u32>>,
     /// Effective number of frames of a video averaged into each pixel, 1 to 16; 0 for holes.
     pub frames: Option<Vec<f32>>,
+    /// Standard error of each position along its ray in metres; NaN for holes.
+    pub sigma: Option<Vec<f32>>,
 }
 
 /// A frame that loses a larger share of its points than this is reported.
@@ -62,6 +64,7 @@ impl Smoothed {
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
         keep(&mut self.frames, outputs.frames, |values| values.resize(len, 0.0));
+        keep(&mut self.sigma, outputs.sigma, |values| values.resize(len, 0.0));
     }
 
     /// Bytes of its buffers.
@@ -74,6 +77,7 @@ impl Smoothed {
             + 2 * self.depth.as_ref().map_or(0, Vec::capacity)
             + 4 * self.depth_m.as_ref().map_or(0, Vec::capacity)
             + 4 * self.frames.as_ref().map_or(0, Vec::capacity)
+            + 4 * self.sigma.as_ref().map_or(0, Vec::capacity)
     }
 
     /// Returns the buffers, to be written into.
@@ -87,6 +91,7 @@ impl Smoothed {
             depth: self.depth.as_deref_mut(),
             depth_m: self.depth_m.as_deref_mut(),
             frames: self.frames.as_deref_mut(),
+            sigma: self.sigma.as_deref_mut(),
         }
     }
 
@@ -156,7 +161,7 @@ impl Smoothed {
             self.curvature.as_deref(),
             self.status.as_deref(),
             self.neighbours.as_deref(),
-            self.frames.as_deref(),
+            [self.frames.as_deref(), self.sigma.as_deref()],
         )
     }
 }
@@ -168,7 +173,7 @@ pub fn named_fields(
     curvature: Option<&[f32]>,
     status: Option<&[Status]>,
     neighbours: Option<&[u32]>,
-    frames: Option<&[f32]>,
+    [frames, sigma]: [Option<&[f32]>; 2],
 ) -> Vec<(&'static str, AttributeValues)> {
     let mut found: Vec<(&'static str, AttributeValues)> = Vec::new();
     if let Some(normals) = normals.filter(|_| fields.normals) {
@@ -185,6 +190,9 @@ pub fn named_fields(
     }
     if let Some(frames) = frames.filter(|_| fields.frames) {
         found.push(("frames", frames.to_vec().into()));
+    }
+    if let Some(sigma) = sigma.filter(|_| fields.sigma) {
+        found.push(("sigma", sigma.to_vec().into()));
     }
     found
 }
@@ -213,8 +221,8 @@ impl Outputs {
 
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours` and `frames`. All other fields are kept, except
-    /// for normals and curvature that are not among `fields`: those of the measured points do not fit the result
+    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
+    /// except for normals and curvature that are not among `fields`: those of the measured points do not fit the result
     /// ([`Outputs::renewing`]). In a file of several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;

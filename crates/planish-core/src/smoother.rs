@@ -430,11 +430,14 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
     }
 }
 
-/// Refuses the output `frames` outside a video.
+/// Refuses the output `frames` outside a video, and `sigma` outside a session.
 pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
-    let allowed = "only for frames on a grid in a session with temporal=steady";
-    match outputs.frames {
-        true => Err(ParamError { field: "outputs", value: "frames".into(), allowed }),
+    let refused = |value: &str, allowed| Err(ParamError { field: "outputs", value: value.to_owned(), allowed });
+    if outputs.frames {
+        return refused("frames", "only for frames on a grid in a session with temporal=steady");
+    }
+    match outputs.sigma {
+        true => refused("sigma", "only for frames on a grid in a session"),
         false => Ok(()),
     }
 }

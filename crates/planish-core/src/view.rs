@@ -132,6 +132,16 @@ impl SmoothedView {
         }
     }
 
+    /// Standard error of each position along its ray in metres, row by row, NaN for holes; `None` if it was not
+    /// requested.
+    pub fn sigma(&self) -> Option<&[f32]> {
+        match &self.result {
+            Storage::Owned(smoothed) => smoothed.sigma.as_deref(),
+            // Engines do not compute it.
+            Storage::InPlace(_) => None,
+        }
+    }
+
     /// Effective number of frames of a video averaged into each pixel, row by row, 0 for holes; `None` if it was not
     /// requested.
     pub fn frames(&self) -> Option<&[f32]> {

@@ -150,6 +150,7 @@ pub struct Buffers<'py> {
     curvature: Option<PyReadwriteArrayDyn<'py, f32>>,
     depth_m: Option<PyReadwriteArrayDyn<'py, f32>>,
     frames: Option<PyReadwriteArrayDyn<'py, f32>>,
+    sigma: Option<PyReadwriteArrayDyn<'py, f32>>,
     depth: Option<PyReadwriteArrayDyn<'py, u16>>,
     neighbours: Option<PyReadwriteArrayDyn<'py, u32>>,
     status: Option<PyReadwriteArrayDyn<'py, u8>>,
@@ -163,6 +164,7 @@ pub struct Slices<'a> {
     pub curvature: Option<&'a mut [f32]>,
     pub depth_m: Option<&'a mut [f32]>,
     pub frames: Option<&'a mut [f32]>,
+    pub sigma: Option<&'a mut [f32]>,
     pub depth: Option<&'a mut [u16]>,
     pub neighbours: Option<&'a mut [u32]>,
     /// Codes of [`Status`].
@@ -195,6 +197,7 @@ impl<'py> Buffers<'py> {
                 "curvature" => buffers.curvature = Some(writable(&name, &array)?),
                 "depth_m" => buffers.depth_m = Some(writable(&name, &array)?),
                 "frames" => buffers.frames = Some(writable(&name, &array)?),
+                "sigma" => buffers.sigma = Some(writable(&name, &array)?),
                 "depth" => buffers.depth = Some(writable(&name, &array)?),
                 "neighbours" => buffers.neighbours = Some(writable(&name, &array)?),
                 "status" => buffers.status = Some(writable(&name, &array)?),
@@ -212,6 +215,7 @@ impl<'py> Buffers<'py> {
             .with_curvature(self.curvature.is_some())
             .with_depth_m(self.depth_m.is_some())
             .with_frames(self.frames.is_some())
+            .with_sigma(self.sigma.is_some())
             .with_depth(self.depth.is_some())
             .with_neighbours(self.neighbours.is_some())
             .with_status(self.status.is_some())
@@ -234,6 +238,7 @@ impl<'py> Buffers<'py> {
             curvature: slice("curvature", &mut self.curvature)?,
             depth_m: slice("depth_m", &mut self.depth_m)?,
             frames: slice("frames", &mut self.frames)?,
+            sigma: slice("sigma", &mut self.sigma)?,
             depth: slice("depth", &mut self.depth)?,
             neighbours: slice("neighbours", &mut self.neighbours)?,
             status: slice("status", &mut self.status)?,
@@ -254,6 +259,7 @@ impl<'a> Slices<'a> {
         out.curvature = self.curvature.as_deref_mut();
         out.depth_m = self.depth_m.as_deref_mut();
         out.frames = self.frames.as_deref_mut();
+        out.sigma = self.sigma.as_deref_mut();
         out.depth = self.depth.as_deref_mut();
         out.neighbours = self.neighbours.as_deref_mut();
         out

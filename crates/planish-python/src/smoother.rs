@@ -362,8 +362,12 @@ fn copy(view: &SmoothedView, out: &mut Slices<'_>) -> Result<(), Error> {
             to.iter_mut().zip(x.iter().zip(y).zip(z)).for_each(|(to, ((&x, &y), &z))| *to = [x, y, z]);
         }
     }
-    let channels =
-        [(view.curvature(), &mut out.curvature), (view.depth_m(), &mut out.depth_m), (view.frames(), &mut out.frames)];
+    let channels = [
+        (view.curvature(), &mut out.curvature),
+        (view.depth_m(), &mut out.depth_m),
+        (view.frames(), &mut out.frames),
+        (view.sigma(), &mut out.sigma),
+    ];
     for (from, to) in channels {
         if let (Some(from), Some(to)) = (from, to) {
             check_len(to.len(), from.len())?;

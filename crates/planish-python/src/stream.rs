@@ -33,6 +33,7 @@ struct Delivered {
     depth: Option<Vec<u16>>,
     depth_m: Option<Vec<f32>>,
     frames: Option<Vec<f32>>,
+    sigma: Option<Vec<f32>>,
 }
 
 /// A frame as it was measured.
@@ -68,6 +69,7 @@ impl Delivered {
             depth: smoothed.depth.clone(),
             depth_m: smoothed.depth_m.clone(),
             frames: smoothed.frames.clone(),
+            sigma: smoothed.sigma.clone(),
         }
     }
 
@@ -97,6 +99,7 @@ impl Delivered {
         put(&result, "depth", self.depth, shape)?;
         put(&result, "depth_m", self.depth_m, shape)?;
         put(&result, "frames", self.frames, shape)?;
+        put(&result, "sigma", self.sigma, shape)?;
         found.set_item("smoothed", result)?;
         match self.frame {
             Frame::Depth { raw, rgb, camera } => {

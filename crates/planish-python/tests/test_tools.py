@@ -130,7 +130,7 @@ def test_frames_are_prepared():
         planish.Smoother(FRAME.camera, decimate=2)
     with pytest.raises(TypeError, match="uint16"):
         planish.prepare(FRAME.points, FRAME.camera)
-    (frame,) = planish.stream("synthetic", frames=1, decimate=4)
+    (frame,) = planish.stream("synthetic", frames=1, outputs=["points"], decimate=4)
     assert frame.smoothed.points.shape == (120, 160, 3)
 
 

@@ -462,6 +462,8 @@ pub enum FieldArg {
     Status,
     /// With --temporal: effective number of frames averaged into the point, 1 to 16; 0 for holes
     Frames,
+    /// Standard error of each position along its ray, in metres; for frames on a grid
+    Sigma,
     /// No field (the default)
     None,
 }
@@ -527,6 +529,7 @@ pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
         .with_curvature(wants(FieldArg::Curvature))
         .with_status(wants(FieldArg::Status))
         .with_frames(wants(FieldArg::Frames))
+        .with_sigma(wants(FieldArg::Sigma))
 }
 
 impl SmoothArgs {

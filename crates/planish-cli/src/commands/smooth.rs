@@ -319,9 +319,9 @@ impl Worker<'_> {
 
     fn wanted_outputs(&self) -> Outputs {
         match self.settings.outputs.filter(|_| self.args.fields.is_empty()) {
-            Some(Outputs { normals, curvature, status, frames, .. }) => {
+            Some(Outputs { normals, curvature, status, frames, sigma, .. }) => {
                 let outputs = Outputs::POINTS.with_normals(normals).with_curvature(curvature);
-                outputs.with_status(status).with_frames(frames)
+                outputs.with_status(status).with_frames(frames).with_sigma(sigma)
             }
             None => self.args.outputs(),
         }

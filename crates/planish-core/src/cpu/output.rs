@@ -38,9 +38,9 @@ impl SplitRows for OutputRows<'_> {
         let (neighbours, neighbours_rest) = out.neighbours.map(|values| values.split_at_mut(at)).unzip();
         let (raw, raw_rest) = out.depth.map(|values| values.split_at_mut(at)).unzip();
         let (depth_m, depth_m_rest) = out.depth_m.map(|values| values.split_at_mut(at)).unzip();
-        // Engines of single frames do not count frames.
-        let frames = None;
-        let upper = SmoothedMut { points, normals, curvature, status, neighbours, depth: raw, depth_m, frames };
+        // Engines of single frames neither count frames nor estimate errors.
+        let none = SmoothedMut::default();
+        let upper = SmoothedMut { points, normals, curvature, status, neighbours, depth: raw, depth_m, ..none };
         let lower = SmoothedMut {
             points: points_rest,
             normals: normals_rest,
@@ -49,7 +49,7 @@ impl SplitRows for OutputRows<'_> {
             neighbours: neighbours_rest,
             depth: raw_rest,
             depth_m: depth_m_rest,
-            frames: None,
+            ..SmoothedMut::default()
         };
         (
             Self { first, width, rows, out: upper, camera },

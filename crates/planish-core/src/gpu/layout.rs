@@ -392,6 +392,7 @@ mod tests {
                 depth: wants(5),
                 depth_m: wants(6),
                 frames: wants(7),
+                sigma: false,
             };
             let layout = Layout {
                 width: 7,

@@ -4,11 +4,13 @@ use std::sync::Arc;
 
 use super::Session;
 use super::pending::{AnyFrame, OnReceipt, Pending};
+use super::sigma::check_grid;
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
 use crate::frame::{Frame, IntoFrame};
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::AdmittedFrame;
+use crate::threads::ONE_THREAD;
 use crate::view::SmoothedView;
 
 impl Session {
@@ -22,19 +24,18 @@ impl Session {
         let frame: AnyFrame = frame;
         self.check_room()?;
         let is_cloud = frame.frame()?.grid().is_none();
-        match self.submit_now(&frame, buffer) {
-            Ok(()) => {
-                let on_receipt = self.on_receipt();
-                self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt });
-            }
-            Err(error @ Error::Engine(_)) => {
-                let on_receipt = self.on_receipt();
-                self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt });
-                self.smooth_again(error)?;
-            }
-            Err(error) => return Err(error),
+        if !ONE_THREAD && self.options.outputs.sigma {
+            check_grid(frame.frame()?)?;
         }
-        Ok(())
+        let failed = match self.submit_now(&frame, buffer) {
+            Ok(()) => None,
+            Err(error @ Error::Engine(_)) => Some(error),
+            Err(error) => return Err(error),
+        };
+        let on_receipt = self.on_receipt();
+        let for_sigma = if ONE_THREAD { None } else { self.for_sigma(frame.frame()?) };
+        self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt, for_sigma });
+        failed.map_or(Ok(()), |error| self.smooth_again(error))
     }
 
     /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
@@ -45,13 +46,17 @@ impl Session {
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
+        if !ONE_THREAD && self.options.outputs.sigma {
+            let allowed = "only for frames that are shared (submit), since it follows from frame and result";
+            return Err(ParamError { field: "outputs", value: "sigma".into(), allowed }.into());
+        }
         let admitted = self.open_in_flight(frame, false)?;
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
             self.video.leave_device();
             return Err(error);
         }
         let on_receipt = self.on_receipt();
-        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), on_receipt });
+        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), on_receipt, for_sigma: None });
         Ok(())
     }
 
@@ -98,13 +103,22 @@ impl Session {
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         self.forget_other_process();
         match self.receive_in_space()? {
-            Some((view, on_receipt)) => self.received(view, on_receipt).map(Some),
+            Some((view, pending)) => {
+                let view = self.received(view, pending.on_receipt)?;
+                let (Some(for_sigma), Some(frame), false) = (pending.for_sigma, &pending.frame, ONE_THREAD) else {
+                    return Ok(Some(view));
+                };
+                let timings = view.timings();
+                let mut smoothed = view.into_smoothed();
+                for_sigma.add_to(frame.frame()?, &mut smoothed, self.options.threads)?;
+                Ok(Some(SmoothedView::owned(smoothed, timings)))
+            }
             None => Ok(None),
         }
     }
 
     /// Returns the oldest result as the engine made it, and how to finish it.
-    fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, OnReceipt)>, Error> {
+    fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, Pending)>, Error> {
         if self.ready.is_empty() {
             let Some(open) = &mut self.open else { return Ok(None) };
             match open.receive().transpose() {
@@ -113,10 +127,9 @@ impl Session {
                 None => {}
             }
         }
-        let on_receipt = self.pending.pop_front().map_or(OnReceipt::Nothing, |pending| pending.on_receipt);
-        match self.ready.pop_front() {
-            Some(result) => result.map(|view| Some((view, on_receipt))),
-            None => Ok(None),
+        match (self.ready.pop_front(), self.pending.pop_front()) {
+            (Some(result), Some(pending)) => result.map(|view| Some((view, pending))),
+            _ => Ok(None),
         }
     }
 

@@ -15,6 +15,7 @@ mod recovery;
 mod resolve;
 mod results;
 mod sight;
+mod sigma;
 mod watch;
 
 use std::collections::VecDeque;
@@ -98,6 +99,8 @@ pub struct Session {
     sight: Option<Sight>,
     /// What was doubtful about earlier frames.
     doubts: Vec<Doubt>,
+    /// The result before it is copied into the caller's buffers, with standard errors.
+    with_sigma: Smoothed,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -171,6 +174,7 @@ impl Session {
             video: OverTime::default(),
             sight: None,
             doubts: Vec::new(),
+            with_sigma: Smoothed::default(),
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -297,6 +301,9 @@ impl Session {
     /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
+        if !ONE_THREAD && self.options.outputs.sigma {
+            return self.smooth_with_sigma(frame, out);
+        }
         if !ONE_THREAD && self.over_time(frame).is_some() {
             let result = self.smooth_over_time(frame, out);
             self.is_prepared = false;
@@ -315,6 +322,9 @@ impl Session {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
         out.check(width * height, self.options.outputs)?;
+        if !ONE_THREAD && self.options.outputs.sigma {
+            return self.smooth_with_sigma_into(frame, out);
+        }
         self.smooth_frame(frame, out)
     }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::sight::Sight;
+use super::sigma::ForSigma;
 use crate::fleet::SharedFrame;
 use crate::temporal::CameraMotion;
 
@@ -15,6 +16,8 @@ pub(super) struct Pending {
     pub(super) frame: Option<AnyFrame>,
     pub(super) is_cloud: bool,
     pub(super) on_receipt: OnReceipt,
+    /// How it gets standard errors, if they are requested.
+    pub(super) for_sigma: Option<ForSigma>,
 }
 
 /// How to finish a received result.

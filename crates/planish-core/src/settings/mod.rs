@@ -131,7 +131,7 @@ pub struct Resolved {
 /// The settings whose values are one of some names.
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
-const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames";
+const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames, sigma";
 const PASSES: &str = "1 or 2";
 /// Allowed values of the field `settings`.
 const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, min_range_m, max_range_m, decimate, remove_isolated, \
@@ -246,6 +246,9 @@ impl Settings {
         }
         if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
             return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
+        }
+        if ONE_THREAD && self.outputs.is_some_and(|outputs| outputs.sigma) {
+            return contradiction("outputs", "sigma", "only outside a browser, whose module is kept small");
         }
         if self.outputs.is_some_and(|outputs| outputs.frames) && self.temporal_params().is_none() {
             return contradiction("outputs", "frames", "only with temporal=steady");

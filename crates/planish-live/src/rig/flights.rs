@@ -269,7 +269,7 @@ fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut Poi
 fn fields_of(view: &SmoothedView, fields: Outputs) -> Vec<Attribute> {
     let status: Option<Vec<_>> = fields.status.then(|| view.status()).flatten().map(Iterator::collect);
     let neighbours: Option<Vec<_>> = fields.neighbours.then(|| view.neighbours()).flatten().map(Iterator::collect);
-    let (normals, curvature, frames) = (view.normals(), view.curvature(), view.frames());
-    let named = named_fields(fields, normals, curvature, status.as_deref(), neighbours.as_deref(), frames);
+    let (normals, curvature, of_video) = (view.normals(), view.curvature(), [view.frames(), None]);
+    let named = named_fields(fields, normals, curvature, status.as_deref(), neighbours.as_deref(), of_video);
     named.into_iter().map(|(name, values)| Attribute { name: name.to_owned(), count: 1, values }).collect()
 }

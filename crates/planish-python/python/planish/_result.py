@@ -90,6 +90,8 @@ class Smoothed:
         Depth in metres, NaN for holes.
     frames : ndarray of float32, [H, W]
         With ``temporal``: effective number of frames averaged into each point, 1 to 16; 0 for holes.
+    sigma : ndarray of float32, [H, W]
+        For frames on a grid: standard error of each point along its ray in metres; NaN for holes.
     """
 
     points: NDArray[Any] = _ABSENT
@@ -100,6 +102,7 @@ class Smoothed:
     depth: NDArray[np.uint16] = _ABSENT
     depth_m: NDArray[np.float32] = _ABSENT
     frames: NDArray[np.float32] = _ABSENT
+    sigma: NDArray[np.float32] = _ABSENT
 
     def __repr__(self) -> str:
         return described(self)

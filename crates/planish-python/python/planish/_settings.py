@@ -12,7 +12,7 @@ from typing import Any, Literal, TypedDict, cast
 from ._planish import read_settings as _read_settings
 from ._planish import settings_to_json as _settings_to_json
 
-Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m", "frames"]
+Output = Literal["points", "normals", "curvature", "status", "neighbours", "depth", "depth_m", "frames", "sigma"]
 Preset = Literal["light", "default", "strong", "paper"]
 SensorName = Literal["kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto"]
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Pose = Sequence[float]
 
+# The settings that change a frame before it is smoothed.
+PREPARATION = ("remove_floating", "min_range_m", "max_range_m", "decimate")
+
 _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
     # The type of an output's values, and whether each is a vector.
     "points": (np.float32, True),
@@ -34,6 +37,7 @@ _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
     "depth": (np.uint16, False),
     "depth_m": (np.float32, False),
     "frames": (np.float32, False),
+    "sigma": (np.float32, False),
 }
 
 
@@ -57,8 +61,8 @@ class Smoother:
     camera : Camera, optional
         Camera of depth images, and of organized points if depth is requested.
     outputs : iterable of str
-        Any of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16), ``"depth_m"`` and, with
-        ``temporal``, ``"frames"``. Fewer outputs are faster.
+        Any of ``"points"``, ``"normals"``, ``"curvature"``, ``"status"``, ``"neighbours"``, ``"depth"`` (uint16), ``"depth_m"``,
+        ``"sigma"`` and, with ``temporal``, ``"frames"``. Fewer outputs are faster.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`. ``planish.read_settings`` reads them from a
         file.
@@ -85,7 +89,7 @@ class Smoother:
     ) -> None:
         if camera is not None and not isinstance(camera, Camera):
             raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
-        for name in ("remove_floating", "min_range_m", "max_range_m", "decimate"):
+        for name in PREPARATION:
             if settings.get(name):
                 raise ValueError(f"{name}: applies to streams and the command; a Smoother takes what planish.prepare returns")
         self._camera = camera

@@ -18,7 +18,7 @@ from ._planish import Camera
 from ._planish import Stream as _Stream
 from ._result import Smoothed, described
 from ._settings import Output, Settings
-from ._smoothing import Smoother
+from ._smoothing import PREPARATION, Smoother
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -174,6 +174,7 @@ def stream(
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
     find_realsense(os.fspath(source))
     # Checks settings as a Smoother does.
-    checked = Smoother(camera, outputs=outputs, **settings)
+    of_smoother: dict[str, Any] = {name: value for name, value in settings.items() if name not in PREPARATION}
+    checked = Smoother(camera, outputs=outputs, **of_smoother)
     names = list(checked.__getstate__()["outputs"])
     return Stream(_Stream(os.fspath(source), names, dict(settings), camera, fps, frames, depth_units_per_metre, align, mode))
