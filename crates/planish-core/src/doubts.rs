@@ -79,13 +79,12 @@ pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
 fn of_camera(camera: &Camera) -> Option<Doubt> {
     let Camera { fx, fy, cx, cy, .. } = *camera;
     let (width, height) = (camera.width as f64, camera.height as f64);
-    let is_half = |focal: f64, size: f64| (2.0 * focal / size - 1.0).abs() < SAME;
-    if is_half(fx, width) && is_half(fy, height) && (cx / cy - 1.0).abs() < SAME {
-        return Some(Doubt::Swapped { camera: *camera });
-    }
     // A principal point is stated for the size of the camera's images, so it shows that they were of another size.
     if !MIDDLE.contains(&((cx + 0.5) / width)) || !MIDDLE.contains(&((cy + 0.5) / height)) {
-        return Some(Doubt::PrincipalPoint { camera: *camera });
+        let is_half = |focal: f64, size: f64| (2.0 * focal / size - 1.0).abs() < SAME;
+        let is_swapped = is_half(fx, width) && is_half(fy, height) && (cx / cy - 1.0).abs() < SAME;
+        let (swapped, other) = (Doubt::Swapped { camera: *camera }, Doubt::PrincipalPoint { camera: *camera });
+        return Some(if is_swapped { swapped } else { other });
     }
     (!FOCAL_LENGTHS.contains(&(fx / width))).then_some(Doubt::FocalLength { camera: *camera })
 }
@@ -172,6 +171,8 @@ mod tests {
         assert!(matches!(of(1500, camera(0.00525, 0.00525, 319.5, 239.5))[..], [Doubt::FocalLength { .. }]));
         // A real wide-angle camera, and one with an odd principal point.
         assert_eq!(of(1500, camera(252.0, 252.0, 330.0, 240.0)), []);
+        // Simulated square images of 90 degrees.
+        assert_eq!(of(1500, Camera::new((512, 512), [256.0; 2], [256.0; 2])), []);
         let metres = vec![1090.0f32; 640 * 480];
         let frame = DepthView::from_metres(&metres, &kinect).unwrap().into_frame().unwrap();
         let found = doubts(frame);

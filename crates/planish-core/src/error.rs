@@ -109,6 +109,9 @@ pub enum FrameError {
     /// An invalid sensor pose.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
+    /// A grid of points whose sensor could be anywhere.
+    #[error("the sensor's position is unknown, and so are ranges; give the sensor's pose")]
+    UnknownSensor,
     /// Voxels of a size that a cloud cannot have.
     #[error(transparent)]
     BadVoxel(ParamError),

@@ -112,9 +112,12 @@ impl Preparation {
     /// Prepares an organized cloud. Blocks keep the fields of the pixel with the median range.
     ///
     /// # Errors
-    /// If the cloud is malformed, or its grid is smaller than a block.
+    /// If the cloud is malformed, the position of its sensor is unknown, or its grid is smaller than a block.
     pub fn cloud(&self, cloud: &mut OrganizedCloud, sensor: &SensorModel) -> Result<Prepared, FrameError> {
         let mut prepared = Prepared::default();
+        if !self.is_empty() && PointsView::from_organized(cloud)?.seen_from().is_none() {
+            return Err(FrameError::UnknownSensor);
+        }
         if self.min_range_m.is_some() || self.max_range_m.is_some() {
             let ranges_m = PointsView::from_organized(cloud)?.ranges_m();
             for (i, _) in ranges_m.iter().enumerate().filter(|(_, range_m)| self.is_outside(**range_m)) {

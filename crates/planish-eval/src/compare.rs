@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use planish_core::internal::NeighbourSearch;
-use planish_core::{Error, FrameError, PointCloud, SATURATED_DEPTH};
+use planish_core::{Error, ParamError, PointCloud, SATURATED_DEPTH};
 use planish_io::{Contents, RgbImage};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -73,7 +73,8 @@ impl Comparison {
     /// Returns true if no distance is above `max`, and no pixel is a hole in one input only.
     pub fn is_within(&self, max: f64) -> bool {
         let is_close = |distances: &Distances| distances.count == 0 || distances.max <= max;
-        self.only_in == [0; 2] && is_close(&self.distances) && self.back.as_ref().is_none_or(is_close)
+        let is_one_empty = (self.valid[0] == 0) != (self.valid[1] == 0);
+        self.only_in == [0; 2] && !is_one_empty && is_close(&self.distances) && self.back.as_ref().is_none_or(is_close)
     }
 }
 
@@ -86,7 +87,7 @@ pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, 
     if let (Some(a), Some(b)) = (depths(a), depths(b)) {
         check_shapes(&a, &b)?;
         if a.unit != b.unit {
-            return Err(mismatch("one depth image is in metres, the other in raw units; give the camera"));
+            return Err(mismatch("depth in metres and raw depth", "depth of one unit; give the camera"));
         }
         let only = |a: &[f64], b: &[f64]| a.iter().zip(b).filter(|(a, b)| a.is_finite() && !b.is_finite()).count();
         let differences = a.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs());
@@ -102,7 +103,7 @@ pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, 
         });
     }
     let (Some((a, shape_a)), Some((b, shape_b))) = (points(a), points(b)) else {
-        return Err(mismatch("one is a depth image, the other a cloud; give the camera"));
+        return Err(mismatch("a depth image and a cloud", "two of one kind; give the camera of the image"));
     };
     let (points_a, points_b) = (positions(a), positions(b));
     let valid = [&points_a, &points_b].map(|points| points.iter().filter(|point| point.is_finite()).count());
@@ -213,11 +214,12 @@ fn check_shapes(a: &Depths, b: &Depths) -> Result<(), Error> {
     if a.shape == b.shape {
         return Ok(());
     }
-    Err(mismatch(&format!("the depth images are {width}x{height} and {other_width}x{other_height}")))
+    let found = format!("depth images of {width}x{height} and {other_width}x{other_height}");
+    Err(mismatch(&found, "depth images of one size; or give a camera of each as clouds"))
 }
 
-fn mismatch(reason: &str) -> Error {
-    FrameError::GridMismatch { found: reason.to_owned(), expected: "two inputs of one kind".to_owned() }.into()
+fn mismatch(found: &str, allowed: &'static str) -> Error {
+    ParamError { field: "inputs", value: found.to_owned(), allowed }.into()
 }
 
 fn fields(a: &PointCloud, b: &PointCloud, by_index: bool) -> Vec<FieldDifference> {
@@ -302,6 +304,11 @@ mod tests {
         assert_eq!((found.fields[0].differing, found.fields[1].is_in), (Some((1, 4.0)), [false, true]));
         let found = compare(&a, &b, true).unwrap();
         assert_eq!((found.distances.max, found.back.unwrap().max), (0.5, 1.0));
+        // Nothing is not close to something.
+        let none = Contents::General(cloud(&[[f32::NAN; 3]; 2]));
+        assert!(
+            !compare(&a, &none, false).unwrap().is_within(1e9) && compare(&none, &none, true).unwrap().is_within(0.0)
+        );
         // Another number of points.
         let more = Contents::General(cloud(&[[0.0; 3]; 5]));
         assert_eq!(compare(&a, &more, false).unwrap().matching, Matching::Nearest);

@@ -24,6 +24,8 @@ const MILLIMETRES: f64 = 1000.0;
 pub struct ConvertOptions {
     /// The camera, which depth images need to become points.
     pub camera: Option<Camera>,
+    /// Units per metre of a depth image that is written [default: the camera's, or 1000].
+    pub depth_units_per_metre: Option<f64>,
     /// Leave out holes; an organized cloud then loses its grid.
     pub drop_holes: bool,
     /// The fields to keep besides x, y and z; `None` for all.
@@ -38,6 +40,11 @@ impl ConvertOptions {
     /// Sets the camera.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
+    }
+
+    /// Sets the units of depth that is written.
+    pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
+        Self { depth_units_per_metre, ..self }
     }
 
     /// Sets whether holes are left out.
@@ -109,11 +116,13 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
             contents => {
                 let cloud = contents.into_organized(options.camera.as_ref()).map_err(at_output)?;
                 let view = PointsView::from_organized(&cloud)?;
-                if !cloud.points.pose.is_identity() || !matches!(view.range_rule(), RangeRule::Depth { .. }) {
+                if !view.seen_from().is_some_and(|(_, is_depth)| is_depth) {
                     let reason = "the points are not in their camera's frame, so z is no depth";
                     return Err(at_output(FormatError::Unsupported(reason.into())));
                 }
-                write_raw(output, shape, cloud.points.positions.z(), options, &mut notes)?
+                let z = |i: usize| cloud.points.coordinate(2, i) as f32;
+                let depth_m: Vec<f32> = (0..cloud.points.len()).map(z).collect();
+                write_raw(output, shape, &depth_m, options, &mut notes)?
             }
         };
         return Ok(ConvertReport { from, to, shape, valid, notes });
@@ -138,6 +147,9 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     }
     notes.extend(adapt_fields(&mut points, from, to, options.precision));
     notes.extend(losses(&points, to));
+    if grid.is_some() && !matches!(to, Format::Pcd | Format::Ply | Format::Npy | Format::Npz) {
+        notes.push(format!("the grid is lost, since {} cannot store it", to.name()));
+    }
     let encoding = options.encoding.or(encoding).unwrap_or_default();
     let valid = points.valid_points();
     let written = match grid {
@@ -164,16 +176,19 @@ fn write_raw(
     options: &ConvertOptions,
     notes: &mut Vec<String>,
 ) -> Result<usize, Error> {
-    let any = Camera::new((width, height), [1.0; 2], [0.0; 2]).with_depth_units_per_metre(MILLIMETRES);
-    let camera = options.camera.unwrap_or(any);
+    let of_camera = options.camera.map(|camera| camera.depth_units_per_metre);
+    let units = options.depth_units_per_metre.or(of_camera).unwrap_or(MILLIMETRES);
+    let camera = Camera::new((width, height), [1.0; 2], [0.0; 2]).with_depth_units_per_metre(units);
     let raw: Vec<u16> = depth_m.iter().map(|&depth_m| camera.raw_depth(depth_m)).collect();
     let valid = raw.iter().filter(|&&raw| raw > 0).count();
-    let lost = depth_m.iter().filter(|depth_m| depth_m.is_finite() && **depth_m > 0.0).count() - valid;
-    let units = camera.depth_units_per_metre;
+    let measured = depth_m.iter().filter(|depth_m| depth_m.is_finite() && **depth_m != 0.0).count();
+    let lost = measured - valid;
     if lost > 0 {
-        notes.push(format!(
-            "{lost} pixels became holes: their depth is beyond 65534 units of 1/{units} m, or below one"
-        ));
+        notes.push(format!("{lost} pixels became holes: their depth is not within 1 to 65534 units of 1/{units} m"));
+    }
+    if valid == 0 && measured > 0 {
+        let reason = format!("no depth is within 1 to 65534 units of 1/{units} m; nothing is written");
+        return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
     }
     write_depth(output, &DepthImage { width, height, raw })?;
     Ok(valid)

@@ -84,7 +84,9 @@ pub use settings_file::{parse_settings, read_settings, settings_to_json};
 pub use trajectory::{Trajectory, read_trajectory};
 pub use triangle_files::{WRITTEN_MESHES, write_mesh};
 pub use triangles::TriangleMesh;
-pub use write::{check_writable, encode_cloud, encode_depth, write_cloud, write_depth, write_depth_metres};
+pub use write::{
+    check_writable, encode_cloud, encode_depth, is_same_file, write_cloud, write_depth, write_depth_metres,
+};
 
 /// For planish's other crates and tests; it may change with every version.
 #[doc(hidden)]

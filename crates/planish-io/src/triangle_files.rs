@@ -21,6 +21,9 @@ pub const WRITTEN_MESHES: &str = ".ply, .obj, .stl or .glb";
 pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let encode = || match extension.as_deref() {
+        _ if mesh.triangles.is_empty() => {
+            Err(FormatError::Unsupported("no pixels are connected; nothing is written".into()))
+        }
         Some("ply") => Ok(ply(mesh)),
         Some("obj") => Ok(obj(mesh).into_bytes()),
         Some("stl") => Ok(stl(mesh)),

@@ -80,12 +80,20 @@ impl TriangleMesh {
     /// Connects the points of a smoothed frame. `normals` are theirs; `noise` is the sensor's.
     ///
     /// # Errors
-    /// If the number of normals differs, or the pose of the sensor is invalid.
+    /// If the number of normals differs, or the position of the sensor is unknown.
     pub fn of(cloud: &OrganizedCloud, normals: &Xyz, noise: SensorModel) -> Result<Self, FrameError> {
         normals.check_len("the normals", cloud.points.len())?;
         let view = PointsView::from_organized(cloud)?;
+        let (sensor, _) = view.seen_from().ok_or(FrameError::UnknownSensor)?;
         let positions = &cloud.points.positions;
-        let seen = Seen { positions, normals, sensor: view.transform().translation, noise };
+        // Towards the sensor, whatever the file's convention.
+        let facing = |i: usize| {
+            let [normal, point] = [normals, positions].map(|of| DVec3::from_array(of.get(i).map(f64::from)));
+            let turned = if normal.dot(point - sensor) > 0.0 { -normal } else { normal };
+            turned.as_vec3().to_array()
+        };
+        let normals = &(0..positions.len()).map(facing).collect::<Xyz>();
+        let seen = Seen { positions, normals, sensor, noise };
         let (width, height) = (cloud.width(), cloud.height());
         let mut of_pixels: Vec<[usize; 3]> = Vec::new();
         for v in 1..height {
@@ -105,20 +113,37 @@ impl TriangleMesh {
             index[pixel] = number;
         }
         let select = |of: &Xyz| used.iter().map(|&pixel| of.get(pixel)).collect::<Xyz>();
+        let triangles: Vec<[u32; 3]> = of_pixels.into_iter().map(|pixels| pixels.map(|pixel| index[pixel])).collect();
+        let positions = select(positions);
+        let normals = with_normals_of_triangles(select(normals), &positions, &triangles);
         let colours = cloud.points.shown_rgb();
         let place = |pixel: usize| {
             let (u, v) = ((pixel % width) as f32, (pixel / width) as f32);
             [(u + 0.5) / width as f32, (v + 0.5) / height as f32]
         };
         Ok(Self {
-            positions: select(positions),
+            positions,
             origin_m: cloud.points.origin_m,
-            normals: select(normals),
+            normals,
             colours: colours.map(|colours| used.iter().map(|&pixel| colours[pixel]).collect()),
             texture: used.iter().map(|&pixel| place(pixel)).collect(),
-            triangles: of_pixels.into_iter().map(|pixels| pixels.map(|pixel| index[pixel])).collect(),
+            triangles,
         })
     }
+}
+
+/// Gives vertices without a normal the mean of their triangles.
+fn with_normals_of_triangles(mut normals: Xyz, positions: &Xyz, triangles: &[[u32; 3]]) -> Xyz {
+    let is_missing: Vec<bool> = (0..normals.len()).map(|i| !normals.is_finite(i)).collect();
+    let mut sums = vec![DVec3::ZERO; normals.len()];
+    for triangle in triangles.iter().filter(|triangle| triangle.iter().any(|&i| is_missing[i as usize])) {
+        let [a, b, c] = triangle.map(|i| DVec3::from_array(positions.get(i as usize).map(f64::from)));
+        triangle.iter().for_each(|&i| sums[i as usize] += (b - a).cross(c - a));
+    }
+    for i in (0..normals.len()).filter(|&i| is_missing[i]) {
+        normals.set(i, sums[i].normalize_or(DVec3::NEG_Z).as_vec3().to_array());
+    }
+    normals
 }
 
 impl Seen<'_> {

@@ -15,6 +15,18 @@ use super::{CloudRef, Encoding, Format, depth_png, kitti, npy, pcd, ply, write_w
 use super::{e57, las};
 use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
 
+/// Returns true if two paths refer to one file, through links of either kind.
+pub fn is_same_file(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let identity = |path: &Path| std::fs::metadata(path).map(|metadata| (metadata.dev(), metadata.ino())).ok();
+        identity(a).is_some_and(|a| identity(b) == Some(a))
+    }
+    #[cfg(not(unix))]
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}
+
 /// Encodes a cloud as the bytes of a file. Text files name their columns in a comment, CSV in the first line. LAS and
 /// LAZ lose holes, and NPY stores only positions.
 ///

@@ -17,6 +17,28 @@ use crate::errors::{frame, to_py};
 use crate::files::{cloud_of, encoding_of, put_cloud};
 use crate::settings::from_dict;
 
+/// Does work without the interpreter, on threads of its own: shared ones do not survive a fork.
+fn on_own_threads<T: Send, E: Send>(
+    py: Python<'_>,
+    work: impl FnOnce() -> Result<T, E> + Send,
+) -> Result<T, planish::Error>
+where
+    planish::Error: From<E>,
+{
+    py.detach(|| {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(planish::internal::Threads::open(Some(cores))?.install(work)?)
+    })
+}
+
+/// Refuses to write over an input.
+fn check_not_input(input: &Path, output: &Path) -> PyResult<()> {
+    match io::is_same_file(input, output) {
+        true => Err(PyValueError::new_err(format!("{}: is the input; write to another file", output.display()))),
+        false => Ok(()),
+    }
+}
+
 /// The formats that were read and written, the shape, the number of valid points, and notes.
 type Converted = (String, String, (usize, usize), usize, Vec<String>);
 
@@ -31,6 +53,7 @@ pub fn convert(
     fields: Option<Vec<String>>,
     encoding: Vec<String>,
 ) -> PyResult<Converted> {
+    check_not_input(&input, &output)?;
     let (encoding, precision) = encoding_of(&encoding)?;
     let options = ConvertOptions::default()
         .with_camera(camera.map(|camera| camera.0))
@@ -38,7 +61,7 @@ pub fn convert(
         .with_fields(fields)
         .with_encoding(encoding)
         .with_precision(precision);
-    let report = py.detach(|| {
+    let report = on_own_threads(py, || {
         let file = io::read_file(&input, &io::ReadOptions::default())?;
         io::convert(file, &output, &options)
     });
@@ -70,11 +93,12 @@ pub fn compare_files(
     nearest: bool,
 ) -> PyResult<String> {
     let camera = camera.map(|camera| camera.0);
-    let found = py.detach(|| compare::compare(&read(&a, camera.as_ref())?, &read(&b, camera.as_ref())?, nearest));
+    let found =
+        on_own_threads(py, || compare::compare(&read(&a, camera.as_ref())?, &read(&b, camera.as_ref())?, nearest));
     serde_json::to_string(&found.map_err(to_py)?).map_err(|error| PyValueError::new_err(error.to_string()))
 }
 
-/// Puts the clouds of files together, each with its pose; returns the number of points.
+/// Puts the clouds of files together, each with its pose; returns the number of points, and notes.
 #[pyfunction]
 pub fn merge(
     py: Python<'_>,
@@ -82,14 +106,13 @@ pub fn merge(
     output: PathBuf,
     poses: Option<Vec<[f64; 7]>>,
     encoding: Vec<String>,
-) -> PyResult<usize> {
+) -> PyResult<(usize, Vec<String>)> {
+    inputs.iter().try_for_each(|input| check_not_input(input, &output))?;
     let (encoding, precision) = encoding_of(&encoding)?;
-    let merged = py.detach(|| {
-        let mut format = None;
+    let merged = on_own_threads(py, || {
         let mut clouds = Vec::new();
         for (i, input) in inputs.iter().enumerate() {
-            let (read, contents) = io::read(input)?;
-            format.get_or_insert(read);
+            let (_, contents) = io::read(input)?;
             let cloud = match contents {
                 Contents::General(cloud) => cloud,
                 contents => contents.into_organized(None).map_err(planish::IoError::at(input))?.points,
@@ -97,12 +120,14 @@ pub fn merge(
             let pose = poses.as_ref().and_then(|poses| poses.get(i)).map(|pose| SensorPose::from_viewpoint(*pose));
             clouds.push((cloud, pose.unwrap_or(SensorPose::IDENTITY)));
         }
-        let mut merged = rig::merge(&clouds)?;
-        if let (Some(read), Some(to)) = (format, Format::of_extension(&output)) {
-            io::adapt_fields(&mut merged, read, to, precision);
+        let (mut merged, mut notes) = rig::merge(clouds)?;
+        if let Some(to) = Format::of_extension(&output) {
+            // As in PLY, colours are not packed.
+            notes.extend(io::adapt_fields(&mut merged, Format::Ply, to, precision));
+            notes.extend(io::losses(&merged, to));
         }
         io::write_cloud(&output, &merged, encoding.unwrap_or_default())?;
-        Ok::<usize, planish::Error>(merged.len())
+        Ok::<(usize, Vec<String>), planish::Error>((merged.len(), notes))
     });
     merged.map_err(to_py)
 }
@@ -117,9 +142,10 @@ pub fn mesh(
     raw: bool,
     settings: &Bound<'_, PyDict>,
 ) -> PyResult<(usize, usize)> {
+    check_not_input(&input, &output)?;
     let settings = from_dict(settings)?;
     let camera = camera.map(|camera| camera.0);
-    let written = py.detach(|| {
+    let written = on_own_threads(py, || {
         let (_, contents) = io::read(&input)?;
         let cloud = contents.into_organized(camera.as_ref()).map_err(planish::IoError::at(&input))?;
         let mesh = mesh_of(cloud, settings, raw)?.mesh;
@@ -150,7 +176,7 @@ pub fn clean<'py>(
     let mut cloud = cloud_given(&given)?;
     let mut grid = given.2.map(|(height, width)| (width, height));
     let steps = CleanSteps { crop_m, voxel_m, statistical, radius };
-    py.detach(|| steps.apply(&mut cloud, &mut grid)).map_err(to_py)?;
+    on_own_threads(py, || steps.apply(&mut cloud, &mut grid)).map_err(to_py)?;
     let found = PyDict::new(py);
     if let Some((width, height)) = grid {
         found.set_item("grid", (height, width))?;
@@ -166,7 +192,7 @@ pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult
     const LONGEST_SIDE: usize = 1280;
     let cloud = cloud_given(&given)?;
     let grid = given.2;
-    let picture = py.detach(|| {
+    let picture = on_own_threads(py, || {
         let cloud = match grid {
             Some((height, width)) => OrganizedCloud::new(width, height, cloud)?,
             None => render::seen_from(&cloud, from, LONGEST_SIDE)?,
@@ -175,7 +201,7 @@ pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult
         pictures.extend(render::colours(&cloud));
         Ok::<_, planish::FrameError>(render::side_by_side(&pictures))
     });
-    let picture = picture.map_err(frame)?;
+    let picture = picture.map_err(to_py)?;
     Ok(PyArray1::from_vec(py, picture.rgb).reshape([picture.height, picture.width, 3])?.into_any())
 }
 
@@ -192,7 +218,7 @@ pub fn prepare<'py>(
     let (height, width) = (depth.as_array().nrows(), depth.as_array().ncols());
     let raw: Vec<u16> = depth.as_array().iter().copied().collect();
     let mut image = DepthFrame::from_image(camera.0, DepthImage { width, height, raw }).map_err(frame)?;
-    py.detach(|| steps.depth(&mut image, &sensor)).map_err(frame)?;
+    on_own_threads(py, || steps.depth(&mut image, &sensor)).map_err(to_py)?;
     let DepthFrame { raw, camera, .. } = image;
     Ok((PyArray1::from_vec(py, raw).reshape([camera.height, camera.width])?.into_any(), PyCamera(camera)))
 }

@@ -204,10 +204,20 @@ mod tests {
 
     #[test]
     fn every_setting_of_the_smoother_is_a_parameter() {
-        // Images have floating pixels, and streams do not look for a grid, smooth twice, or move points
+        // Messages keep their grid and camera, and streams do not look for a grid, smooth twice, or move points
         // along the surface; devices and outputs are not
         // the node's parameters.
-        let left_out = ["remove_floating", "passes", "grid", "even", "devices", "outputs"];
+        let left_out = [
+            "remove_floating",
+            "min_range_m",
+            "max_range_m",
+            "decimate",
+            "passes",
+            "grid",
+            "even",
+            "devices",
+            "outputs",
+        ];
         for name in Settings::NAMES.into_iter().filter(|name| !left_out.contains(name)) {
             assert!(declared().iter().any(|(known, ..)| *known == name), "{name}");
         }

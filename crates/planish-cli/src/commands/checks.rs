@@ -47,7 +47,7 @@ pub fn check_is_new(output: &Path) -> Result<()> {
 /// Refuses to overwrite the input without --overwrite; `None` for commands that lack this option.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     let can_overwrite = overwrite.is_some();
-    if overwrite != Some(true) && is_same_file(input, output) {
+    if overwrite != Some(true) && io::is_same_file(input, output) {
         bail!(
             "{}: is the input; write to another file{}",
             output.display(),
@@ -59,22 +59,10 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
 
 /// Refuses to write over the settings.
 pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
-    if settings.is_some_and(|settings| is_same_file(settings, output)) {
+    if settings.is_some_and(|settings| io::is_same_file(settings, output)) {
         bail!("{}: is the settings file; write to another file", output.display());
     }
     Ok(())
-}
-
-/// Returns true if two paths refer to one file, through links of either kind.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let identity = |path: &Path| std::fs::metadata(path).map(|metadata| (metadata.dev(), metadata.ino())).ok();
-        identity(a).is_some_and(|a| identity(b) == Some(a))
-    }
-    #[cfg(not(unix))]
-    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
 /// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours, or

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use planish::compare::{Comparison, Distances, Matching};
 use planish::io::{self, CloudRef, Contents, ConvertOptions, FileRead, Format, read_trajectory};
-use planish::{Error, Outputs, PointCloud, SensorPose, rig};
+use planish::{Camera, DepthView, Error, IntoFrame, Outputs, PointCloud, SensorPose, rig};
 use planish_bench::{errln, outln};
 use serde_json::json;
 
@@ -30,23 +30,18 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
         Some(Format::Npy) => file.contents.is_depth(),
         _ => false,
     };
-    let camera = match (file.contents.is_depth(), stays_depth, args.camera.depth_units_per_metre) {
-        (true, false, _) => Some(args.camera.required(shape, input)?),
-        // Only the unit matters.
-        (_, true, Some(units)) => Some(
-            args.camera
-                .camera(shape)?
-                .unwrap_or(planish::Camera::new(shape, [1.0; 2], [0.0; 2]))
-                .with_depth_units_per_metre(units),
-        ),
+    let camera = match (file.contents.is_depth(), stays_depth) {
+        (true, false) => Some(args.camera.required(shape, input)?),
         _ => args.camera.camera(shape)?,
     };
+    question(input, &file.contents, camera.as_ref());
     let fields = (!args.fields.is_empty()).then(|| match &args.fields[..] {
         [none] if none == "none" => Vec::new(),
         names => names.to_vec(),
     });
     let options = ConvertOptions::default()
         .with_camera(camera)
+        .with_depth_units_per_metre(args.camera.depth_units_per_metre.filter(|_| !file.contents.is_depth()))
         .with_drop_holes(args.drop_holes)
         .with_fields(fields)
         .with_encoding(args.encoding.encoding())
@@ -69,6 +64,21 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Reports what is doubtful about a depth image and its camera; nothing is smoothed that could be wrong.
+fn question(input: &Path, contents: &Contents, camera: Option<&Camera>) {
+    let Some(camera) = camera else { return };
+    let doubts = match contents {
+        Contents::Depth(image) => {
+            DepthView::new(&image.raw, camera).and_then(IntoFrame::into_frame).map(planish::doubts)
+        }
+        Contents::DepthMetres { depth_m, .. } => {
+            DepthView::from_metres(depth_m, camera).and_then(IntoFrame::into_frame).map(planish::doubts)
+        }
+        _ => return,
+    };
+    doubts.unwrap_or_default().iter().for_each(|doubt| errln!("{}: {doubt}", input.display()));
+}
+
 /// Reads a file; a depth image becomes points if there is a camera.
 fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<(Format, Contents)> {
     let FileRead { format, contents, notes, .. } = io::read_file(file, options)?;
@@ -79,6 +89,10 @@ fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<(
             Contents::General(cloud)
         }
         contents if contents.is_depth() && !camera.is_given() => contents,
+        contents if contents.is_depth() => {
+            question(file, &contents, camera.camera(contents.shape())?.as_ref());
+            Contents::Organized(organized(contents, camera, file)?)
+        }
         contents => Contents::Organized(organized(contents, camera, file)?),
     };
     Ok((format, contents))
@@ -109,6 +123,14 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
         errln!("{}: red is {} or more", picture.display(), length(full_scale, found.unit));
     }
     let is_within = args.max.is_none_or(|max| found.is_within(max));
+    if let (Some(max), false) = (args.max, is_within) {
+        let [only_a, only_b] = found.only_in;
+        let reason = match only_a + only_b {
+            0 => format!("differ by more than {}", length(max, found.unit)),
+            only => format!("differ: {only} pixels are holes in one of them only, or a distance is above --max"),
+        };
+        errln!("{}: {reason}", names());
+    }
     if args.json {
         outln!("{}", serde_json::to_string(&found)?);
     } else {
@@ -135,6 +157,9 @@ fn print(args: &CompareArgs, found: &Comparison) {
     }
     let line = |name: &str, distances: &Distances| {
         let Distances { count, equal, mean, rms, median, p95, max, .. } = *distances;
+        if count == 0 {
+            return outln!("  {name} no common points");
+        }
         let [mean, rms, median, p95, max] = [mean, rms, median, p95, max].map(|value| length(value, unit));
         outln!("  {name} {equal} of {count} equal; mean {mean}, RMS {rms}, median {median}, 95 % {p95}, max {max}");
     };
@@ -162,12 +187,10 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     let options = args.memory.read_options();
     let mut clouds: Vec<(PointCloud, SensorPose)> = Vec::new();
     let mut bytes = 0u64;
-    let mut first_format = None;
     for (i, input) in args.inputs.iter().enumerate() {
         check_not_input(input, &args.out, None)?;
-        let (format, contents) =
+        let (_, contents) =
             read(input, &args.camera, &options.with_max_memory_bytes(options.max_memory_bytes - bytes))?;
-        first_format.get_or_insert(format);
         let cloud = match contents {
             Contents::General(cloud) => cloud,
             Contents::Organized(cloud) => cloud.points,
@@ -181,15 +204,17 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
         bytes = (bytes + 12 * cloud.len() as u64).min(options.max_memory_bytes);
         clouds.push((cloud, pose.transpose()?.unwrap_or(SensorPose::IDENTITY)));
     }
-    let mut merged = rig::merge(&clouds).map_err(Error::from)?;
-    if merged.is_empty() {
-        bail!("{}: no points; nothing is written", args.out.display());
-    }
-    convert_fields(&mut merged, first_format.unwrap_or(Format::Pcd), &args.out, args.encoding.precision());
+    let count = clouds.len();
+    let merged = rig::merge(clouds).map_err(Error::from);
+    let (mut merged, notes) = merged.with_context(|| format!("{}: nothing is written", args.out.display()))?;
+    report_notes(&args.out, &notes);
+    // As in PLY, colours are not packed.
+    convert_fields(&mut merged, Format::Ply, &args.out, args.encoding.precision());
     io::check_writable(&args.out, &merged, Outputs::POINTS)?;
     report_losses(&args.out, &merged);
     io::write_cloud(&args.out, CloudRef::General(&merged), args.encoding.encoding().unwrap_or_default())?;
-    outln!("{} clouds -> {}: {} points", clouds.len(), args.out.display(), merged.len());
+    let clouds = if count == 1 { "cloud" } else { "clouds" };
+    outln!("{count} {clouds} -> {}: {} points", args.out.display(), merged.len());
     Ok(ExitCode::SUCCESS)
 }
 

@@ -10,7 +10,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{
-    Case, CurveReport, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes, tile_planes,
+    Calibration, CalibrationReport, Case, CurveReport, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm,
+    patch_planes, tile_planes,
 };
 use planish::internal::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
@@ -39,6 +40,8 @@ struct Row {
     name: String,
     #[serde(flatten)]
     report: Report,
+    /// Share of points within one and two of their stated standard errors.
+    calibration: Option<Vec<CalibrationReport>>,
     /// Root mean square of the deviations over 30 frames of a still scene, in millimetres.
     jitter_mm: Option<f64>,
     /// Median time of a frame, in milliseconds.
@@ -263,10 +266,16 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let stirring = frames.iter().map(|frame| Ok(frame.deproject().map_err(Error::from)?.positions().clone()));
     let jitter_mm = |points: &[Xyz]| (args.still_frames > 1).then(|| jitter_mm(&truth, points));
     let raw_jitter = jitter_mm(&stirring.collect::<Result<Vec<_>>>()?);
-    let mut rows = vec![Row { name: "raw".into(), report: raw.report(), jitter_mm: raw_jitter, frame_ms: None }];
+    let mut rows = vec![Row {
+        name: "raw".into(),
+        report: raw.report(),
+        calibration: None,
+        jitter_mm: raw_jitter,
+        frame_ms: None,
+    }];
     if let Some(folder) = args.results.first() {
         let name = folder.display().to_string();
-        rows.push(Row { name, report: others.report(), jitter_mm: None, frame_ms: None });
+        rows.push(Row { name, report: others.report(), calibration: None, jitter_mm: None, frame_ms: None });
     }
     for method in &mut methods {
         let mut points = Vec::new();
@@ -278,6 +287,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
         rows.push(Row {
             name: method.name.to_owned(),
             report: method.evaluation.report(),
+            calibration: (!method.is_general).then(|| method.calibration.report()),
             jitter_mm: jitter_mm(&points),
             frame_ms: method.times_ms.get(method.times_ms.len() / 2).copied(),
         });
@@ -304,6 +314,7 @@ struct Method {
     session: Session,
     smoothed: Smoothed,
     evaluation: Evaluation,
+    calibration: Calibration,
     times_ms: Vec<f64>,
 }
 
@@ -340,6 +351,16 @@ impl Method {
         self.smooth(&case.frame, smoothing)?;
         let normals = self.smoothed.normals.as_ref().context("normals were requested")?;
         self.evaluation.add(case, &self.smoothed.points, normals);
+        if !self.is_general {
+            // In a pass of its own, which is not timed.
+            let outputs = self.session.outputs();
+            self.session.set_outputs(Outputs::POINTS.with_sigma(true));
+            let mut with_sigma = Smoothed::default();
+            self.session.smooth(&case.frame, &mut with_sigma)?;
+            self.session.set_outputs(outputs);
+            let sigma = with_sigma.sigma.as_ref().context("sigma was requested")?;
+            self.calibration.add(&case.truth, &with_sigma.points, sigma);
+        }
         Ok(())
     }
 }
@@ -351,7 +372,15 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let settings = args.smoothing.settings()?;
     let method = |name: &'static str, session: Session, is_general: bool| {
         let (smoothed, evaluation) = (Smoothed::default(), Evaluation::default());
-        Method { name, is_general, session, smoothed, evaluation, times_ms: Vec::new() }
+        Method {
+            name,
+            is_general,
+            session,
+            smoothed,
+            evaluation,
+            calibration: Calibration::default(),
+            times_ms: Vec::new(),
+        }
     };
     let on_grid = |name: &'static str, params: FrameParams| -> Result<Method> {
         let session = Session::with_params(params, CloudParams::default(), options.clone(), Vec::new())?;
@@ -446,6 +475,21 @@ fn print(rows: &[Row]) {
     line("measured, but lost", &|r| percent(r.report.lost_share));
     line("  of which on a surface, not floating", &|r| percent(r.report.lost_true_share));
     line("invented: present without a measurement", &|r| r.report.invented.to_string());
+    if let Some(calibration) = rows.iter().find_map(|row| row.calibration.as_ref()) {
+        outln!("stated standard errors (sigma): points within one, within two");
+        for (k, range) in calibration.iter().enumerate() {
+            let span = match range.near_m.is_finite() {
+                true => format!("{:.1} to {:.1} m", range.near_m, range.far_m),
+                false => "within 3 px of a step".to_owned(),
+            };
+            line(&span, &|row| {
+                let of_row = row.calibration.as_ref().map(|calibration| calibration[k]);
+                of_row.map_or("-".to_owned(), |of| {
+                    format!("{:.0}, {:.0} %", 100.0 * of.within_one, 100.0 * of.within_two)
+                })
+            });
+        }
+    }
     let or_dash = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     line("jitter of a static scene, RMS, mm", &|r| or_dash(r.jitter_mm, 2));
     line("time per frame, ms", &|r| or_dash(r.frame_ms, 1));

@@ -36,9 +36,6 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
         errln!("{}: {floating} floating pixels became holes", input.display());
     }
     events.iter().for_each(|event| errln!("{}: {event}", input.display()));
-    if mesh.triangles.is_empty() {
-        bail!("{}: no pixels are connected; nothing is written", input.display());
-    }
     io::write_mesh(output, &mesh)?;
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     outln!("{} -> {}: {vertices} vertices, {triangles} triangles", input.display(), output.display());

@@ -342,7 +342,7 @@ impl Worker<'_> {
         let sensor = |session: &mut Session, frame: Frame<'_>| -> Result<SensorModel> {
             Ok(session.params_for(frame).with_context(of_input)?.1.unwrap_or_default())
         };
-        let prepared = match (depth, cloud) {
+        let prepared = match (&mut *depth, &mut *cloud) {
             (Some(depth), _) => {
                 let sensor = sensor(&mut self.session, (&*depth).into_frame().map_err(Error::from)?)?;
                 steps.depth(depth, &sensor)
@@ -364,6 +364,20 @@ impl Worker<'_> {
         }
         if prepared.out_of_range > 0 {
             errln!("{}: {} pixels out of range became holes", input.display(), prepared.out_of_range);
+        }
+        let (valid, camera) = match (depth, cloud) {
+            (Some(depth), _) => (depth.raw.iter().any(|raw| *raw != 0), Some(depth.camera)),
+            (_, Some(cloud)) => (cloud.points.valid_points() > 0, cloud.camera),
+            _ => (true, None),
+        };
+        if !valid && prepared.out_of_range > 0 {
+            return Err(NothingLeft(format!("{}: no pixel is in range; nothing is written", input.display())).into());
+        }
+        if let (Some(Camera { width, height, fx, fy, cx, cy, .. }), true) = (camera, steps.decimate.is_some()) {
+            let note = format!("the camera of {width}x{height} pixels is {fx},{fy},{cx},{cy}");
+            if self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())) {
+                errln!("{}: {note}", input.display());
+            }
         }
         Ok(())
     }

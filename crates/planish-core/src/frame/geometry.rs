@@ -167,6 +167,15 @@ impl PointsView<'_> {
         self.geometry(&mut GeometryScratch::default()).rule
     }
 
+    /// Returns the position of the sensor among the points, and whether they are in its own frame, where z is depth;
+    /// `None` if it is unknown (docs/method.md, section 11).
+    pub fn seen_from(&self) -> Option<(DVec3, bool)> {
+        let geometry = self.geometry(&mut GeometryScratch::default());
+        let is_depth = geometry.cloud_from_sensor.is_none() && matches!(geometry.rule, RangeRule::Depth { .. });
+        let is_known = !matches!(geometry.rule, RangeRule::Constant { .. });
+        is_known.then(|| (geometry.sensor_position(), is_depth))
+    }
+
     /// Returns the assumed position of the sensor in the frame of the file, if an unorganized cloud does not state one
     /// and it cannot have been the origin; otherwise `None` (docs/method.md, section 11). Normals face it.
     pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use super::Session;
 use super::pending::{AnyFrame, OnReceipt, Pending};
-use super::sigma::check_grid;
+use super::sigma::check_sensor;
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
 use crate::frame::{Frame, IntoFrame};
+use crate::outputs::Outputs;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::AdmittedFrame;
 use crate::threads::ONE_THREAD;
@@ -25,7 +26,7 @@ impl Session {
         self.check_room()?;
         let is_cloud = frame.frame()?.grid().is_none();
         if !ONE_THREAD && self.options.outputs.sigma {
-            check_grid(frame.frame()?)?;
+            check_sensor(frame.frame()?)?;
         }
         let failed = match self.submit_now(&frame, buffer) {
             Ok(()) => None,
@@ -34,7 +35,8 @@ impl Session {
         };
         let on_receipt = self.on_receipt();
         let for_sigma = if ONE_THREAD { None } else { self.for_sigma(frame.frame()?) };
-        self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt, for_sigma });
+        let outputs = self.options.outputs;
+        self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt, for_sigma, outputs });
         failed.map_or(Ok(()), |error| self.smooth_again(error))
     }
 
@@ -56,7 +58,8 @@ impl Session {
             return Err(error);
         }
         let on_receipt = self.on_receipt();
-        self.pending.push_back(Pending { frame: None, is_cloud: frame.grid().is_none(), on_receipt, for_sigma: None });
+        let (is_cloud, outputs) = (frame.grid().is_none(), self.options.outputs);
+        self.pending.push_back(Pending { frame: None, is_cloud, on_receipt, for_sigma: None, outputs });
         Ok(())
     }
 
@@ -110,7 +113,8 @@ impl Session {
                 };
                 let timings = view.timings();
                 let mut smoothed = view.into_smoothed();
-                for_sigma.add_to(frame.frame()?, &mut smoothed, self.options.threads)?;
+                let threads = self.threads_for_sigma()?;
+                for_sigma.add_to(frame.frame()?, &mut smoothed, &threads);
                 Ok(Some(SmoothedView::owned(smoothed, timings)))
             }
             None => Ok(None),
@@ -153,18 +157,22 @@ impl Session {
 
     /// Smooths the frames in flight that have no result yet.
     fn smooth_pending(&mut self) -> Result<(), Error> {
-        let frames: Vec<(AnyFrame, OnReceipt)> = self
+        let frames: Vec<(AnyFrame, OnReceipt, Outputs)> = self
             .pending
             .iter()
             .skip(self.ready.len())
-            .filter_map(|pending| Some((pending.frame.clone()?, pending.on_receipt)))
+            .filter_map(|pending| Some((pending.frame.clone()?, pending.on_receipt, pending.outputs)))
             .collect();
-        for (frame, before) in frames {
+        for (frame, before, outputs) in frames {
+            // The outputs may have changed since.
+            let outputs_now = std::mem::replace(&mut self.options.outputs, outputs);
             let (result, on_receipt) =
                 self.as_submitted(&before, |session| session.submit_now(&frame, Smoothed::default()));
+            let for_sigma = if ONE_THREAD { None } else { self.for_sigma(frame.frame()?) };
+            self.options.outputs = outputs_now;
             // Another engine may leave the filter over time to the session.
             if let Some(pending) = self.pending.get_mut(self.ready.len()) {
-                pending.on_receipt = on_receipt;
+                (pending.on_receipt, pending.for_sigma) = (on_receipt, for_sigma);
             }
             let result = result.and_then(|()| match &mut self.open {
                 Some(open) => open.receive(),

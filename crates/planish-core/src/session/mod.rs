@@ -33,7 +33,7 @@ use crate::settings::Settings;
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_no_frames, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
-use crate::threads::ONE_THREAD;
+use crate::threads::{ONE_THREAD, Threads};
 
 pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
@@ -101,6 +101,8 @@ pub struct Session {
     doubts: Vec<Doubt>,
     /// The result before it is copied into the caller's buffers, with standard errors.
     with_sigma: Smoothed,
+    /// The threads that estimate errors, and how many were asked for.
+    sigma_threads: Option<(Option<usize>, Threads)>,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -175,6 +177,7 @@ impl Session {
             sight: None,
             doubts: Vec::new(),
             with_sigma: Smoothed::default(),
+            sigma_threads: None,
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -466,7 +469,8 @@ impl Session {
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
-            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video)));
+            let threads = self.sigma_threads.take();
+            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video), threads));
             self.sight = None;
             self.pending.clear();
             self.ready.clear();

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::sight::Sight;
 use super::sigma::ForSigma;
 use crate::fleet::SharedFrame;
+use crate::outputs::Outputs;
 use crate::temporal::CameraMotion;
 
 /// A frame that several threads own, without its type.
@@ -18,6 +19,8 @@ pub(super) struct Pending {
     pub(super) on_receipt: OnReceipt,
     /// How it gets standard errors, if they are requested.
     pub(super) for_sigma: Option<ForSigma>,
+    /// The outputs that were requested.
+    pub(super) outputs: Outputs,
 }
 
 /// How to finish a received result.

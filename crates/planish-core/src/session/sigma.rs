@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::Session;
-use crate::error::{Error, ParamError};
+use crate::error::{Error, FrameError, ParamError};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, RangeRule};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
@@ -16,6 +16,10 @@ use crate::threads::Threads;
 const HALF_PX: usize = 4;
 /// Larger residuals, in standard deviations of the sensor, count as this many: one floating pixel is no noise.
 const CLIP: f32 = 6.0;
+/// Residuals show at least this share of the sensor's deviation, and that is at least this many metres: where all
+/// pixels have the same raw value, or the sensor is exact, points still have an error.
+const LEAST_DEVIATION: f32 = 0.1;
+const LEAST_DEVIATION_M: f64 = 1e-5;
 /// The largest lag of the correlation, in pixels.
 const MOST_LAG_PX: usize = 6;
 /// Correlations below this are noise of the estimate.
@@ -65,15 +69,32 @@ pub(super) fn needed(outputs: Outputs, is_over_time: bool) -> Outputs {
 impl Session {
     /// Smooths a frame and estimates the error of each point.
     pub(super) fn smooth_with_sigma(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        check_grid(frame)?;
+        check_sensor(frame)?;
         let outputs = self.options.outputs;
         self.options.outputs = needed(outputs, self.over_time(frame).is_some());
         let result = self.smooth(frame, out);
         self.options.outputs = outputs;
         result?;
         match self.for_sigma(frame) {
-            Some(for_sigma) => for_sigma.add_to(frame, out, self.options.threads),
+            Some(for_sigma) => {
+                let threads = self.threads_for_sigma()?;
+                for_sigma.add_to(frame, out, &threads);
+                Ok(())
+            }
             None => Ok(()),
+        }
+    }
+
+    /// Returns the threads that estimate errors, kept from frame to frame.
+    pub(super) fn threads_for_sigma(&mut self) -> Result<Threads, Error> {
+        let wanted = self.options.threads;
+        match &self.sigma_threads {
+            Some((threads, open)) if *threads == wanted => Ok(open.clone()),
+            _ => {
+                let open = Threads::open(wanted)?;
+                self.sigma_threads = Some((wanted, open.clone()));
+                Ok(open)
+            }
         }
     }
 
@@ -97,42 +118,39 @@ impl Session {
     }
 }
 
-/// Refuses clouds without a grid.
-pub(super) fn check_grid(frame: Frame<'_>) -> Result<(), ParamError> {
-    match frame.grid() {
-        Some(_) => Ok(()),
-        None => Err(ParamError { field: "outputs", value: "sigma".into(), allowed: "only for frames on a grid" }),
+/// Refuses clouds without a grid, and grids whose sensor could be anywhere: they have no rays.
+pub(super) fn check_sensor(frame: Frame<'_>) -> Result<(), Error> {
+    match frame {
+        Frame::Points(points) if points.grid().is_none() => {
+            let allowed = "only for frames on a grid";
+            Err(ParamError { field: "outputs", value: "sigma".into(), allowed }.into())
+        }
+        Frame::Points(points) if points.seen_from().is_none() => Err(FrameError::UnknownSensor.into()),
+        _ => Ok(()),
     }
 }
 
 impl ForSigma {
     /// Adds the standard errors to the result of a frame, and leaves the outputs that were requested.
-    pub(super) fn add_to(
-        &self,
-        frame: Frame<'_>,
-        smoothed: &mut Smoothed,
-        threads: Option<usize>,
-    ) -> Result<(), Error> {
-        let sigma = Threads::open(threads)?.install(|| self.sigma_m(frame, smoothed));
-        smoothed.sigma = Some(sigma);
+    pub(super) fn add_to(&self, frame: Frame<'_>, smoothed: &mut Smoothed, threads: &Threads) {
+        smoothed.sigma = Some(threads.install(|| self.sigma_m(frame, smoothed)));
         let (width, height) = (smoothed.width, smoothed.height);
         smoothed.prepare(width, height, self.outputs);
-        Ok(())
     }
 
     fn sigma_m(&self, frame: Frame<'_>, smoothed: &Smoothed) -> Vec<f32> {
         let shape @ (width, _) = (smoothed.width, smoothed.height);
         let sensor = &self.params.sensor;
-        let (no_status, no_neighbours) = (Vec::new(), Vec::new());
-        let status = smoothed.status.as_ref().unwrap_or(&no_status);
-        let neighbours = smoothed.neighbours.as_ref().unwrap_or(&no_neighbours);
+        let (Some(status), Some(neighbours)) = (&smoothed.status, &smoothed.neighbours) else {
+            return vec![f32::NAN; width * smoothed.height];
+        };
         // The sensor's deviation of each smoothed point, and the residual in its units; NaN without either.
         let seen: Vec<(f32, f32, f32)> = (0..width * smoothed.height)
             .into_par_iter()
             .with_min_len(width)
             .map(|i| {
                 let (measured_m, range_m) = self.ranges_m(frame, smoothed, i);
-                let deviation_m = sensor.sigma_m(range_m) as f32;
+                let deviation_m = sensor.sigma_m(range_m).max(LEAST_DEVIATION_M) as f32;
                 (range_m as f32, deviation_m, (measured_m - range_m) as f32 / deviation_m)
             })
             .collect();
@@ -141,7 +159,7 @@ impl ForSigma {
             let residual = seen[i].2;
             (residual.is_finite() && is_smooth(i)).then(|| residual.clamp(-CLIP, CLIP))
         };
-        let residuals: Vec<Option<f32>> = (0..seen.len()).into_par_iter().map(residual).collect();
+        let residuals: Vec<Option<f32>> = (0..seen.len()).into_par_iter().with_min_len(width).map(residual).collect();
         let pixels_of_sample = if self.params.averages_blocks() { self.params.stride.pow(2) } else { 1 };
         let side = 2 * self.params.window + 1;
         let follows_noise = pixels_of_sample * side * side < FEW_PIXELS;
@@ -149,9 +167,8 @@ impl ForSigma {
         let least_area = if follows_noise && square > linear { STEREO_AREA } else { 1.0 };
         let area = correlation_area(&residuals, shape).max(least_area);
         let [mut variances, means] = windowed(&residuals, shape);
-        if follows_noise {
-            variances.iter_mut().for_each(|variance| *variance = variance.max(1.0));
-        }
+        let least = if follows_noise { 1.0 } else { LEAST_DEVIATION.powi(2) };
+        variances.iter_mut().for_each(|variance| *variance = variance.max(least));
         let of_means = (area / (2 * BIAS_HALF_PX + 1).pow(2) as f64).min(1.0) as f32;
         let steps = near_steps(&seen, shape);
         let is_plain = self.params.edges == Edges::Off && follows_noise;
@@ -171,7 +188,7 @@ impl ForSigma {
             let frames = smoothed.frames.as_ref().map_or(1.0, |frames| frames[i].max(1.0));
             let of_noise = raw * share * of_step * (FIXED_SHARE + (1.0 - FIXED_SHARE) / frames).sqrt();
             let bias = (means[i].abs() - BIAS_DEVIATIONS * (of_means * variances[i]).sqrt()).max(0.0);
-            of_noise.hypot(BIAS_WEIGHT * bias * deviation_m)
+            (of_noise.powi(2) + (BIAS_WEIGHT * bias * deviation_m).powi(2)).sqrt()
         };
         (0..seen.len()).into_par_iter().with_min_len(width).map(sigma_m).collect()
     }
@@ -227,30 +244,35 @@ fn correlation_area(residuals: &[Option<f32>], (width, height): (usize, usize)) 
 /// Returns the mean squares and the means of the residuals in windows around each pixel; 1, the square of the sensor's
 /// own, and 0 where there are none.
 fn windowed(residuals: &[Option<f32>], shape: (usize, usize)) -> [Vec<f32>; 2] {
-    let square = |i: usize| residuals[i].map(|residual| residual * residual);
-    [mean_of(square, shape, HALF_PX, 1.0), mean_of(|i| residuals[i], shape, BIAS_HALF_PX, 0.0)]
+    let [values, squares, counts] = [|value| value, |value: f32| value * value, |_: f32| 1.0]
+        .map(|of| residuals.par_iter().map(|residual| residual.map_or(0.0, of)).collect::<Vec<f32>>());
+    [mean_of(&squares, &counts, shape, HALF_PX, 1.0), mean_of(&values, &counts, shape, BIAS_HALF_PX, 0.0)]
 }
 
-/// Returns the means of values in a window around each pixel.
-fn mean_of(
-    value: impl Fn(usize) -> Option<f32> + Sync,
-    (width, height): (usize, usize),
-    half_px: usize,
-    without: f32,
-) -> Vec<f32> {
-    // Sums and counts of each column over the rows of a window, then over its columns.
-    let counted = |i: usize| value(i).map_or((0.0, 0.0), |value| (value, 1.0));
+/// Returns the quotients of two sums over a window around each pixel, or `without` where the second is 0.
+fn mean_of(values: &[f32], counts: &[f32], (width, height): (usize, usize), half_px: usize, without: f32) -> Vec<f32> {
     let mut means = vec![without; width * height];
     means.par_chunks_mut(width).enumerate().for_each(|(v, means)| {
-        let rows = v.saturating_sub(half_px)..(v + half_px + 1).min(height);
-        let columns: Vec<(f32, f32)> = (0..width)
-            .map(|u| rows.clone().map(|row| counted(row * width + u)).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d)))
-            .collect();
-        for (u, mean) in means.iter_mut().enumerate() {
-            let window = &columns[u.saturating_sub(half_px)..(u + half_px + 1).min(width)];
-            let (sum, count) = window.iter().fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
-            if count > 0.0 {
-                *mean = sum / count;
+        // Sums of each column over the rows of the window, then over its columns.
+        let (mut sums, mut numbers) = (vec![0.0f32; width], vec![0.0f32; width]);
+        for row in v.saturating_sub(half_px)..(v + half_px + 1).min(height) {
+            let row = row * width..(row + 1) * width;
+            sums.iter_mut().zip(&values[row.clone()]).for_each(|(sum, value)| *sum += value);
+            numbers.iter_mut().zip(&counts[row]).for_each(|(sum, count)| *sum += count);
+        }
+        // In f64, so that nothing is left of what has passed.
+        let (mut sum, mut number) = (0.0f64, 0.0f64);
+        for u in 0..(width + half_px) {
+            if u < width {
+                (sum, number) = (sum + f64::from(sums[u]), number + f64::from(numbers[u]));
+            }
+            if let Some(at) = u.checked_sub(half_px) {
+                if number > 0.0 {
+                    means[at] = (sum / number) as f32;
+                }
+                if let Some(first) = at.checked_sub(half_px) {
+                    (sum, number) = (sum - f64::from(sums[first]), number - f64::from(numbers[first]));
+                }
             }
         }
     });
@@ -267,13 +289,17 @@ fn near_steps(seen: &[(f32, f32, f32)], (width, height): (usize, usize)) -> Vec<
         let (u, v) = (i % width, i / width);
         (u + 1 < width && is_step(i, i + 1)) || (v + 1 < height && is_step(i, i + width))
     };
-    let steps: Vec<bool> = (0..seen.len()).into_par_iter().map(has_step).collect();
+    let steps: Vec<u8> = (0..seen.len()).into_par_iter().with_min_len(width).map(|i| u8::from(has_step(i))).collect();
     let mut near = vec![false; seen.len()];
     near.par_chunks_mut(width).enumerate().for_each(|(v, near)| {
-        let rows = v.saturating_sub(NEAR_STEP_PX)..(v + NEAR_STEP_PX + 1).min(height);
-        let columns: Vec<bool> = (0..width).map(|u| rows.clone().any(|row| steps[row * width + u])).collect();
+        let mut columns = vec![0u8; width];
+        for row in v.saturating_sub(NEAR_STEP_PX)..(v + NEAR_STEP_PX + 1).min(height) {
+            let row = &steps[row * width..(row + 1) * width];
+            columns.iter_mut().zip(row).for_each(|(column, step)| *column |= step);
+        }
         for (u, near) in near.iter_mut().enumerate() {
-            *near = columns[u.saturating_sub(NEAR_STEP_PX)..(u + NEAR_STEP_PX + 1).min(width)].iter().any(|&is| is);
+            let window = u.saturating_sub(NEAR_STEP_PX)..(u + NEAR_STEP_PX + 1).min(width);
+            *near = columns[window].iter().fold(0, |any, column| any | column) > 0;
         }
     });
     near

@@ -3,6 +3,7 @@
 //! [`Suite`] renders the frames, [`Evaluation`] computes the scores of a method on them. [`tile_planes`] needs no
 //! ground truth.
 
+mod calibration;
 mod curves;
 mod evaluation;
 mod geometry;
@@ -15,6 +16,7 @@ mod video;
 use crate::simulate::{NO_OBJECT, Truth};
 use planish_core::{Camera, Xyz};
 
+pub use calibration::{Calibration, CalibrationReport};
 pub use curves::CurveReport;
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
 pub use patches::{PatchReport, patch_planes};

@@ -18,7 +18,7 @@ use planish_core::{
 const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
 
 /// Fields that are directions, one component each.
-const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
+pub(super) const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
 
 /// The field with the index of each point's camera.
 pub(super) const CAMERA_FIELD: &str = "camera";
@@ -62,8 +62,11 @@ pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, F
 
 /// Puts parts together in a cloud whose memory is used again.
 pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
-    let farthest = parts.iter().map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
-    let first = parts.first().map_or(DVec3::ZERO, |part| part.rig_from_points.translation.round());
+    // Parts without points are nowhere.
+    let mut with_points = parts.iter().filter(|part| part.count(0..part.positions[0].len()) > 0).peekable();
+    let first = with_points.peek().copied();
+    let farthest = with_points.map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
+    let first = first.map_or(DVec3::ZERO, |part| part.rig_from_points.translation.round());
     let origin = if farthest > MOST_WITHOUT_ORIGIN_M { first } else { DVec3::ZERO };
     let mut cameras =
         match cloud.attributes.drain(..).find(|field| field.name == CAMERA_FIELD).map(|field| field.values) {

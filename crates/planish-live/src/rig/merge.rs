@@ -2,8 +2,12 @@
 
 use std::borrow::Cow;
 
-use super::fused::{CAMERA_FIELD, Part, fuse_parts};
-use planish_core::{AttributeValues, FrameError, PointCloud, SensorPose, Xyz, internal::RigidTransform};
+use glam::DVec3;
+
+use super::fused::{CAMERA_FIELD, DIRECTIONS, Part, fuse_parts};
+use planish_core::{
+    Attribute, AttributeValues, FrameError, PointCloud, Precision, SensorPose, Xyz, internal::RigidTransform,
+};
 
 /// The field with the number of each point's scan.
 const SCAN_FIELD: &str = "scan";
@@ -15,26 +19,42 @@ const MOST_CLOUDS: usize = 256;
 /// is).
 ///
 /// Holes are left out. Fields with the same name are merged, with zeros for points of clouds without them; types that
-/// differ become f64. Normals are rotated. The field `scan` contains the index of each point's cloud, and the positions
-/// of the sensors are kept as those of scanners ([`PointCloud::scanners_m`]).
+/// differ become f64, packed colours red, green and blue. Normals are rotated. The field `scan` has the index of each
+/// point's cloud, or of its scan if a cloud has several, and the positions of their sensors are kept
+/// ([`PointCloud::scanners_m`]). Returns notes for users too, one clause each.
 ///
 /// # Errors
-/// If a pose is invalid, or there are more than 256 clouds.
-pub fn merge(clouds: &[(PointCloud, SensorPose)]) -> Result<PointCloud, FrameError> {
+/// If a pose is invalid, there are more than 256 clouds, or none has a point.
+pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, Vec<String>), FrameError> {
     if clouds.len() > MOST_CLOUDS {
         let (what, expected) = ("the clouds to merge".into(), MOST_CLOUDS);
         return Err(FrameError::LengthMismatch { what, len: clouds.len(), expected });
     }
-    let (mut parts, mut scanners_m) = (Vec::with_capacity(clouds.len()), Vec::new());
+    clouds.iter_mut().for_each(|(cloud, _)| cloud.unpack_colour());
+    let (mut parts, mut scanners_m, mut first_scans) = (Vec::with_capacity(clouds.len()), Vec::new(), Vec::new());
     for (i, (cloud, pose)) in clouds.iter().enumerate() {
         let world_from_cloud = pose.transform()?;
-        let attributes = cloud.attributes.iter().filter(|field| field.name != SCAN_FIELD).map(|field| {
+        let scanners = cloud.scanners_m().map(<[_]>::to_vec);
+        let attributes = cloud.attributes.iter().map(|field| {
+            let mut field = Cow::Borrowed(field);
+            if field.name == SCAN_FIELD {
+                let of_scans = (0..field.values.len()).map(|i| match &scanners {
+                    Some(_) => field.values.get_f64(i) as u16,
+                    None => 0,
+                });
+                let values = of_scans.collect::<Vec<u16>>().into();
+                return Cow::Owned(Attribute { name: KEPT_SCAN.to_owned(), count: 1, values });
+            }
             let others = clouds.iter().filter_map(|(cloud, _)| cloud.attribute(&field.name));
             let has_type =
                 |values: &AttributeValues| std::mem::discriminant(values) == std::mem::discriminant(&field.values);
-            let mut field = Cow::Borrowed(field);
-            if !others.map(|other| &other.values).all(has_type) {
-                let values = (0..field.values.len()).map(|i| field.values.get_f64(i)).collect::<Vec<f64>>();
+            let as_f64 = || (0..field.values.len()).map(|i| field.values.get_f64(i));
+            if DIRECTIONS.iter().flatten().any(|name| *name == field.name) {
+                // Which are rotated.
+                let values = as_f64().map(|value| value as f32).collect::<Vec<f32>>();
+                field.to_mut().values = values.into();
+            } else if !others.map(|other| &other.values).all(has_type) {
+                let values = as_f64().collect::<Vec<f64>>();
                 field.to_mut().values = values.into();
             }
             if field.name == CAMERA_FIELD {
@@ -48,18 +68,36 @@ pub fn merge(clouds: &[(PointCloud, SensorPose)]) -> Result<PointCloud, FrameErr
             positions: cloud.positions.as_slices(),
             attributes: attributes.collect(),
         });
-        let sensor = cloud.pose.transform()?.translation;
-        let is_known = !cloud.pose.is_identity() || !pose.is_identity();
-        scanners_m.push(is_known.then(|| world_from_cloud.to_cloud(sensor).to_array()));
+        first_scans.push(scanners_m.len() as u16);
+        let to_world = |position: [f64; 3]| world_from_cloud.to_cloud(DVec3::from_array(position)).to_array();
+        match scanners {
+            Some(scanners) => scanners_m.extend(scanners.into_iter().map(|scanner| scanner.map(to_world))),
+            None => {
+                let is_known = !cloud.pose.is_identity() || !pose.is_identity();
+                scanners_m.push(is_known.then(|| to_world(cloud.pose.position_m)));
+            }
+        }
     }
     let mut merged = PointCloud::new(Xyz::default());
     fuse_parts(&parts, &mut merged);
+    if merged.is_empty() {
+        return Err(FrameError::NoPoints);
+    }
+    let notes = notes(&clouds);
+    place_exactly(&clouds, &mut merged)?;
+    let mut take = |name: &str| {
+        let index = merged.attributes.iter().position(|field| field.name == name)?;
+        Some(merged.attributes.remove(index).values)
+    };
     // The fused cloud's own field has the number of the cloud.
-    if let Some(index) = merged.attributes.iter().position(|field| field.name == CAMERA_FIELD) {
-        let cloud_of = merged.attributes.remove(index);
-        if let AttributeValues::U8(cloud_of) = cloud_of.values {
-            merged.set_attribute(SCAN_FIELD, cloud_of.into_iter().map(u16::from).collect::<Vec<_>>());
-        }
+    let (cloud_of, scan_of) = (take(CAMERA_FIELD), take(KEPT_SCAN));
+    if let Some(AttributeValues::U8(cloud_of)) = cloud_of {
+        let scan_of = match scan_of {
+            Some(AttributeValues::U16(scan_of)) => scan_of,
+            _ => vec![0; cloud_of.len()],
+        };
+        let scan = cloud_of.into_iter().zip(scan_of).map(|(cloud, scan)| first_scans[usize::from(cloud)] + scan);
+        merged.set_attribute(SCAN_FIELD, scan.collect::<Vec<u16>>());
     }
     for field in merged.attributes.iter_mut().filter(|field| field.name == KEPT_CAMERA) {
         field.name = CAMERA_FIELD.to_owned();
@@ -67,8 +105,61 @@ pub fn merge(clouds: &[(PointCloud, SensorPose)]) -> Result<PointCloud, FrameErr
     if scanners_m.iter().any(Option::is_some) {
         merged.set_scanners_m(scanners_m);
     }
-    Ok(merged)
+    Ok((merged, notes))
 }
+
+/// Returns what merging changes of the fields.
+fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let mut partial: Vec<&str> = Vec::new();
+    for field in clouds.iter().flat_map(|(cloud, _)| &cloud.attributes).filter(|field| field.name != SCAN_FIELD) {
+        let is_in_all = clouds.iter().all(|(cloud, _)| cloud.attribute(&field.name).is_some());
+        if !is_in_all && field.name != "_" && !partial.contains(&field.name.as_str()) {
+            partial.push(&field.name);
+        }
+    }
+    if !partial.is_empty() {
+        notes.push(format!("points of clouds without a field have 0 in it: {}", partial.join(", ")));
+    }
+    if clouds.iter().any(|(cloud, _)| cloud.attribute(SCAN_FIELD).is_some()) {
+        notes.push("the field scan is numbered anew".to_owned());
+    }
+    notes
+}
+
+/// Sets the positions of the merged cloud with all digits of the inputs, around the middle of all points.
+fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -> Result<(), FrameError> {
+    let mut exact: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(merged.len()));
+    for (cloud, pose) in clouds {
+        let world_from_cloud = pose.transform()?;
+        for i in (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)) {
+            let point = DVec3::from_array([0, 1, 2].map(|axis| cloud.coordinate(axis, i)));
+            let point = if pose.is_identity() { point } else { world_from_cloud.to_cloud(point) };
+            exact.iter_mut().zip(point.to_array()).for_each(|(exact, value)| exact.push(value));
+        }
+    }
+    let is_far = exact.iter().flatten().any(|value| value.abs() > FAR_M);
+    let middle = |values: &Vec<f64>| {
+        let mut sample: Vec<f64> = values.iter().step_by(values.len().div_ceil(1000)).copied().collect();
+        sample.sort_by(f64::total_cmp);
+        sample[sample.len() / 2].round()
+    };
+    merged.origin_m = if is_far { [0, 1, 2].map(|axis| middle(&exact[axis])) } else { [0.0; 3] };
+    let origin_m = merged.origin_m;
+    let relative = |i: usize| [0, 1, 2].map(|axis| (exact[axis][i] - origin_m[axis]) as f32);
+    merged.positions = (0..exact[0].len()).map(relative).collect();
+    if is_far || clouds.iter().any(|(cloud, _)| cloud.is_written_in_f64()) {
+        merged.position_columns.precision = Precision::F64;
+        merged.keep_exact(exact);
+    }
+    Ok(())
+}
+
+/// Coordinates beyond this need more digits than f32 has.
+const FAR_M: f64 = 1000.0;
+
+/// Name of an input's field `scan` while clouds are put together.
+const KEPT_SCAN: &str = "scan of the input";
 
 /// Name of an input's field `camera` while clouds are put together.
 const KEPT_CAMERA: &str = "camera of the input";
@@ -86,7 +177,8 @@ mod tests {
         second.set_attribute("label", vec![70_000i32]);
         second.set_attribute("scan", vec![9u16]);
         let moved = SensorPose { position_m: [0.0, 5.0, 0.0], ..SensorPose::IDENTITY };
-        let merged = merge(&[(first, SensorPose::IDENTITY), (second, moved)]).unwrap();
+        let (merged, notes) = merge(vec![(first, SensorPose::IDENTITY), (second, moved)]).unwrap();
+        assert!(notes.len() == 2 && notes[0].ends_with("camera"), "{notes:?}");
         assert_eq!(merged.positions.iter().collect::<Vec<_>>(), [[0.0, 0.0, 2.0], [1.0, 5.0, 0.0]]);
         let field = |name| &merged.attribute(name).unwrap().values;
         assert_eq!(field("label"), &AttributeValues::F64(vec![1.0, 70_000.0]));
@@ -94,7 +186,15 @@ mod tests {
         assert_eq!(field("camera"), &AttributeValues::U8(vec![7, 0]));
         assert_eq!(merged.scanners_m().unwrap(), [None, Some([0.0, 5.0, 0.0])]);
         merged.validate().unwrap();
+        // Far apart, with all digits.
+        let mut far = PointCloud::new([[0.25, 0.0, 0.0]].into_iter().collect());
+        far.origin_m = [500_000.0, 4_000_000.0, 0.0];
+        let near = PointCloud::new([[0.1, 0.2, 0.3]].into_iter().collect());
+        let (merged, _) = merge(vec![(near.clone(), SensorPose::IDENTITY), (far, SensorPose::IDENTITY)]).unwrap();
+        assert_eq!([merged.coordinate(0, 0), merged.coordinate(0, 1)], [f64::from(0.1f32), 500_000.25]);
+        assert!(merged.is_written_in_f64());
+        assert!(merge(vec![(PointCloud::new(Xyz::default()), SensorPose::IDENTITY)]).is_err());
         let many = vec![(PointCloud::new(Xyz::default()), SensorPose::IDENTITY); 257];
-        assert!(merge(&many).unwrap_err().to_string().contains("257"));
+        assert!(merge(many).unwrap_err().to_string().contains("257"));
     }
 }

@@ -85,7 +85,11 @@ impl RigOptions {
         };
         let params = rig.cameras.iter().map(of_camera).collect::<Result<Vec<_>, _>>()?;
         let merged = voxel_m.map_or_else(super::merged_params, super::merged_params_in_voxels);
-        let general_params = settings.override_cloud(merged)?;
+        // Each camera's frames are prepared, not all points together.
+        let mut of_points = settings.clone();
+        (of_points.remove_floating, of_points.decimate) = (None, None);
+        (of_points.min_range_m, of_points.max_range_m) = (None, None);
+        let general_params = of_points.override_cloud(merged)?;
         let options = Self::new(rig, way, settings.options()).with_params(params, general_params);
         let options = options
             .with_preparation(settings.preparation())
@@ -105,6 +109,9 @@ impl RigOptions {
         }
         if let Some(temporal) = &self.temporal {
             temporal.validate()?;
+        }
+        if self.smoother.outputs.sigma {
+            return Err(ParamError { field: "outputs", value: "sigma".into(), allowed: "only for single cameras" });
         }
         let Some(size_m) = self.voxel_m else { return Ok(()) };
         if self.temporal.is_some() {

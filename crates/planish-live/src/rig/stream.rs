@@ -87,8 +87,11 @@ impl<'a> RigStream<'a> {
         let steps = options.preparation;
         if !steps.is_empty() {
             let sensors = options.params.iter().map(|params| params.sensor);
-            let prepared = |(source, sensor)| Box::new(PreparedSource::new(source, steps, sensor)) as Box<dyn Source>;
-            sources = sources.into_iter().zip(sensors).map(prepared).collect();
+            let cameras = rig.cameras.iter().map(|camera| camera.camera);
+            let prepared = |((source, sensor), camera)| {
+                Box::new(PreparedSource::new(source, steps, sensor).with_camera(camera)) as Box<dyn Source>
+            };
+            sources = sources.into_iter().zip(sensors).zip(cameras).map(prepared).collect();
         }
         run(rig, sources, &options, sinks, stop.unwrap_or(&never), tell)
     }

@@ -5,7 +5,10 @@ use rayon::prelude::*;
 use super::smoother::CameraSmoother;
 use super::{RigResults, RigSmoother};
 use planish_core::internal::{ResultFilter, ResultSight};
-use planish_core::{Error, Frame, Outputs, Smoothed, SmoothedView, TemporalParams};
+use planish_core::{Error, Frame, FrameError, Outputs, Smoothed, SmoothedView, TemporalParams};
+
+/// The result of a camera.
+type CameraResult = Option<Result<Smoothed, FrameError>>;
 
 impl RigSmoother {
     /// Smooths each camera's results over time as well (docs/method.md, section 16), with one state per camera, on the
@@ -55,9 +58,16 @@ impl RigSmoother {
         mut results: RigResults,
     ) -> Result<RigResults, Error> {
         let (time_s, outputs) = (self.time_s, self.options.outputs);
-        let filter = |((camera, frame), result): ((&mut CameraSmoother, &Option<Frame<'_>>), &mut Option<_>)| {
+        type Of<'a, 'b, 'c> = ((&'a mut CameraSmoother, &'b Option<Frame<'c>>), &'a mut CameraResult);
+        let filter = |((camera, frame), result): Of<'_, '_, '_>| {
             let (Some(frame), Some(Ok(smoothed))) = (frame, result) else { return Ok(()) };
             let sight = camera.look_at(*frame, time_s, outputs);
+            if camera.video.is_some() && sight.is_none() {
+                // Points without a grid are no video.
+                let (width, height) = (smoothed.width, smoothed.height);
+                smoothed.frames = outputs.frames.then(|| vec![1.0; width * height]);
+                smoothed.prepare(width, height, outputs);
+            }
             camera.result_over_time(sight.as_ref(), smoothed)
         };
         let of_cameras = self.cameras.par_iter_mut().zip(frames).zip(&mut results).map(filter);

@@ -4,19 +4,25 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::{OwnedFrame, Source};
-use planish_core::{Error, Preparation, SensorModel};
+use planish_core::{Camera, Error, Preparation, SensorModel};
 
 /// A source whose frames are prepared: ranges cut off, floating pixels removed, resolution reduced.
 pub struct PreparedSource {
     source: Box<dyn Source>,
     steps: Preparation,
     sensor: SensorModel,
+    camera: Option<Camera>,
 }
 
 impl PreparedSource {
     /// Wraps a source; the sensor's noise tells surfaces apart.
     pub fn new(source: Box<dyn Source>, steps: Preparation, sensor: SensorModel) -> Self {
-        Self { source, steps, sensor }
+        Self { source, steps, sensor, camera: None }
+    }
+
+    /// Sets the camera of clouds that do not state theirs, which is scaled with them.
+    pub fn with_camera(self, camera: Option<Camera>) -> Self {
+        Self { camera, ..self }
     }
 }
 
@@ -32,6 +38,8 @@ impl Source for PreparedSource {
                 self.steps.depth(depth, &self.sensor)?;
             }
             Some(OwnedFrame::Cloud { cloud, .. }) => {
+                let shape = (cloud.width(), cloud.height());
+                cloud.camera = cloud.camera.or(self.camera.map(|camera| camera.with_shape(shape)));
                 self.steps.cloud(cloud, &self.sensor)?;
             }
             _ => {}
@@ -58,7 +66,7 @@ impl Source for PreparedSource {
 
 #[cfg(test)]
 mod tests {
-    use planish_core::{Camera, DepthFrame, Settings};
+    use planish_core::{DepthFrame, Settings};
 
     use super::*;
     use crate::stream::{Frames, StreamOptions};

@@ -57,8 +57,8 @@ impl StreamOptions {
         let mut of_known_sensor = settings.clone();
         of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
         of_known_sensor.frame_params()?;
-        // Floating pixels are removed before there is a frame from which to estimate a sensor.
-        if settings.remove_floating == Some(true) {
+        // These steps need the noise before there is a frame from which to estimate a sensor.
+        if settings.remove_floating == Some(true) || settings.decimate.is_some() {
             settings.frame_params()?;
         }
         let (smoother, devices) = (settings.options(), settings.devices()?);

@@ -116,7 +116,7 @@ def merge(
     output: str | PathLike[str],
     poses: list[tuple[float, ...]] | None,
     encoding: list[str],
-) -> int: ...
+) -> tuple[int, list[str]]: ...
 def mesh(
     input: str | PathLike[str],
     output: str | PathLike[str],

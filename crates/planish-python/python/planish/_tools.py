@@ -116,7 +116,7 @@ def convert(
     >>> planish.read(folder / "cloud.ply").points.shape
     (480, 640, 3)
     """
-    names = None if fields is None else list(fields)
+    names = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
     *_, notes = _planish.convert(input, output, camera, drop_holes, names, [] if encoding is None else [encoding])
     for note in notes:
         warnings.warn(f"{output}: {note}", RuntimeWarning, stacklevel=2)
@@ -191,7 +191,12 @@ def merge(
         raise ValueError(f"poses: one per input is expected: {len(files)}, not {len(placed)}")
     if placed is not None and any(len(pose) != 7 for pose in placed):
         raise ValueError("poses: 7 numbers each are expected: x, y, z, qw, qx, qy, qz")
-    return _planish.merge(files, output, placed, [] if encoding is None else [encoding])
+    if placed is not None and any(abs(sum(value * value for value in pose[3:]) - 1.0) > 1e-3 for pose in placed):
+        raise ValueError("poses: unit quaternions qw, qx, qy, qz are expected")
+    points, notes = _planish.merge(files, output, placed, [] if encoding is None else [encoding])
+    for note in notes:
+        warnings.warn(f"{output}: {note}", RuntimeWarning, stacklevel=2)
+    return points
 
 
 def mesh(

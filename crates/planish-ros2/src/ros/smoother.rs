@@ -55,12 +55,18 @@ pub struct MessageSmoother {
     warned: bool,
 }
 
-fn session_of(settings: Settings) -> Result<Session, Error> {
-    if !settings.preparation().is_empty() {
-        let allowed = "only for files and streams: messages keep their grid and camera_info (remove_floating, min_range_m, \
-                       max_range_m, decimate)";
-        return Err(ParamError { field: "settings", value: "steps before smoothing".into(), allowed }.into());
+/// Refuses the steps before smoothing.
+fn check_no_preparation(settings: &Settings) -> Result<(), ParamError> {
+    let allowed = "only for files and streams: messages keep their grid and camera_info (remove_floating, min_range_m, \
+                   max_range_m, decimate)";
+    match settings.preparation().is_empty() {
+        true => Ok(()),
+        false => Err(ParamError { field: "settings", value: "steps before smoothing".into(), allowed }),
     }
+}
+
+fn session_of(settings: Settings) -> Result<Session, Error> {
+    check_no_preparation(&settings)?;
     Ok(Session::new(settings)?.with_kept_sensor(true).with_cloud_estimates(false))
 }
 
@@ -110,6 +116,7 @@ impl MessageSmoother {
     /// As [`new`](Self::new).
     pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
         let outputs = settings.outputs.unwrap_or_default();
+        check_no_preparation(&settings)?;
         self.session.set_settings(settings)?;
         self.others.clear();
         self.outputs = outputs;

@@ -11,6 +11,7 @@ mod gpu_engine;
 mod gpu_parity;
 mod poses;
 mod reference;
+mod sigma;
 mod temporal;
 mod temporal_gpu;
 mod temporal_outputs;
