@@ -55,7 +55,7 @@ pub enum Doubt {
     },
 }
 
-/// Returns what is doubtful about a frame; nothing for unorganized clouds, which any scanner may have measured.
+/// Returns doubts about a frame; none for unorganized clouds, since any scanner may have measured them.
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     if frame.grid().is_none() {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! What happens to a frame before it is smoothed: ranges cut off, floating pixels removed, resolution reduced.
+//! Prepares a frame before it is smoothed: ranges cut off, floating pixels removed, resolution reduced.
 
 use rayon::prelude::*;
 
@@ -43,7 +43,7 @@ pub struct Prepared {
 }
 
 impl Preparation {
-    /// Returns true if there is no step.
+    /// Returns true if no step is set.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -73,7 +73,7 @@ impl Preparation {
             || max_range_m.is_some_and(|max_m| range_m > f64::from(max_m))
     }
 
-    /// Prepares a depth image. Its camera is scaled with it; colour is that of one pixel per block.
+    /// Prepares a depth image. Scales its camera too. Each block gets the colour of one of its pixels.
     ///
     /// # Errors
     /// If the image is smaller than a block.
@@ -135,7 +135,7 @@ impl Preparation {
             let medians = of_blocks.iter().enumerate();
             let medians = medians.map(|(i, block)| block.map_or_else(|| blocks.middle(i), |(median, _)| median));
             let mut points: PointCloud = cloud.points.select(&medians.collect::<Vec<_>>());
-            // The mean of the points of the same surface: that of its range, from the middle of the block.
+            // The mean of the points on the surface of the median.
             for (i, block) in of_blocks.iter().enumerate() {
                 let point = block.map_or([f32::NAN; 3], |(median, _)| {
                     let is_same = |j: &usize| same_surface(ranges_m[*j], ranges_m[median], sensor);
@@ -261,7 +261,7 @@ mod tests {
         let expected = half.deproject().unwrap();
         assert_eq!((cloud.width(), cloud.height(), cloud.camera), (4, 3, Some(half.camera)));
         for (found, expected) in cloud.positions().iter().zip(expected.positions().iter()) {
-            // Raw values are rounded to millimetres, and points of a sloping block lie beside its middle.
+            // Raw values are rounded to millimetres; points of sloping blocks are off the middle.
             assert!((found[2] - expected[2]).abs() < 1e-3 && (found[0] - expected[0]).abs() < 0.06, "{found:?}");
         }
         assert!(cloud.points.attribute("rgb").is_some_and(|rgb| rgb.values.len() == 12));

@@ -11,7 +11,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {
-    /// Each pixel or point with that of the same index.
+    /// By index: pixel with pixel, point with point.
     Index,
     /// Each point with the nearest one of the other input.
     Nearest,
@@ -33,7 +33,7 @@ pub struct Comparison {
     pub distances: Distances,
     /// From each point of the second input to the nearest of the first, for nearest points.
     pub back: Option<Distances>,
-    /// Fields that only one of them has, and those whose values differ.
+    /// Fields missing in one input, or with different values.
     pub fields: Vec<FieldDifference>,
 }
 
@@ -79,7 +79,7 @@ impl Comparison {
 }
 
 /// Compares two inputs: by index if they have the same grid or the same number of points, and by nearest points
-/// otherwise or on request. Depth images are compared in raw units, those in metres in metres.
+/// otherwise or on request. Raw depth is compared in raw units.
 ///
 /// # Errors
 /// If one is a depth image and the other is not, depth images differ in shape, or a cloud has too many points.

@@ -4,11 +4,11 @@ use planish_core::{PointCloud, Precision};
 
 use super::Format;
 
-/// Converts colours, intensities and the precision of coordinates to what readers of the format `to` expect, of a cloud
-/// read from the format `read`. Returns notes for users, one clause each.
+/// Converts colours, intensities and the precision of coordinates for readers of the format `to`. The cloud was read
+/// from the format `read`. Returns notes for users, one clause each.
 ///
-/// PCD files get coordinates of 4 bytes unless they are beyond 1000 m, since PCL reads those of 8 bytes as zeros
-/// without an error; a PCD file that has 8 bytes keeps them. `precision` overrides this.
+/// PCD files get coordinates of 4 bytes unless they are beyond 1000 m, since PCL reads 8 bytes as zeros without an
+/// error. PCD files read with 8 bytes keep them. `precision` overrides this.
 pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision: Option<Precision>) -> Vec<String> {
     let mut notes = Vec::new();
     match to {
@@ -31,7 +31,7 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
     notes
 }
 
-/// Lists what a format cannot represent of a cloud: holes and fields, one clause each.
+/// Lists the holes and fields of a cloud that a format cannot store, one clause each.
 pub fn losses(cloud: &PointCloud, to: Format) -> Vec<String> {
     let holes = cloud.len() - cloud.valid_points();
     match to {
@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(written(near(), Format::Las, Some(Precision::F64)), (true, 0));
         assert_eq!(written(far(), Format::E57, None), (true, 1));
         assert_eq!(written(far(), Format::E57, Some(Precision::F32)), (false, 0));
-        // Other formats keep what they had.
+        // Other formats keep their precision.
         let mut kept = near();
         adapt_fields(&mut kept, Format::Las, Format::Ply, None);
         assert!(kept.is_written_in_f64());

@@ -12,7 +12,7 @@ use super::{
     write_depth, write_depth_metres,
 };
 
-/// A camera whose focal length differs from that of the points by more than this factor is not theirs.
+/// The largest factor between the focal lengths of a camera and of its points.
 const FOCAL_LENGTH_FACTOR: f64 = 1.25;
 
 /// Raw units per metre of depth images, if no camera states others.
@@ -80,7 +80,7 @@ pub struct ConvertReport {
     pub shape: (usize, usize),
     /// Pixels or points that are no holes.
     pub valid: usize,
-    /// What was dropped, changed or guessed, one clause each, for users.
+    /// Notes for users on dropped, changed and guessed data, one clause each.
     pub notes: Vec<String>,
 }
 
@@ -206,8 +206,7 @@ fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatEr
 }
 
 impl Contents {
-    /// Returns the points on their grid: those of an organized cloud, or of a depth image by its camera. A camera that
-    /// is given replaces that of a cloud.
+    /// Returns points on their grid. A depth image needs its camera; a cloud gets the given camera instead of its own.
     ///
     /// # Errors
     /// If a depth image has no camera, the camera contradicts the points, or there is no grid.

@@ -17,7 +17,7 @@ use crate::errors::{frame, to_py};
 use crate::files::{cloud_of, encoding_of, put_cloud};
 use crate::settings::from_dict;
 
-/// Does work without the interpreter, on threads of its own: shared ones do not survive a fork.
+/// Does work without the interpreter, on new threads, since shared ones do not survive a fork.
 fn on_own_threads<T: Send, E: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, E> + Send,
@@ -42,7 +42,7 @@ fn check_not_input(input: &Path, output: &Path) -> PyResult<()> {
 /// The formats that were read and written, the shape, the number of valid points, and notes.
 type Converted = (String, String, (usize, usize), usize, Vec<String>);
 
-/// Converts a file; returns what was read and written, and what was dropped or changed.
+/// Converts a file; returns formats, shape and notes.
 #[pyfunction]
 pub fn convert(
     py: Python<'_>,
@@ -163,7 +163,7 @@ fn cloud_given(given: &Given<'_>) -> PyResult<PointCloud> {
     cloud_of(points, *origin_m, fields, *pose)
 }
 
-/// Cleans a cloud; returns what is left, as `read` does.
+/// Cleans a cloud; returns the rest in the form of `read`.
 #[pyfunction]
 pub fn clean<'py>(
     py: Python<'py>,
@@ -185,7 +185,7 @@ pub fn clean<'py>(
     Ok(found)
 }
 
-/// Draws a cloud as a shaded relief, and its colours beside it; [H, W, 3] bytes.
+/// Draws a cloud as a shaded relief, with its colours next to it; [H, W, 3] bytes.
 #[pyfunction]
 pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult<Bound<'py, PyAny>> {
     /// Pixels of an unorganized cloud's picture.

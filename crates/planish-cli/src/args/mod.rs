@@ -472,7 +472,7 @@ pub enum FieldArg {
 pub struct EncodingArgs {
     /// Encoding of a .pcd or .ply, and bytes of coordinates, such as compressed,f64 [default: the input's]
     ///
-    /// Coordinates in .pcd have 4 bytes (f32) unless they are beyond 1000 m: PCL reads those of 8 bytes (f64) as zeros.
+    /// Coordinates in .pcd have 4 bytes (f32) unless they are beyond 1000 m: PCL reads 8 bytes (f64) as zeros.
     #[arg(long, value_enum, value_name = "ENCODING", value_delimiter = ',', hide_short_help = true, help_heading = OUTPUT)]
     pub encoding: Vec<EncodingArg>,
 }

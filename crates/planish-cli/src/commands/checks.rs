@@ -118,7 +118,7 @@ pub fn report_losses(output: &Path, cloud: &PointCloud) {
     report_notes(output, &losses);
 }
 
-/// Converts colours, intensities and the precision of coordinates to what the output format's readers expect.
+/// Converts colours, intensities and the precision of coordinates for readers of the output format.
 pub fn convert_fields(cloud: &mut PointCloud, read: Format, output: &Path, precision: Option<Precision>) {
     if let Some(to) = Format::of_extension(output) {
         report_notes(output, &io::adapt_fields(cloud, read, to, precision));

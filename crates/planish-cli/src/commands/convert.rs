@@ -64,7 +64,7 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Reports what is doubtful about a depth image and its camera; nothing is smoothed that could be wrong.
+/// Reports doubts about a depth image and its camera.
 fn question(input: &Path, contents: &Contents, camera: Option<&Camera>) {
     let Some(camera) = camera else { return };
     let doubts = match contents {

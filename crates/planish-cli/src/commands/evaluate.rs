@@ -352,7 +352,7 @@ impl Method {
         let normals = self.smoothed.normals.as_ref().context("normals were requested")?;
         self.evaluation.add(case, &self.smoothed.points, normals);
         if !self.is_general {
-            // In a pass of its own, which is not timed.
+            // A separate pass, so that times exclude it.
             let outputs = self.session.outputs();
             self.session.set_outputs(Outputs::POINTS.with_sigma(true));
             let mut with_sigma = Smoothed::default();

@@ -310,7 +310,7 @@ impl Worker<'_> {
         }
     }
 
-    /// Returns the fields to write: `--fields`, or the outputs of the settings, and those that are renewed.
+    /// Returns the fields to write: `--fields`, or the outputs of the settings, plus renewed fields.
     fn outputs(&self) -> Outputs {
         let outputs = self.wanted_outputs();
         let Outputs { normals, curvature, .. } = self.renewed;

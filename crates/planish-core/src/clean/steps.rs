@@ -5,7 +5,7 @@ use crate::cloud::PointCloud;
 use crate::error::{Error, ParamError};
 use crate::frame::PointsView;
 
-/// What to remove of a cloud, in the order of these fields; `None` leaves a step out.
+/// Steps of cleaning, in the order of these fields; `None` leaves a step out.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CleanSteps {
     /// Box to keep: smallest and largest x, y, z in metres, in the frame of the cloud's file.
@@ -41,7 +41,7 @@ pub struct CleanCounts {
 }
 
 impl CleanSteps {
-    /// Returns true if there is no step.
+    /// Returns true if no step is set.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }

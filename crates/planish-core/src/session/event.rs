@@ -71,7 +71,7 @@ pub enum SessionEvent {
         /// Height in pixels.
         height: usize,
     },
-    /// Something about the frame makes no sense for a depth camera; it is smoothed all the same.
+    /// The frame looks wrong for a depth camera. It was smoothed anyway.
     Doubtful(Doubt),
     /// The motion of the camera is to be compensated over time, but no camera fits the points of the frames.
     CameraUnknown,

@@ -97,11 +97,11 @@ pub struct Session {
     /// The filter over time, and how the frame that was last opened for is seen.
     video: OverTime,
     sight: Option<Sight>,
-    /// What was doubtful about earlier frames.
+    /// Doubts reported for earlier frames.
     doubts: Vec<Doubt>,
     /// The result before it is copied into the caller's buffers, with standard errors.
     with_sigma: Smoothed,
-    /// The threads that estimate errors, and how many were asked for.
+    /// The requested number of threads for standard errors, and the threads.
     sigma_threads: Option<(Option<usize>, Threads)>,
     is_live: bool,
     is_single: bool,
@@ -415,7 +415,7 @@ impl Session {
         Ok(AdmittedFrame::new(frame, geometry))
     }
 
-    /// Reports once what is doubtful about frames.
+    /// Reports each doubt about frames once.
     fn doubt(&mut self, frame: Frame<'_>) {
         for doubt in doubts(frame) {
             if !self.doubts.contains(&doubt) {

@@ -1,4 +1,4 @@
-//! Smooths over time what was smoothed in space elsewhere, such as the results of a rig's cameras.
+//! Smooths results over time that were smoothed in space elsewhere, such as those of a rig.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;
@@ -26,7 +26,7 @@ pub struct ResultFilter {
 pub struct ResultSight(Sight);
 
 impl ResultFilter {
-    /// Creates a filter that has not seen any frame; it estimates the motion of the camera if `tracks_camera` is set.
+    /// Creates a filter. It estimates the motion of the camera if `tracks_camera` is set.
     pub fn new(params: TemporalParams, tracks_camera: bool) -> Self {
         let (filtering, clock, scratch) = Default::default();
         Self { params, tracks_camera, filtering, clock, scratch, is_camera_unknown: false }

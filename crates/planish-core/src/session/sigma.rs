@@ -14,7 +14,7 @@ use crate::threads::Threads;
 
 /// Half-width in pixels of the windows over which residuals are averaged.
 const HALF_PX: usize = 4;
-/// Larger residuals, in standard deviations of the sensor, count as this many: one floating pixel is no noise.
+/// Residuals are clamped to this many standard deviations, so that a floating pixel does not count as noise.
 const CLIP: f32 = 6.0;
 /// Residuals show at least this share of the sensor's deviation, and that is at least this many metres: where all
 /// pixels have the same raw value, or the sensor is exact, points still have an error.
@@ -24,7 +24,7 @@ const LEAST_DEVIATION_M: f64 = 1e-5;
 const MOST_LAG_PX: usize = 6;
 /// Correlations below this are noise of the estimate.
 const LEAST_CORRELATION: f64 = 0.02;
-/// Every so many rows and columns tell the correlation.
+/// The correlation is estimated from every third row and column.
 const STEP_PX: usize = 3;
 /// The standard error in units of the residual deviation over the root of the number of samples, measured on simulated
 /// frames of every sensor; and the exponent of the area of correlation, whose estimate from residuals is low.
@@ -43,8 +43,8 @@ const STEREO_AREA: f64 = 8.0;
 /// There, polynomials without kept edges follow the noise by this factor, and at most this share of it is left.
 const FOLLOWING_FACTOR: f64 = 2.0;
 const MOST_SHARE: f64 = 0.85;
-/// Half-width in pixels of the windows whose mean residual shows that a surface was flattened, by how many of its own
-/// deviations it must differ from 0, and how much of it is an error of the position.
+/// A mean residual over a window of this half-width in pixels shows that smoothing flattened the surface, if it exceeds
+/// its noise by this many deviations. This share of the rest is added as an error.
 const BIAS_HALF_PX: usize = 2;
 const BIAS_DEVIATIONS: f32 = 2.0;
 const BIAS_WEIGHT: f32 = 0.5;

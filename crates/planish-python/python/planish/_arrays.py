@@ -84,7 +84,7 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
             f"a frame of shape {list(array.shape)} is not allowed: depth [H, W], points [H, W, 3] or points [N, 3]"
         )
     if is_depth and is_float and array.dtype != np.float32:
-        # Depth in metres needs no more digits.
+        # float32 suffices for depth in metres.
         array = array.astype(np.float32)
     allowed = (np.uint16, np.float32) if is_depth else (np.float32, np.float64)
     if array.dtype.newbyteorder("=") not in allowed:

@@ -64,7 +64,7 @@ def described(of: Any) -> str:
     return f"{type(of).__name__}({', '.join(given)})"
 
 
-# Outputs that were not requested. Code that uses those it requested needs no checks for ``None``.
+# The value of outputs that were not requested. Typed as Any, so that requested outputs need no check for None.
 _ABSENT: Any = None
 
 

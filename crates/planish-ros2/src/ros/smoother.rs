@@ -123,8 +123,8 @@ impl MessageSmoother {
         Ok(())
     }
 
-    /// Sets the topic of the next messages. If they are smoothed over time, every topic is a video of its own, with its
-    /// own engine; otherwise this has no effect.
+    /// Sets the topic of the next messages. Smoothing over time uses one session and engine per topic; otherwise this
+    /// has no effect.
     ///
     /// # Errors
     /// As [`new`](Self::new).

@@ -79,7 +79,7 @@ fn each_camera_has_the_video_of_a_session_of_its_own() {
     let mut sessions = [session(), session()];
     for (t, moment) in moments.iter().enumerate() {
         let mut frames = frames_of(moment);
-        // A camera that misses a moment goes on with its video.
+        // A camera misses a moment and continues its video.
         if t == 5 {
             frames[1] = None;
         }
