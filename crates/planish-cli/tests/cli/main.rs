@@ -9,6 +9,7 @@ mod measure;
 #[cfg(target_os = "linux")]
 mod mutation;
 mod outputs;
+mod preparation;
 mod rigs;
 mod settings;
 mod tools;

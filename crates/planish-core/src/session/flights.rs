@@ -113,8 +113,7 @@ impl Session {
                 };
                 let timings = view.timings();
                 let mut smoothed = view.into_smoothed();
-                let threads = self.threads_for_sigma()?;
-                for_sigma.add_to(frame.frame()?, &mut smoothed, &threads);
+                self.add_sigma(frame.frame()?, &mut smoothed, &for_sigma)?;
                 Ok(Some(SmoothedView::owned(smoothed, timings)))
             }
             None => Ok(None),

@@ -1,5 +1,6 @@
 //! Smooths frames of any shape: opens and reopens engines, and recovers when a GPU is lost or too small.
 
+mod build;
 mod clock;
 mod evenly;
 mod event;
@@ -21,7 +22,7 @@ mod watch;
 use std::collections::VecDeque;
 
 use crate::cpu::CloudEstimate;
-use crate::doubts::{Doubt, doubts};
+use crate::doubts::Doubt;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::{EngineError, Error};
 use crate::fleet::FleetDevice;
@@ -43,6 +44,7 @@ use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
 pub use results::{ResultFilter, ResultSight};
 use sight::Sight;
+use sigma::SigmaBuffers;
 pub use watch::ProgressWatch;
 
 /// Smooths frames and clouds of any shape, one after another or several in flight.
@@ -101,6 +103,7 @@ pub struct Session {
     doubts: Vec<Doubt>,
     /// The result before it is copied into the caller's buffers, with standard errors.
     with_sigma: Smoothed,
+    sigma: SigmaBuffers,
     /// The requested number of threads for standard errors, and the threads.
     sigma_threads: Option<(Option<usize>, Threads)>,
     is_live: bool,
@@ -177,6 +180,7 @@ impl Session {
             sight: None,
             doubts: Vec::new(),
             with_sigma: Smoothed::default(),
+            sigma: SigmaBuffers::default(),
             sigma_threads: None,
             is_live: false,
             is_single: false,
@@ -208,56 +212,6 @@ impl Session {
             }
         }
         Ok(())
-    }
-
-    /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
-    pub fn with_live(self, is_live: bool) -> Self {
-        Self { is_live, ..self }
-    }
-
-    /// Sets whether there is only one frame or cloud. [`Engine::Auto`] then takes the CPU unless it has more than six
-    /// million pixels or half a million points, since opening a GPU takes longer than smoothing it.
-    pub fn with_single_frame(self, is_single: bool) -> Self {
-        Self { is_single, ..self }
-    }
-
-    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a
-    /// video wants it. Otherwise every frame gets its own window.
-    pub fn with_kept_window(self, keeps_window: bool) -> Self {
-        Self { keeps_window, ..self }
-    }
-
-    /// Sets whether the sensor estimated from the first frame serves all frames, as in a video or a folder.
-    /// Otherwise it is estimated from every frame.
-    pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
-        Self { keeps_sensor, ..self }
-    }
-
-    /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
-    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If
-    /// not, parameters are those of [`Settings::cloud_params`], which is faster and avoids flicker in a video.
-    pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
-        Self { estimates_clouds, ..self }
-    }
-
-    /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
-    pub fn with_options(mut self, options: SmootherOptions) -> Self {
-        self.options = match &self.chosen {
-            Chosen::Settings(settings) => settings.override_options(options),
-            Chosen::Params(..) => options,
-        };
-        self
-    }
-
-    /// Sets the devices that share the frames; they replace the settings' devices.
-    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
-        Self { devices, device: 0, ..self }
-    }
-
-    /// Sets which of the devices smooths frames one at a time, for sessions that share a list of devices.
-    pub fn with_device(self, index: usize) -> Self {
-        let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
-        Self { device, ..self }
     }
 
     /// Changes the settings from the next frame on. Frames in flight keep theirs.
@@ -415,16 +369,6 @@ impl Session {
         Ok(AdmittedFrame::new(frame, geometry))
     }
 
-    /// Reports each doubt about frames once.
-    fn doubt(&mut self, frame: Frame<'_>) {
-        for doubt in doubts(frame) {
-            if !self.doubts.contains(&doubt) {
-                self.doubts.push(doubt);
-                self.events.push(SessionEvent::Doubtful(doubt));
-            }
-        }
-    }
-
     fn engine_for(&self, is_cloud: bool) -> Engine {
         if self.losses.uses_cpu() {
             return Engine::Cpu;
@@ -497,6 +441,7 @@ impl Session {
         (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
+        (self.with_sigma, self.sigma) = Default::default();
         self.restart_video();
         self.video.close();
         self.pending.clear();

@@ -72,17 +72,20 @@ impl Session {
         check_sensor(frame)?;
         let outputs = self.options.outputs;
         self.options.outputs = needed(outputs, self.over_time(frame).is_some());
+        // The session lends buffers for results that were not requested.
+        self.sigma.exchange(out, outputs);
+        self.sigma.spare.sigma = out.sigma.take();
         let result = self.smooth(frame, out);
         self.options.outputs = outputs;
-        result?;
-        match self.for_sigma(frame) {
-            Some(for_sigma) => {
-                let threads = self.threads_for_sigma()?;
-                for_sigma.add_to(frame, out, &threads);
-                Ok(())
-            }
-            None => Ok(()),
+        let for_sigma = result.and_then(|()| Ok((self.for_sigma(frame), self.threads_for_sigma()?)));
+        if let Ok((Some(for_sigma), threads)) = &for_sigma {
+            for_sigma.estimate(frame, out, threads, &mut self.sigma);
         }
+        self.sigma.exchange(out, outputs);
+        // Clears results left from earlier calls with other outputs.
+        let (width, height) = frame.shape();
+        out.prepare(width, height, outputs);
+        for_sigma.map(drop)
     }
 
     /// Returns the threads that estimate errors, kept from frame to frame.
@@ -109,6 +112,20 @@ impl Session {
         result
     }
 
+    /// Adds standard errors to a received result.
+    pub(super) fn add_sigma(
+        &mut self,
+        frame: Frame<'_>,
+        smoothed: &mut Smoothed,
+        for_sigma: &ForSigma,
+    ) -> Result<(), Error> {
+        let threads = self.threads_for_sigma()?;
+        for_sigma.estimate(frame, smoothed, &threads, &mut self.sigma);
+        let (width, height) = frame.shape();
+        smoothed.prepare(width, height, for_sigma.outputs);
+        Ok(())
+    }
+
     /// Returns how the last frame that an engine was opened for gets its standard errors, if they are requested.
     pub(super) fn for_sigma(&mut self, frame: Frame<'_>) -> Option<ForSigma> {
         let params = self.open.as_ref()?.open_for().params;
@@ -130,78 +147,137 @@ pub(super) fn check_sensor(frame: Frame<'_>) -> Result<(), Error> {
     }
 }
 
-impl ForSigma {
-    /// Adds the standard errors to the result of a frame, and leaves the outputs that were requested.
-    pub(super) fn add_to(&self, frame: Frame<'_>, smoothed: &mut Smoothed, threads: &Threads) {
-        smoothed.sigma = Some(threads.install(|| self.sigma_m(frame, smoothed)));
-        let (width, height) = (smoothed.width, smoothed.height);
-        smoothed.prepare(width, height, self.outputs);
+/// Buffers that are kept from frame to frame.
+#[derive(Debug, Default)]
+pub(super) struct SigmaBuffers {
+    /// Results that the caller did not request.
+    spare: Smoothed,
+    /// The smoothed range of each pixel, and the sensor's deviation there.
+    ranges_m: Vec<f32>,
+    deviations_m: Vec<f32>,
+    /// Residuals in deviations, their squares, and 1 for pixels that have one.
+    values: Vec<f32>,
+    squares: Vec<f32>,
+    counts: Vec<f32>,
+    /// Means of squares and of residuals.
+    variances: Vec<f32>,
+    means: Vec<f32>,
+    /// Steps, and the pixels near one.
+    steps: Vec<u8>,
+    near: Vec<u8>,
+}
+
+impl SigmaBuffers {
+    /// Swaps buffers that are needed but not requested with those of the caller's result.
+    fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
+        let spare = &mut self.spare;
+        if !outputs.points {
+            std::mem::swap(&mut out.points, &mut spare.points);
+        }
+        if !outputs.status {
+            std::mem::swap(&mut out.status, &mut spare.status);
+        }
+        if !outputs.neighbours {
+            std::mem::swap(&mut out.neighbours, &mut spare.neighbours);
+        }
+        if !outputs.frames {
+            std::mem::swap(&mut out.frames, &mut spare.frames);
+        }
     }
 
-    fn sigma_m(&self, frame: Frame<'_>, smoothed: &Smoothed) -> Vec<f32> {
+    fn resize(&mut self, pixels: usize) {
+        let Self { ranges_m, deviations_m, values, squares, counts, variances, means, steps, near, .. } = self;
+        for buffer in [ranges_m, deviations_m, values, squares, counts, variances, means] {
+            buffer.resize(pixels, 0.0);
+        }
+        steps.resize(pixels, 0);
+        near.resize(pixels, 0);
+    }
+}
+
+fn is_on_surface(status: Status) -> bool {
+    matches!(status, Status::Plane | Status::Polynomial2 | Status::Polynomial3)
+}
+
+impl ForSigma {
+    /// Estimates the standard errors of a frame's result.
+    fn estimate(&self, frame: Frame<'_>, smoothed: &mut Smoothed, threads: &Threads, buffers: &mut SigmaBuffers) {
+        let pixels = smoothed.width * smoothed.height;
+        let mut sigma_m = buffers.spare.sigma.take().or(smoothed.sigma.take()).unwrap_or_default();
+        sigma_m.resize(pixels, f32::NAN);
+        buffers.resize(pixels);
+        threads.install(|| self.fill(frame, smoothed, buffers, &mut sigma_m));
+        smoothed.sigma = Some(sigma_m);
+    }
+
+    fn fill(&self, frame: Frame<'_>, smoothed: &Smoothed, buffers: &mut SigmaBuffers, sigma_m: &mut [f32]) {
         let shape @ (width, _) = (smoothed.width, smoothed.height);
         let sensor = &self.params.sensor;
         let (Some(status), Some(neighbours)) = (&smoothed.status, &smoothed.neighbours) else {
-            return vec![f32::NAN; width * smoothed.height];
+            return sigma_m.fill(f32::NAN);
         };
-        // The sensor's deviation of each smoothed point, and the residual in its units; NaN without either.
-        let seen: Vec<(f32, f32, f32)> = (0..width * smoothed.height)
-            .into_par_iter()
-            .with_min_len(width)
-            .map(|i| {
-                let (measured_m, range_m) = self.ranges_m(frame, smoothed, i);
-                let deviation_m = sensor.sigma_m(range_m).max(LEAST_DEVIATION_M) as f32;
-                (range_m as f32, deviation_m, (measured_m - range_m) as f32 / deviation_m)
-            })
-            .collect();
-        let is_smooth = |i: usize| matches!(status[i], Status::Plane | Status::Polynomial2 | Status::Polynomial3);
-        let residual = |i: usize| {
-            let residual = seen[i].2;
-            (residual.is_finite() && is_smooth(i)).then(|| residual.clamp(-CLIP, CLIP))
-        };
-        let residuals: Vec<Option<f32>> = (0..seen.len()).into_par_iter().with_min_len(width).map(residual).collect();
+        let SigmaBuffers { ranges_m, deviations_m, values, squares, counts, variances, means, steps, near, .. } =
+            buffers;
+        let rows = ranges_m.par_chunks_mut(width).zip(deviations_m.par_chunks_mut(width));
+        let rows = rows.zip(values.par_chunks_mut(width)).zip(squares.par_chunks_mut(width));
+        let rows = rows.zip(counts.par_chunks_mut(width)).enumerate();
+        rows.for_each(|(v, ((((ranges_m, deviations_m), values), squares), counts))| {
+            for u in 0..width {
+                let i = v * width + u;
+                let (measured_m, range_m) = self.ranges_m(frame, smoothed, (u, v));
+                let deviation_m = sensor.sigma_m(range_m).max(LEAST_DEVIATION_M);
+                let residual = ((measured_m - range_m) / deviation_m) as f32;
+                let counts_here = residual.is_finite() && is_on_surface(status[i]);
+                let value = if counts_here { residual.clamp(-CLIP, CLIP) } else { 0.0 };
+                (ranges_m[u], deviations_m[u]) = (range_m as f32, deviation_m as f32);
+                (values[u], squares[u], counts[u]) = (value, value * value, f32::from(u8::from(counts_here)));
+            }
+        });
         let pixels_of_sample = if self.params.averages_blocks() { self.params.stride.pow(2) } else { 1 };
         let side = 2 * self.params.window + 1;
         let follows_noise = pixels_of_sample * side * side < FEW_PIXELS;
         let [_, linear, square] = sensor.sigma;
         let least_area = if follows_noise && square > linear { STEREO_AREA } else { 1.0 };
-        let area = correlation_area(&residuals, shape).max(least_area);
-        let [mut variances, means] = windowed(&residuals, shape);
+        let area = correlation_area(values, counts, shape).max(least_area);
         let least = if follows_noise { 1.0 } else { LEAST_DEVIATION.powi(2) };
-        variances.iter_mut().for_each(|variance| *variance = variance.max(least));
+        set_means(variances, [squares, counts], shape, HALF_PX, 1.0);
+        set_means(means, [values, counts], shape, BIAS_HALF_PX, 0.0);
+        mark_near_steps([steps, near], [ranges_m, deviations_m], shape);
         let of_means = (area / (2 * BIAS_HALF_PX + 1).pow(2) as f64).min(1.0) as f32;
-        let steps = near_steps(&seen, shape);
         let is_plain = self.params.edges == Edges::Off && follows_noise;
         let gain = FACTOR * area.powf(EXPONENT) * if is_plain { FOLLOWING_FACTOR } else { 1.0 };
-        let sigma_m = |i: usize| {
-            let (range_m, deviation_m, _) = seen[i];
-            if !range_m.is_finite() || !status[i].has_point() {
+        let (gain, most_share) = ((gain / f64::from(pixels_of_sample).sqrt()) as f32, MOST_SHARE as f32);
+        let of_pixel = |i: usize| {
+            let deviation_m = deviations_m[i];
+            if !ranges_m[i].is_finite() || !status[i].has_point() {
                 return f32::NAN;
             }
-            let raw = variances[i].sqrt() * deviation_m;
-            if !is_smooth(i) {
+            let variance = variances[i].max(least);
+            let raw = variance.sqrt() * deviation_m;
+            if !is_on_surface(status[i]) {
                 return raw;
             }
-            let pixels = f64::from(neighbours[i].max(1) * pixels_of_sample);
-            let share = (gain / pixels.sqrt()).min(MOST_SHARE) as f32;
-            let of_step = if steps[i] { NEAR_STEP_FACTOR } else { 1.0 };
+            let share = (gain / (neighbours[i].max(1) as f32).sqrt()).min(most_share);
+            let of_step = if near[i] > 0 { NEAR_STEP_FACTOR } else { 1.0 };
             let frames = smoothed.frames.as_ref().map_or(1.0, |frames| frames[i].max(1.0));
             let of_noise = raw * share * of_step * (FIXED_SHARE + (1.0 - FIXED_SHARE) / frames).sqrt();
-            let bias = (means[i].abs() - BIAS_DEVIATIONS * (of_means * variances[i]).sqrt()).max(0.0);
+            let bias = (means[i].abs() - BIAS_DEVIATIONS * (of_means * variance).sqrt()).max(0.0);
             (of_noise.powi(2) + (BIAS_WEIGHT * bias * deviation_m).powi(2)).sqrt()
         };
-        (0..seen.len()).into_par_iter().with_min_len(width).map(sigma_m).collect()
+        sigma_m.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
+            row.iter_mut().enumerate().for_each(|(u, sigma_m)| *sigma_m = of_pixel(v * width + u));
+        });
     }
 
     /// Returns the ranges of a pixel as measured and smoothed.
-    fn ranges_m(&self, frame: Frame<'_>, smoothed: &Smoothed, i: usize) -> (f64, f64) {
-        let Self { geometry, .. } = self;
+    fn ranges_m(&self, frame: Frame<'_>, smoothed: &Smoothed, (u, v): (usize, usize)) -> (f64, f64) {
+        let (Self { geometry, .. }, i) = (self, v * smoothed.width + u);
         let range_m = |point: glam::DVec3| match (geometry.cloud_from_sensor, geometry.rule) {
             (None, RangeRule::Depth { .. }) => point.z.abs(),
             (transform, _) => geometry.range_m(transform.map_or(point, |transform| transform.to_sensor(point))),
         };
         let measured_m = match frame {
-            Frame::Depth(depth) => f64::from(depth.depth_m(i % smoothed.width, i / smoothed.width)),
+            Frame::Depth(depth) => f64::from(depth.depth_m(u, v)),
             Frame::Points(points) => range_m(points.point(i)),
         };
         (measured_m, range_m(glam::Vec3::from_array(smoothed.points.get(i)).as_dvec3()))
@@ -209,23 +285,22 @@ impl ForSigma {
 }
 
 /// Returns the number of pixels whose noise counts as one: the sum of the correlations of the residuals over all lags.
-fn correlation_area(residuals: &[Option<f32>], (width, height): (usize, usize)) -> f64 {
+fn correlation_area(values: &[f32], counts: &[f32], (width, height): (usize, usize)) -> f64 {
     let along = |step: usize, columns: usize, rows: usize| {
         let correlation = |lag: usize| {
             let of_row = |v: usize| {
-                let (mut product, mut square) = (0.0, 0.0);
+                let (mut product, mut square) = (0.0f32, 0.0f32);
                 for u in (0..columns).step_by(STEP_PX) {
-                    let i = v * width + u;
-                    if let (Some(a), Some(b)) = (residuals[i], residuals[i + lag * step]) {
-                        product += f64::from(a * b);
-                        square += 0.5 * f64::from(a * a + b * b);
-                    }
+                    let (i, j) = (v * width + u, v * width + u + lag * step);
+                    // Values are 0 where they do not count.
+                    product += values[i] * values[j];
+                    square += 0.5 * (values[i].powi(2) + values[j].powi(2)) * counts[i] * counts[j];
                 }
-                (product, square)
+                [f64::from(product), f64::from(square)]
             };
-            let of_rows: Vec<(f64, f64)> =
-                (0..rows).step_by(STEP_PX).collect::<Vec<_>>().into_par_iter().map(of_row).collect();
-            let (product, square) = of_rows.iter().fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+            let of_rows: Vec<[f64; 2]> =
+                (0..rows.div_ceil(STEP_PX)).into_par_iter().map(|row| of_row(row * STEP_PX)).collect();
+            let [product, square] = [0, 1].map(|k| of_rows.iter().map(|row| row[k]).sum::<f64>());
             if square > 0.0 { product / square } else { 0.0 }
         };
         let mut sum = 1.0;
@@ -241,17 +316,14 @@ fn correlation_area(residuals: &[Option<f32>], (width, height): (usize, usize)) 
     along(1, width.saturating_sub(MOST_LAG_PX), height) * along(width, width, height.saturating_sub(MOST_LAG_PX))
 }
 
-/// Returns the mean squares and the means of the residuals in windows around each pixel; 1, the square of the sensor's
-/// own, and 0 where there are none.
-fn windowed(residuals: &[Option<f32>], shape: (usize, usize)) -> [Vec<f32>; 2] {
-    let [values, squares, counts] = [|value| value, |value: f32| value * value, |_: f32| 1.0]
-        .map(|of| residuals.par_iter().map(|residual| residual.map_or(0.0, of)).collect::<Vec<f32>>());
-    [mean_of(&squares, &counts, shape, HALF_PX, 1.0), mean_of(&values, &counts, shape, BIAS_HALF_PX, 0.0)]
-}
-
-/// Returns the quotients of two sums over a window around each pixel, or `without` where the second is 0.
-fn mean_of(values: &[f32], counts: &[f32], (width, height): (usize, usize), half_px: usize, without: f32) -> Vec<f32> {
-    let mut means = vec![without; width * height];
+/// Sets the quotients of two sums over a window around each pixel, or `without` where the second is 0.
+fn set_means(
+    means: &mut [f32],
+    [values, counts]: [&[f32]; 2],
+    (width, height): (usize, usize),
+    half_px: usize,
+    without: f32,
+) {
     means.par_chunks_mut(width).enumerate().for_each(|(v, means)| {
         // Sums of each column over the rows of the window, then over its columns.
         let (mut sums, mut numbers) = (vec![0.0f32; width], vec![0.0f32; width]);
@@ -267,30 +339,31 @@ fn mean_of(values: &[f32], counts: &[f32], (width, height): (usize, usize), half
                 (sum, number) = (sum + f64::from(sums[u]), number + f64::from(numbers[u]));
             }
             if let Some(at) = u.checked_sub(half_px) {
-                if number > 0.0 {
-                    means[at] = (sum / number) as f32;
-                }
+                means[at] = if number > 0.0 { (sum / number) as f32 } else { without };
                 if let Some(first) = at.checked_sub(half_px) {
                     (sum, number) = (sum - f64::from(sums[first]), number - f64::from(numbers[first]));
                 }
             }
         }
     });
-    means
 }
 
-/// Returns which pixels are near a step of the smoothed surface.
-fn near_steps(seen: &[(f32, f32, f32)], (width, height): (usize, usize)) -> Vec<bool> {
-    let is_step = |i: usize, j: usize| {
-        let ((a_m, deviation_m, _), (b_m, ..)) = (seen[i], seen[j]);
-        (a_m - b_m).abs() > (STEP_DEVIATIONS * deviation_m).max(STEP_SHARE * a_m)
-    };
-    let has_step = |i: usize| {
-        let (u, v) = (i % width, i / width);
-        (u + 1 < width && is_step(i, i + 1)) || (v + 1 < height && is_step(i, i + width))
-    };
-    let steps: Vec<u8> = (0..seen.len()).into_par_iter().with_min_len(width).map(|i| u8::from(has_step(i))).collect();
-    let mut near = vec![false; seen.len()];
+/// Marks the pixels near a step of the smoothed surface.
+fn mark_near_steps(
+    [steps, near]: [&mut [u8]; 2],
+    [ranges_m, deviations_m]: [&[f32]; 2],
+    (width, height): (usize, usize),
+) {
+    steps.par_chunks_mut(width).enumerate().for_each(|(v, steps)| {
+        let of_row = |v: usize| &ranges_m[v * width..(v + 1) * width];
+        let (here, deviations_m) = (of_row(v), &deviations_m[v * width..(v + 1) * width]);
+        let below = of_row((v + 1).min(height - 1));
+        for (u, step) in steps.iter_mut().enumerate() {
+            let limit_m = (STEP_DEVIATIONS * deviations_m[u]).max(STEP_SHARE * here[u]);
+            let right = here[(u + 1).min(width - 1)];
+            *step = u8::from((here[u] - right).abs() > limit_m) | u8::from((here[u] - below[u]).abs() > limit_m);
+        }
+    });
     near.par_chunks_mut(width).enumerate().for_each(|(v, near)| {
         let mut columns = vec![0u8; width];
         for row in v.saturating_sub(NEAR_STEP_PX)..(v + NEAR_STEP_PX + 1).min(height) {
@@ -299,8 +372,7 @@ fn near_steps(seen: &[(f32, f32, f32)], (width, height): (usize, usize)) -> Vec<
         }
         for (u, near) in near.iter_mut().enumerate() {
             let window = u.saturating_sub(NEAR_STEP_PX)..(u + NEAR_STEP_PX + 1).min(width);
-            *near = columns[window].iter().fold(0, |any, column| any | column) > 0;
+            *near = columns[window].iter().fold(0, |any, column| any | column);
         }
     });
-    near
 }

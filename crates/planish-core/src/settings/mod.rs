@@ -11,6 +11,7 @@ mod resolve;
 mod serialize;
 mod suggest;
 mod value;
+mod video;
 
 use std::str::FromStr;
 
@@ -23,7 +24,6 @@ use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges, Params, Project, Strength};
 use crate::preparation::Preparation;
 use crate::sensor::SensorModel;
-use crate::temporal::TemporalParams;
 use crate::threads::ONE_THREAD;
 
 pub use choices::{GridChoice, Preset, RadiusChoice, SensorChoice, TemporalChoice};
@@ -303,32 +303,6 @@ impl Settings {
     pub fn spaces_evenly(&self) -> bool {
         // WebAssembly leaves it out, and `validate` refuses it there.
         self.even == Some(true) && !ONE_THREAD
-    }
-
-    /// Returns how the frames of a video are smoothed over time; `None` if they are not.
-    pub fn temporal_params(&self) -> Option<TemporalParams> {
-        // WebAssembly leaves it out, and `validate` refuses it there.
-        let is_steady = self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera();
-        (is_steady && !ONE_THREAD).then_some(TemporalParams::STEADY)
-    }
-
-    /// Returns whether the motion of the camera is estimated from frame to frame.
-    pub fn tracks_camera(&self) -> bool {
-        self.track == Some(true)
-    }
-
-    /// Rejects smoothing over time, for inputs other than frames of a camera in order.
-    ///
-    /// # Errors
-    /// If `temporal` is `steady`, or `track` is set.
-    pub fn check_no_video(&self) -> Result<(), ParamError> {
-        let allowed = "only for the frames of a camera, one after another: a stream, a folder, a recording, a topic of \
-                       ROS, a rig, or a smoother in Python";
-        match (self.temporal, self.tracks_camera()) {
-            (Some(TemporalChoice::Steady), _) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
-            (_, true) => Err(ParamError { field: "track", value: "true".into(), allowed }),
-            _ => Ok(()),
-        }
     }
 
     /// Returns whether a sensor is to be estimated from a frame.

@@ -1,0 +1,64 @@
+//! Steps before smoothing, and inputs that make no sense.
+
+use planish::io::{self, Contents};
+use planish::{Camera, DepthImage};
+
+use super::{json_line, ok, planish, refused, small_frame, str, text};
+
+#[test]
+fn inputs_that_make_no_sense_are_questioned_before_any_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let (depth, output) = (folder.path().join("depth.png"), folder.path().join("smooth.png"));
+    let frame = small_frame(1);
+    let Camera { width, height, fx, fy, cx, cy, .. } = frame.camera;
+    io::write_depth(&depth, &DepthImage { width, height, raw: frame.raw }).unwrap();
+    let camera = format!("{fx},{fy},{cx},{cy}");
+    let smooth = ["smooth", str(&depth), str(&output), "--camera"];
+    for (options, reason) in [
+        (&[camera.as_str(), "--depth-units-per-metre", "0.001"][..], "the inverse"),
+        (&[&camera, "--depth-units-per-metre", "10"], "unit of depth"),
+        (&["79.5,59.5,131.25,131.25"], "swapped"),
+        (&[&format!("{fx},{fy},319.5,239.5")], "another size"),
+    ] {
+        let said = refused(&[&smooth, options].concat());
+        assert!(said.contains(reason) && said.contains("--force") && !output.exists(), "{said}");
+    }
+    ok(&[&smooth, &["79.5,59.5,131.25,131.25", "--force"][..]].concat());
+    let metres = folder.path().join("depth.npy");
+    io::write_depth_metres(&metres, 160, &vec![1090.0; 160 * 120]).unwrap();
+    let said = refused(&["smooth", str(&metres), str(&output), "--camera", &camera]);
+    assert!(said.contains("millimetres"), "{said}");
+}
+
+#[test]
+fn frames_are_decimated_and_their_ranges_cut_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let (depth, output) = (folder.path().join("depth.png"), folder.path().join("smooth.png"));
+    let frame = small_frame(1);
+    let Camera { width, height, fx, fy, cx, cy, .. } = frame.camera;
+    let beyond = frame.raw.iter().filter(|raw| **raw > 1000).count();
+    io::write_depth(&depth, &DepthImage { width, height, raw: frame.raw }).unwrap();
+    let camera = format!("{fx},{fy},{cx},{cy}");
+    let run = planish(&[
+        "smooth",
+        str(&depth),
+        str(&output),
+        "--camera",
+        &camera,
+        "--max-range",
+        "1",
+        "--decimate",
+        "2",
+        "--json",
+    ]);
+    assert!(run.status.success() && text(&run.stderr).contains(&format!("{beyond} pixels out of range")));
+    let report = json_line(&text(&run.stdout));
+    assert_eq!((&report["width"], &report["height"]), (&80.into(), &60.into()));
+    let Contents::Depth(image) = io::read(&output).unwrap().1 else { panic!("depth") };
+    assert_eq!((image.width, image.height), (80, 60));
+    assert!(image.raw.iter().all(|raw| *raw <= 1010) && image.raw.iter().filter(|raw| **raw > 0).count() > 300);
+    let cloud = folder.path().join("cloud.pcd");
+    ok(&["smooth", str(&depth), str(&cloud), "--camera", &camera, "--decimate", "4"]);
+    assert!(ok(&["info", str(&cloud)]).contains("40 x 30"));
+    assert!(refused(&["smooth", str(&depth), str(&cloud), "--camera", &camera, "--decimate", "9"]).contains("2 to 8"));
+}

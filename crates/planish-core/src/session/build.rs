@@ -1,0 +1,71 @@
+//! How a session is built, and what it finds doubtful about frames.
+
+use super::{Chosen, Session, SessionEvent};
+use crate::doubts::doubts;
+use crate::engines::SmootherOptions;
+use crate::fleet::FleetDevice;
+use crate::frame::Frame;
+
+impl Session {
+    /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
+    pub fn with_live(self, is_live: bool) -> Self {
+        Self { is_live, ..self }
+    }
+
+    /// Sets whether there is only one frame or cloud. [`Engine::Auto`](crate::Engine::Auto) then takes the CPU unless
+    /// it has more than six million pixels or half a million points, since opening a GPU takes longer than smoothing
+    /// it.
+    pub fn with_single_frame(self, is_single: bool) -> Self {
+        Self { is_single, ..self }
+    }
+
+    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a
+    /// video wants it. Otherwise every frame gets its own window.
+    pub fn with_kept_window(self, keeps_window: bool) -> Self {
+        Self { keeps_window, ..self }
+    }
+
+    /// Sets whether the sensor estimated from the first frame serves all frames, as in a video or a folder.
+    /// Otherwise it is estimated from every frame.
+    pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
+        Self { keeps_sensor, ..self }
+    }
+
+    /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
+    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If
+    /// not, parameters are those of [`Settings::cloud_params`](crate::Settings::cloud_params), which is faster and
+    /// avoids flicker in a video.
+    pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
+        Self { estimates_clouds, ..self }
+    }
+
+    /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
+    pub fn with_options(mut self, options: SmootherOptions) -> Self {
+        self.options = match &self.chosen {
+            Chosen::Settings(settings) => settings.override_options(options),
+            Chosen::Params(..) => options,
+        };
+        self
+    }
+
+    /// Sets the devices that share the frames; they replace the settings' devices.
+    pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
+        Self { devices, device: 0, ..self }
+    }
+
+    /// Sets which of the devices smooths frames one at a time, for sessions that share a list of devices.
+    pub fn with_device(self, index: usize) -> Self {
+        let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
+        Self { device, ..self }
+    }
+
+    /// Reports each doubt about frames once.
+    pub(super) fn doubt(&mut self, frame: Frame<'_>) {
+        for doubt in doubts(frame) {
+            if !self.doubts.contains(&doubt) {
+                self.doubts.push(doubt);
+                self.events.push(SessionEvent::Doubtful(doubt));
+            }
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! Settings of smoothing over time.
+
+use super::{Settings, TemporalChoice};
+use crate::error::ParamError;
+use crate::temporal::TemporalParams;
+use crate::threads::ONE_THREAD;
+
+impl Settings {
+    /// Returns how the frames of a video are smoothed over time; `None` if they are not.
+    pub fn temporal_params(&self) -> Option<TemporalParams> {
+        // WebAssembly leaves it out, and `validate` refuses it there.
+        let is_steady = self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera();
+        (is_steady && !ONE_THREAD).then_some(TemporalParams::STEADY)
+    }
+
+    /// Returns whether the motion of the camera is estimated from frame to frame.
+    pub fn tracks_camera(&self) -> bool {
+        self.track == Some(true)
+    }
+
+    /// Rejects smoothing over time, for inputs other than frames of a camera in order.
+    ///
+    /// # Errors
+    /// If `temporal` is `steady`, or `track` is set.
+    pub fn check_no_video(&self) -> Result<(), ParamError> {
+        let allowed = "only for the frames of a camera, one after another: a stream, a folder, a recording, a topic of \
+                       ROS, a rig, or a smoother in Python";
+        match (self.temporal, self.tracks_camera()) {
+            (Some(TemporalChoice::Steady), _) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
+            (_, true) => Err(ParamError { field: "track", value: "true".into(), allowed }),
+            _ => Ok(()),
+        }
+    }
+}
