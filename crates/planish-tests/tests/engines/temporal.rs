@@ -462,7 +462,7 @@ fn a_video_keeps_its_sensor_and_starts_again_with_another_camera_or_after_a_gap(
 #[test]
 fn rigs_and_unorganized_clouds_are_not_videos() {
     let error = steady("cpu").check_no_video().unwrap_err().to_string();
-    assert!(error.starts_with("temporal = steady is not allowed: only for the frames of one camera"), "{error}");
+    assert!(error.starts_with("temporal = steady is not allowed: only for the frames of a camera"), "{error}");
     assert_eq!(steady("cpu").unused_by_clouds(), ["temporal"]);
     assert!("temporal=often".parse::<Settings>().unwrap_err().to_string().contains("off or steady"));
     let mut session = Session::new(steady("cpu")).unwrap();
