@@ -4,6 +4,7 @@ use crate::error::{FrameError, ParamError};
 use crate::frame::PointsView;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
+use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
 /// Outputs to compute. Each costs time and memory, and on a GPU readback.
@@ -122,7 +123,8 @@ impl Outputs {
             "status" => self.with_status(true),
             "neighbours" => self.with_neighbours(true),
             "frames" => self.with_frames(true),
-            "sigma" => self.with_sigma(true),
+            // WebAssembly leaves it out.
+            "sigma" if !ONE_THREAD => self.with_sigma(true),
             _ => return None,
         })
     }
@@ -139,9 +141,9 @@ impl Outputs {
             ("status", status),
             ("neighbours", neighbours),
             ("frames", frames),
-            ("sigma", sigma),
         ];
-        all.into_iter().filter(|(_, is_wanted)| *is_wanted).map(|(name, _)| name).collect()
+        let sigma = (!ONE_THREAD).then_some(("sigma", sigma));
+        all.into_iter().chain(sigma).filter(|(_, is_wanted)| *is_wanted).map(|(name, _)| name).collect()
     }
 
     pub(crate) fn validate(&self) -> Result<(), ParamError> {
@@ -363,7 +365,9 @@ impl<'a> SmoothedMut<'a> {
         copy(&mut self.depth, from.depth.as_deref());
         copy(&mut self.depth_m, from.depth_m.as_deref());
         copy(&mut self.frames, from.frames.as_deref());
-        copy(&mut self.sigma, from.sigma.as_deref());
+        if !ONE_THREAD {
+            copy(&mut self.sigma, from.sigma.as_deref());
+        }
     }
 
     /// Without buffers.
@@ -442,9 +446,10 @@ impl<'a> SmoothedMut<'a> {
             ("depth", self.depth.is_some(), outputs.depth),
             ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
             ("frames", self.frames.is_some(), outputs.frames),
-            ("sigma", self.sigma.is_some(), outputs.sigma),
         ];
-        if let Some((output, ..)) = opened.into_iter().find(|(_, given, opened)| *given && !opened) {
+        // WebAssembly leaves it out.
+        let sigma = (!ONE_THREAD).then_some(("sigma", self.sigma.is_some(), outputs.sigma));
+        if let Some((output, ..)) = opened.into_iter().chain(sigma).find(|(_, given, opened)| *given && !opened) {
             return Err(FrameError::OutputNotOpened { output });
         }
         self.points.as_ref().map_or(Ok(()), |points| points.check_len("the buffer for points", len))?;
@@ -456,9 +461,9 @@ impl<'a> SmoothedMut<'a> {
             ("the buffer for depth", self.depth.as_ref().map(|buffer| buffer.len())),
             ("the buffer for depth in metres", self.depth_m.as_ref().map(|buffer| buffer.len())),
             ("the buffer for frames", self.frames.as_ref().map(|buffer| buffer.len())),
-            ("the buffer for sigma", self.sigma.as_ref().map(|buffer| buffer.len())),
         ];
-        lengths.into_iter().try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
+        let sigma = (!ONE_THREAD).then(|| ("the buffer for sigma", self.sigma.as_ref().map(|buffer| buffer.len())));
+        lengths.into_iter().chain(sigma).try_for_each(|(what, found)| check_len(what, found.unwrap_or(len), len))
     }
 }
 

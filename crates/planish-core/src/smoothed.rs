@@ -7,6 +7,7 @@ use crate::error::FrameError;
 use crate::frame::{DepthImage, Frame};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::status::Status;
+use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
 /// Smoothed points and the requested outputs. Reuse one for all frames to keep its buffers.
@@ -64,7 +65,9 @@ impl Smoothed {
         keep(&mut self.status, outputs.status, |values| values.resize(len, Status::Hole));
         keep(&mut self.neighbours, outputs.neighbours, |values| values.resize(len, 0));
         keep(&mut self.frames, outputs.frames, |values| values.resize(len, 0.0));
-        keep(&mut self.sigma, outputs.sigma, |values| values.resize(len, 0.0));
+        if !ONE_THREAD {
+            keep(&mut self.sigma, outputs.sigma, |values| values.resize(len, 0.0));
+        }
     }
 
     /// Bytes of its buffers.
@@ -191,7 +194,7 @@ pub fn named_fields(
     if let Some(frames) = frames.filter(|_| fields.frames) {
         found.push(("frames", frames.to_vec().into()));
     }
-    if let Some(sigma) = sigma.filter(|_| fields.sigma) {
+    if let Some(sigma) = sigma.filter(|_| fields.sigma && !ONE_THREAD) {
         found.push(("sigma", sigma.to_vec().into()));
     }
     found
@@ -228,8 +231,11 @@ impl PointCloud {
         smoothed.points.check_len("the smoothed points", self.len())?;
         self.positions.clone_from(&smoothed.points);
         let renewed = smoothed.fields(fields);
-        let is_stale = |name: &str| OF_SURFACE.contains(&name) && renewed.iter().all(|(renewed, _)| *renewed != name);
-        self.attributes.retain(|attribute| !is_stale(&attribute.name));
+        // The browser's page always computes normals.
+        if !ONE_THREAD {
+            let is_stale = |name: &str| OF_SURFACE.contains(&name) && renewed.iter().all(|(other, _)| *other != name);
+            self.attributes.retain(|attribute| !is_stale(&attribute.name));
+        }
         for (name, values) in renewed {
             self.set_attribute(name, values);
         }

@@ -11,6 +11,7 @@ use crate::params::{CloudParams, Edges, EngineParams, FrameParams, Params, Radiu
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video};
+use crate::threads::ONE_THREAD;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use crate::xyz::validate_shape;
@@ -436,7 +437,7 @@ pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
     if outputs.frames {
         return refused("frames", "only for frames on a grid in a session with temporal=steady");
     }
-    match outputs.sigma {
+    match outputs.sigma && !ONE_THREAD {
         true => refused("sigma", "only for frames on a grid in a session"),
         false => Ok(()),
     }

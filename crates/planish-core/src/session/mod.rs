@@ -34,7 +34,7 @@ use crate::settings::Settings;
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_no_frames, check_options, for_engine, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
-use crate::threads::{ONE_THREAD, Threads};
+use crate::threads::ONE_THREAD;
 
 pub use event::{CloudChoice, SessionEvent};
 pub use open::LIVE_IN_FLIGHT;
@@ -101,11 +101,8 @@ pub struct Session {
     sight: Option<Sight>,
     /// Doubts reported for earlier frames.
     doubts: Vec<Doubt>,
-    /// The result before it is copied into the caller's buffers, with standard errors.
-    with_sigma: Smoothed,
-    sigma: SigmaBuffers,
-    /// The requested number of threads for standard errors, and the threads.
-    sigma_threads: Option<(Option<usize>, Threads)>,
+    /// For standard errors, once they were requested.
+    sigma: Option<Box<SigmaBuffers>>,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -179,9 +176,7 @@ impl Session {
             video: OverTime::default(),
             sight: None,
             doubts: Vec::new(),
-            with_sigma: Smoothed::default(),
-            sigma: SigmaBuffers::default(),
-            sigma_threads: None,
+            sigma: None,
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -413,8 +408,8 @@ impl Session {
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
-            let threads = self.sigma_threads.take();
-            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video), threads));
+            let sigma = self.sigma.take();
+            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video), sigma));
             self.sight = None;
             self.pending.clear();
             self.ready.clear();
@@ -441,7 +436,7 @@ impl Session {
         (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
-        (self.with_sigma, self.sigma) = Default::default();
+        self.sigma = None;
         self.restart_video();
         self.video.close();
         self.pending.clear();

@@ -73,29 +73,33 @@ impl Session {
         let outputs = self.options.outputs;
         self.options.outputs = needed(outputs, self.over_time(frame).is_some());
         // The session lends buffers for results that were not requested.
-        self.sigma.exchange(out, outputs);
-        self.sigma.spare.sigma = out.sigma.take();
+        self.sigma_buffers().exchange(out, outputs);
+        self.sigma_buffers().spare.sigma = out.sigma.take();
         let result = self.smooth(frame, out);
         self.options.outputs = outputs;
         let for_sigma = result.and_then(|()| Ok((self.for_sigma(frame), self.threads_for_sigma()?)));
         if let Ok((Some(for_sigma), threads)) = &for_sigma {
-            for_sigma.estimate(frame, out, threads, &mut self.sigma);
+            for_sigma.estimate(frame, out, threads, self.sigma_buffers());
         }
-        self.sigma.exchange(out, outputs);
+        self.sigma_buffers().exchange(out, outputs);
         // Clears results left from earlier calls with other outputs.
         let (width, height) = frame.shape();
         out.prepare(width, height, outputs);
         for_sigma.map(drop)
     }
 
+    fn sigma_buffers(&mut self) -> &mut SigmaBuffers {
+        self.sigma.get_or_insert_default()
+    }
+
     /// Returns the threads that estimate errors, kept from frame to frame.
     pub(super) fn threads_for_sigma(&mut self) -> Result<Threads, Error> {
         let wanted = self.options.threads;
-        match &self.sigma_threads {
+        match self.sigma.as_deref().and_then(|sigma| sigma.threads.as_ref()) {
             Some((threads, open)) if *threads == wanted => Ok(open.clone()),
             _ => {
                 let open = Threads::open(wanted)?;
-                self.sigma_threads = Some((wanted, open.clone()));
+                self.sigma_buffers().threads = Some((wanted, open.clone()));
                 Ok(open)
             }
         }
@@ -103,12 +107,12 @@ impl Session {
 
     /// As [`smooth_with_sigma`](Self::smooth_with_sigma), into the caller's buffers.
     pub(super) fn smooth_with_sigma_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
-        let mut smoothed = std::mem::take(&mut self.with_sigma);
+        let mut smoothed = std::mem::take(&mut self.sigma_buffers().with_sigma);
         let result = self.smooth_with_sigma(frame, &mut smoothed);
         if result.is_ok() {
             out.copy_from(&smoothed);
         }
-        self.with_sigma = smoothed;
+        self.sigma_buffers().with_sigma = smoothed;
         result
     }
 
@@ -120,7 +124,7 @@ impl Session {
         for_sigma: &ForSigma,
     ) -> Result<(), Error> {
         let threads = self.threads_for_sigma()?;
-        for_sigma.estimate(frame, smoothed, &threads, &mut self.sigma);
+        for_sigma.estimate(frame, smoothed, &threads, self.sigma_buffers());
         let (width, height) = frame.shape();
         smoothed.prepare(width, height, for_sigma.outputs);
         Ok(())
@@ -148,8 +152,12 @@ pub(super) fn check_sensor(frame: Frame<'_>) -> Result<(), Error> {
 }
 
 /// Buffers that are kept from frame to frame.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct SigmaBuffers {
+    /// The result before it is copied into the caller's buffers.
+    with_sigma: Smoothed,
+    /// The requested number of threads, and the threads.
+    threads: Option<(Option<usize>, Threads)>,
     /// Results that the caller did not request.
     spare: Smoothed,
     /// The smoothed range of each pixel, and the sensor's deviation there.

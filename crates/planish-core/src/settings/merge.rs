@@ -2,6 +2,7 @@
 
 use super::{Settings, TemporalChoice};
 use crate::engines::Engine;
+use crate::threads::ONE_THREAD;
 
 impl Settings {
     /// Overrides settings with everything that `over` sets. Contradicted settings are dropped: a strength under a
@@ -67,9 +68,11 @@ impl Settings {
         self.sensor = sensor.or(self.sensor);
         self.edges = edges.or(self.edges);
         self.remove_floating = remove_floating.or(self.remove_floating);
-        self.min_range_m = min_range_m.or(self.min_range_m);
-        self.max_range_m = max_range_m.or(self.max_range_m);
-        self.decimate = decimate.or(self.decimate);
+        if !ONE_THREAD {
+            self.min_range_m = min_range_m.or(self.min_range_m);
+            self.max_range_m = max_range_m.or(self.max_range_m);
+            self.decimate = decimate.or(self.decimate);
+        }
         self.remove_isolated = remove_isolated.or(self.remove_isolated);
         self.window = window.or(self.window);
         self.stride = stride.or(self.stride);

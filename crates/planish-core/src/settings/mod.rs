@@ -186,9 +186,14 @@ impl Settings {
             "sensor" => self.sensor = sensor_of(value)?,
             "edges" => self.edges = edges_of(&value)?,
             "remove_floating" => self.remove_floating = value.truth("remove_floating")?,
-            "min_range_m" => self.min_range_m = value.number("min_range_m", "a range in metres, 0 or more")?,
-            "max_range_m" => self.max_range_m = value.number("max_range_m", "a range in metres, 0 or more")?,
-            "decimate" => self.decimate = value.whole("decimate", "2 to 8")?,
+            // WebAssembly leaves them out.
+            "min_range_m" if !ONE_THREAD => {
+                self.min_range_m = value.number("min_range_m", "a range in metres, 0 or more")?
+            }
+            "max_range_m" if !ONE_THREAD => {
+                self.max_range_m = value.number("max_range_m", "a range in metres, 0 or more")?
+            }
+            "decimate" if !ONE_THREAD => self.decimate = value.whole("decimate", "2 to 8")?,
             "remove_isolated" => self.remove_isolated = value.truth("remove_isolated")?,
             "window" => self.window = value.whole("window", "1 to 7")?,
             "stride" => self.stride = value.whole("stride", "1 to 8")?,
@@ -247,9 +252,6 @@ impl Settings {
         if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
             return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
         }
-        if ONE_THREAD && self.outputs.is_some_and(|outputs| outputs.sigma) {
-            return contradiction("outputs", "sigma", "only outside a browser, whose module is kept small");
-        }
         if self.outputs.is_some_and(|outputs| outputs.frames) && self.temporal_params().is_none() {
             return contradiction("outputs", "frames", "only with temporal=steady");
         }
@@ -273,7 +275,9 @@ impl Settings {
         self.given_strength()?;
         self.frame_params_for(SensorModel::KINECT_V1)?.validate()?;
         self.cloud_params_unchecked().validate()?;
-        self.preparation().validate()?;
+        if !ONE_THREAD {
+            self.preparation().validate()?;
+        }
         if self.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" });
         }

@@ -7,7 +7,7 @@ use crate::frame::Frame;
 use crate::params::{CloudParams, CloudRadius, Fit, FrameParams, FrameRadius, Strength};
 use crate::preparation::Preparation;
 use crate::sensor::SensorModel;
-use crate::threads::Threads;
+use crate::threads::{ONE_THREAD, Threads};
 
 impl Settings {
     /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
@@ -117,14 +117,19 @@ impl Settings {
             let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
             return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
         }
-        let Preparation { min_range_m, max_range_m, remove_floating, decimate } = self.preparation();
+        let allowed = "only frames on a grid, since it needs the pixels around each point";
+        if self.remove_floating == Some(true) {
+            return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
+        }
+        if ONE_THREAD {
+            return Ok(());
+        }
+        let Preparation { min_range_m, max_range_m, decimate, .. } = self.preparation();
         let given = [
-            ("remove_floating", remove_floating.then(|| "true".to_owned())),
             ("min_range_m", min_range_m.map(|range_m| range_m.to_string())),
             ("max_range_m", max_range_m.map(|range_m| range_m.to_string())),
             ("decimate", decimate.map(|k| k.to_string())),
         ];
-        let allowed = "only frames on a grid, since it needs the pixels around each point";
         match given.into_iter().find_map(|(field, value)| Some((field, value?))) {
             Some((field, value)) => Err(ParamError { field, value, allowed }),
             None => Ok(()),

@@ -1,5 +1,6 @@
 //! Settings as JSON or YAML: an object of the fields that are given.
 
+use crate::threads::ONE_THREAD;
 use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -45,9 +46,11 @@ impl Serialize for Settings {
         }
         entry!("edges", self.edges.map(super::Edges::name));
         entry!("remove_floating", self.remove_floating);
-        entry!("min_range_m", self.min_range_m);
-        entry!("max_range_m", self.max_range_m);
-        entry!("decimate", self.decimate);
+        if !ONE_THREAD {
+            entry!("min_range_m", self.min_range_m);
+            entry!("max_range_m", self.max_range_m);
+            entry!("decimate", self.decimate);
+        }
         entry!("remove_isolated", self.remove_isolated);
         entry!("window", self.window);
         entry!("stride", self.stride);
