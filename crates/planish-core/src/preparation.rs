@@ -17,7 +17,7 @@ const SAME_SURFACE_SHARE: f64 = 0.01;
 /// The largest blocks.
 const MAX_DECIMATE: u32 = 8;
 
-/// The steps before smoothing, in this order; the default is none.
+/// Steps before smoothing, applied in this order. By default, none is applied.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Preparation {

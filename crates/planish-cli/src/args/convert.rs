@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::{CameraArgs, EncodingArgs, MemoryArgs, SmoothingArgs};
 
-/// Nothing is smoothed. Fields, colours, grid and holes are kept as far as the format has them; what is dropped is
-/// reported.
+/// Nothing is smoothed. The output keeps fields, colours, grid and holes if its format can store them; a note names
+/// everything it drops.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  planish convert scan.e57 scan.laz\n  planish convert depth.png cloud.ply --camera 525,525,319.5,239.5"
@@ -23,7 +23,7 @@ pub struct ConvertArgs {
     /// Leave out holes; an organized cloud becomes unorganized
     #[arg(long)]
     pub drop_holes: bool,
-    /// Fields to keep besides x, y and z, such as intensity,label; none keeps no field [default: all]
+    /// Fields to keep besides x, y and z, such as intensity,label; write none to drop all [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub fields: Vec<String>,
     #[command(flatten)]
@@ -38,8 +38,8 @@ pub struct ConvertArgs {
     pub json: bool,
 }
 
-/// Pixels and points are compared with those of the same index. Clouds of different size are compared by the nearest
-/// points, in both directions.
+/// Compares pixels and points by index. If the sizes of two clouds differ, compares each point with the nearest one of
+/// the other cloud, in both directions.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  planish compare raw.pcd smooth.pcd --picture difference.png --max 0.02")]
 pub struct CompareArgs {
@@ -67,8 +67,8 @@ pub struct CompareArgs {
     pub json: bool,
 }
 
-/// The frame is smoothed, and pixels on one surface are connected; steps are left open. An unorganized cloud has no
-/// pixels: build its mesh with Open3D or MeshLab.
+/// The frame is smoothed, and pixels on one surface are connected; steps are left open. For unorganized clouds, use
+/// Open3D or MeshLab.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  planish mesh depth.png chair.glb --camera 525,525,319.5,239.5")]
 pub struct MeshArgs {

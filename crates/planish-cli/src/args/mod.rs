@@ -156,7 +156,7 @@ pub struct SmoothArgs {
     /// Allow an output that replaces the input
     #[arg(long, hide_short_help = true, help_heading = OUTPUT)]
     pub overwrite: bool,
-    /// Smooth even if the input makes no sense: an unlikely camera or range, or a radius over a fifth of a cloud
+    /// Smooth despite an unlikely camera, an unlikely range, or a radius over a fifth of a cloud
     #[arg(long, hide_short_help = true, help_heading = TUNING)]
     pub force: bool,
     #[command(flatten)]

@@ -57,8 +57,9 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
         });
         outln!("{report}");
     } else {
-        let points =
-            if height > 1 { format!("{width}x{height}, {valid} of them no holes") } else { format!("{width} points") };
+        let holes = width * height - valid;
+        let size = if height > 1 { format!("{width}x{height}, ") } else { String::new() };
+        let points = format!("{size}{valid} points, {holes} holes");
         outln!("{} -> {}: {from} to {to}, {points}", input.display(), output.display());
     }
     Ok(ExitCode::SUCCESS)

@@ -1,4 +1,4 @@
-//! How a session is built, and what it finds doubtful about frames.
+//! Builds a session, and reports doubts about its frames.
 
 use super::{Chosen, Session, SessionEvent};
 use crate::doubts::doubts;

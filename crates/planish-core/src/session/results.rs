@@ -1,4 +1,4 @@
-//! Smooths results over time that were smoothed in space elsewhere, such as those of a rig.
+//! Smooths over time what was smoothed in space elsewhere, such as the frames of a rig.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;

@@ -176,7 +176,7 @@ pub(super) struct SigmaBuffers {
 }
 
 impl SigmaBuffers {
-    /// Swaps buffers that are needed but not requested with those of the caller's result.
+    /// Lends the caller's result the buffers it lacks and sigma needs, or takes them back.
     fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
         let spare = &mut self.spare;
         if !outputs.points {
