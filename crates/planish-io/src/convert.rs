@@ -168,6 +168,25 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     Ok(ConvertReport { from, to, shape: written, valid, notes })
 }
 
+/// Adapts a merged cloud to the format of the path's extension, and writes it. Returns notes for users on changed and
+/// dropped data, one clause each.
+///
+/// # Errors
+/// If the format cannot represent the cloud, or the file cannot be written.
+pub fn write_merged(
+    output: &Path,
+    merged: &mut PointCloud,
+    encoding: Encoding,
+    precision: Option<Precision>,
+) -> Result<Vec<String>, IoError> {
+    let to = Format::of_output(output).map_err(IoError::at(output))?;
+    // Merged colours are not packed, as in PLY.
+    let mut notes = adapt_fields(merged, Format::Ply, to, precision);
+    notes.extend(losses(merged, to));
+    write_cloud(output, CloudRef::General(merged), encoding)?;
+    Ok(notes)
+}
+
 /// Writes depth in metres as an image of integers; returns the number of pixels with depth.
 fn write_raw(
     output: &Path,
@@ -206,6 +225,18 @@ fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatEr
 }
 
 impl Contents {
+    /// Turns a depth image into points if its camera is given, and sets the camera of an organized cloud. Other contents
+    /// stay as they are.
+    ///
+    /// # Errors
+    /// If the camera contradicts the contents.
+    pub fn with_points(self, camera: Option<&Camera>) -> Result<Self, FormatError> {
+        match camera {
+            Some(_) if !matches!(self, Self::General(_)) => Ok(Self::Organized(self.into_organized(camera)?)),
+            _ => Ok(self),
+        }
+    }
+
     /// Returns points on their grid. A depth image needs its camera; a cloud gets the given camera instead of its own.
     ///
     /// # Errors

@@ -59,7 +59,7 @@ pub use atomic_write::{remove_temporaries, write_whole};
 pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
 pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, organized_if_grid};
-pub use convert::{ConvertOptions, ConvertReport, convert};
+pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
 pub(crate) use error_text::{brief, quoted};
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use planish::clean::CleanSteps;
 use planish::compare;
-use planish::io::{self, Contents, ConvertOptions, Format};
+use planish::io::{self, Contents, ConvertOptions};
 use planish::mesh::mesh_of;
 use planish::{Camera, DepthFrame, DepthImage, OrganizedCloud, PointCloud, SensorPose, render, rig};
 use pyo3::exceptions::PyValueError;
@@ -70,17 +70,9 @@ pub fn convert(
     Ok((report.from.name().into(), report.to.name().into(), (height, width), report.valid, report.notes))
 }
 
-/// Returns the points of a depth image that has a camera, and everything else as it is.
-fn with_points(contents: Contents, camera: Option<&Camera>) -> Result<Contents, planish::FormatError> {
-    match (contents.is_depth(), camera) {
-        (true, Some(camera)) => Ok(Contents::Organized(contents.into_organized(Some(camera))?)),
-        _ => Ok(contents),
-    }
-}
-
 fn read(file: &Path, camera: Option<&Camera>) -> Result<Contents, planish::Error> {
     let (_, contents) = io::read(file)?;
-    Ok(with_points(contents, camera).map_err(planish::IoError::at(file))?)
+    Ok(contents.with_points(camera).map_err(planish::IoError::at(file))?)
 }
 
 /// Compares two files; returns JSON.
@@ -121,12 +113,7 @@ pub fn merge(
             clouds.push((cloud, pose.unwrap_or(SensorPose::IDENTITY)));
         }
         let (mut merged, mut notes) = rig::merge(clouds)?;
-        if let Some(to) = Format::of_extension(&output) {
-            // As in PLY, colours are not packed.
-            notes.extend(io::adapt_fields(&mut merged, Format::Ply, to, precision));
-            notes.extend(io::losses(&merged, to));
-        }
-        io::write_cloud(&output, &merged, encoding.unwrap_or_default())?;
+        notes.extend(io::write_merged(&output, &mut merged, encoding.unwrap_or_default(), precision)?);
         Ok::<(usize, Vec<String>), planish::Error>((merged.len(), notes))
     });
     merged.map_err(to_py)

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use planish::compare::{Comparison, Distances, Matching};
-use planish::io::{self, CloudRef, Contents, ConvertOptions, FileRead, Format, read_trajectory};
-use planish::{Camera, DepthView, Error, IntoFrame, Outputs, PointCloud, SensorPose, rig};
+use planish::io::{self, Contents, ConvertOptions, FileRead, Format, read_trajectory};
+use planish::{Camera, DepthView, Error, IntoFrame, PointCloud, SensorPose, rig};
 use planish_bench::{errln, outln};
 use serde_json::json;
 
-use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes};
+use super::checks::{check_not_input, report_columns, report_notes};
 use super::organized;
 use crate::args::{CameraArgs, CompareArgs, ConvertArgs, MergeArgs};
 use crate::exit::ExitCode;
@@ -81,22 +81,21 @@ fn question(input: &Path, contents: &Contents, camera: Option<&Camera>) {
 }
 
 /// Reads a file; a depth image becomes points if there is a camera.
-fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<(Format, Contents)> {
+fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<Contents> {
     let FileRead { format, contents, notes, .. } = io::read_file(file, options)?;
     report_notes(file, &notes);
-    let contents = match contents {
-        Contents::General(cloud) => {
-            report_columns(file, format, &cloud);
-            Contents::General(cloud)
-        }
-        contents if contents.is_depth() && !camera.is_given() => contents,
-        contents if contents.is_depth() => {
-            question(file, &contents, camera.camera(contents.shape())?.as_ref());
-            Contents::Organized(organized(contents, camera, file)?)
-        }
-        contents => Contents::Organized(organized(contents, camera, file)?),
+    if let Contents::General(cloud) = &contents {
+        report_columns(file, format, cloud);
+        return Ok(contents);
+    }
+    let shape = contents.shape();
+    let camera = match contents.is_depth() && camera.is_given() {
+        true => Some(camera.required(shape, file)?),
+        false => camera.camera(shape)?,
     };
-    Ok((format, contents))
+    question(file, &contents, camera.as_ref());
+    let contents = contents.with_points(camera.as_ref()).with_context(|| file.display().to_string())?;
+    Ok(contents)
 }
 
 /// Compares two files.
@@ -105,8 +104,8 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
         bail!("--max: a distance of 0 or more is expected");
     }
     let options = args.memory.read_options();
-    let (_, a) = read(&args.a, &args.camera, &options)?;
-    let (_, b) = read(&args.b, &args.camera, &options)?;
+    let a = read(&args.a, &args.camera, &options)?;
+    let b = read(&args.b, &args.camera, &options)?;
     let names = || format!("{} and {}", args.a.display(), args.b.display());
     let found = planish::compare::compare(&a, &b, args.nearest).with_context(names)?;
     if let Some(picture) = &args.picture {
@@ -190,8 +189,7 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     let mut bytes = 0u64;
     for (i, input) in args.inputs.iter().enumerate() {
         check_not_input(input, &args.out, None)?;
-        let (_, contents) =
-            read(input, &args.camera, &options.with_max_memory_bytes(options.max_memory_bytes - bytes))?;
+        let contents = read(input, &args.camera, &options.with_max_memory_bytes(options.max_memory_bytes - bytes))?;
         let cloud = match contents {
             Contents::General(cloud) => cloud,
             Contents::Organized(cloud) => cloud.points,
@@ -209,11 +207,9 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     let merged = rig::merge(clouds).map_err(Error::from);
     let (mut merged, notes) = merged.with_context(|| format!("{}: nothing is written", args.out.display()))?;
     report_notes(&args.out, &notes);
-    // As in PLY, colours are not packed.
-    convert_fields(&mut merged, Format::Ply, &args.out, args.encoding.precision());
-    io::check_writable(&args.out, &merged, Outputs::POINTS)?;
-    report_losses(&args.out, &merged);
-    io::write_cloud(&args.out, CloudRef::General(&merged), args.encoding.encoding().unwrap_or_default())?;
+    let encoding = args.encoding.encoding().unwrap_or_default();
+    let notes = io::write_merged(&args.out, &mut merged, encoding, args.encoding.precision())?;
+    report_notes(&args.out, &notes);
     let clouds = if count == 1 { "cloud" } else { "clouds" };
     outln!("{count} {clouds} -> {}: {} points", args.out.display(), merged.len());
     Ok(ExitCode::SUCCESS)
