@@ -225,8 +225,8 @@ fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatEr
 }
 
 impl Contents {
-    /// Turns a depth image into points if its camera is given, and sets the camera of an organized cloud. Other contents
-    /// stay as they are.
+    /// Turns a depth image into points if its camera is given, and sets the camera of an organized cloud. Other
+    /// contents stay as they are.
     ///
     /// # Errors
     /// If the camera contradicts the contents.
