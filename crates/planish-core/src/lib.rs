@@ -27,6 +27,7 @@ mod eigen;
 mod engines;
 mod error;
 mod even;
+mod fill;
 mod fleet;
 mod floating;
 mod frame;
@@ -92,7 +93,7 @@ pub use settings::{GridChoice, Preset, RadiusChoice, Resolved, SensorChoice, Set
 pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;
-pub use status::Status;
+pub use status::{Origin, Status};
 pub use temporal::{CameraMotion, TemporalFilter, TemporalParams};
 pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};

@@ -122,7 +122,7 @@ impl Outputs {
             "curvature" => self.with_curvature(true),
             "status" => self.with_status(true),
             "neighbours" => self.with_neighbours(true),
-            "frames" => self.with_frames(true),
+            "frames" if !ONE_THREAD => self.with_frames(true),
             // WebAssembly leaves it out.
             "sigma" if !ONE_THREAD => self.with_sigma(true),
             _ => return None,

@@ -124,6 +124,17 @@ impl Smoothed {
         Some(counts)
     }
 
+    /// Returns true if a hole was filled.
+    pub fn has_filled(&self) -> bool {
+        self.status.as_ref().is_some_and(|status| status.contains(&Status::Filled))
+    }
+
+    /// Returns a mask of where each pixel's value comes from, of [`Origin::mask_value`](crate::Origin::mask_value)s;
+    /// `None` if the status was not requested.
+    pub fn origin_mask(&self) -> Option<Vec<u8>> {
+        Some(self.status.as_ref()?.iter().map(|status| status.origin().mask_value()).collect())
+    }
+
     /// Returns the smoothed surface as a depth image, as the camera would have measured it (docs/method.md, section 7).
     ///
     /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must
@@ -191,7 +202,7 @@ pub fn named_fields(
     if let Some(neighbours) = neighbours.filter(|_| fields.neighbours) {
         found.push(("neighbours", neighbours.to_vec().into()));
     }
-    if let Some(frames) = frames.filter(|_| fields.frames) {
+    if let Some(frames) = frames.filter(|_| fields.frames && !ONE_THREAD) {
         found.push(("frames", frames.to_vec().into()));
     }
     if let Some(sigma) = sigma.filter(|_| fields.sigma && !ONE_THREAD) {
@@ -226,9 +237,11 @@ impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
     /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
     /// except for normals and curvature that are not among `fields`: those of the measured points do not fit the result
-    /// ([`Outputs::renewing`]). In a file of several scans, normals face the scanner of each point.
+    /// ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of several scans, normals face
+    /// the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
+        let fields = fields.with_status(fields.status || (!ONE_THREAD && smoothed.has_filled()));
         self.positions.clone_from(&smoothed.points);
         let renewed = smoothed.fields(fields);
         // The browser's page always computes normals.

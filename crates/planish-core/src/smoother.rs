@@ -434,7 +434,7 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
 /// Refuses the output `frames` outside a video, and `sigma` outside a session.
 pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
     let refused = |value: &str, allowed| Err(ParamError { field: "outputs", value: value.to_owned(), allowed });
-    if outputs.frames {
+    if outputs.frames && !ONE_THREAD {
         return refused("frames", "only for frames on a grid in a session with temporal=steady");
     }
     match outputs.sigma && !ONE_THREAD {

@@ -25,11 +25,13 @@ pub enum Status {
     /// With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame
     /// (section 16). The normal is this frame's.
     Carried = 7,
+    /// A hole that was filled with the surface around it (section 18): nothing was measured here.
+    Filled = 8,
 }
 
 impl Status {
     /// Every status, in the order of their codes.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Hole,
         Self::TooFew,
         Self::Degenerate,
@@ -38,6 +40,7 @@ impl Status {
         Self::Polynomial3,
         Self::Isolated,
         Self::Carried,
+        Self::Filled,
     ];
 
     /// Returns true if the output has a finite point.
@@ -47,10 +50,20 @@ impl Status {
 
     /// Returns true if the output has a normal and a curvature.
     pub fn has_normal(self) -> bool {
-        matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3 | Self::Carried)
+        matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3 | Self::Carried | Self::Filled)
     }
 
-    /// Returns the status with a code; a hole for unknown codes.
+    /// Returns where the point comes from.
+    pub fn origin(self) -> Origin {
+        match self {
+            Self::Hole | Self::TooFew => Origin::None,
+            Self::Carried => Origin::Carried,
+            Self::Filled => Origin::Filled,
+            _ => Origin::Measured,
+        }
+    }
+
+    /// Returns the status with a code that an engine wrote. Engines fill no holes.
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
         // Every 3-bit index has a status: no code needs a check.
@@ -64,6 +77,31 @@ impl Status {
             2 => Self::Polynomial2,
             _ => Self::Plane,
         }
+    }
+}
+
+/// The origin of a pixel's value.
+#[repr(u8)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Origin {
+    /// There is no value.
+    None = 0,
+    /// Filled with the surface around the hole.
+    Filled = 1,
+    /// Kept from the previous frame of a video.
+    Carried = 2,
+    /// Measured in this frame.
+    Measured = 3,
+}
+
+impl Origin {
+    /// Every origin, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::None, Self::Filled, Self::Carried, Self::Measured];
+
+    /// Returns the value of a pixel in an 8-bit mask: 0 for holes, 85 filled, 170 carried, 255 measured.
+    pub fn mask_value(self) -> u8 {
+        85 * self as u8
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::FormatResult;
+use super::write::is_origin_mask;
 use planish_core::FormatError;
 
 /// The endings of what can be written, for messages.
@@ -125,7 +126,8 @@ impl Format {
         let may_be_anything = |extension: &std::ffi::OsStr| {
             ["txt", "csv", "obj", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
         };
-        Self::of_extension(path).is_some() && !path.extension().is_some_and(may_be_anything)
+        let is_frame = Self::of_extension(path).is_some() && !is_origin_mask(path);
+        is_frame && !path.extension().is_some_and(may_be_anything)
     }
 
     /// Returns the format that a file's first bytes identify.

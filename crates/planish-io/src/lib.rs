@@ -85,7 +85,8 @@ pub use trajectory::{Trajectory, read_trajectory};
 pub use triangle_files::{WRITTEN_MESHES, write_mesh};
 pub use triangles::TriangleMesh;
 pub use write::{
-    check_writable, encode_cloud, encode_depth, is_same_file, write_cloud, write_depth, write_depth_metres,
+    check_writable, encode_cloud, encode_depth, is_same_file, origin_mask_of, write_cloud, write_depth,
+    write_depth_metres, write_origin_mask,
 };
 
 /// For planish's other crates and tests; it may change with every version.

@@ -1,8 +1,9 @@
 //! Clouds and depth images into files, or into the bytes of files.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::atomic_write::check_target;
+use super::depth_png::encode_png;
 #[cfg(feature = "tiff")]
 use super::depth_tiff;
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
@@ -116,6 +117,34 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
 pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
     let encode = || encode_depth(Format::of_output(path)?, image);
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
+}
+
+/// Returns the name of the mask of a depth file, NAME.origin.png beside it.
+pub fn origin_mask_of(depth: &Path) -> PathBuf {
+    depth.with_extension(ORIGIN)
+}
+
+/// Returns true for the name of a file of [`origin_mask_of`].
+pub(crate) fn is_origin_mask(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&format!(".{ORIGIN}")))
+}
+
+/// The extension of masks of origins.
+const ORIGIN: &str = "origin.png";
+
+/// Writes the origins of the pixels of a depth file as an 8-bit PNG beside it. Values are 0 for holes, 85 for filled
+/// pixels, 170 for pixels carried over from the previous frame, and 255 for measured ones.
+///
+/// # Errors
+/// If the result has no status, or the file cannot be written.
+pub fn write_origin_mask(depth: &Path, smoothed: &Smoothed) -> Result<(), IoError> {
+    let path = origin_mask_of(depth);
+    let no_status = || FormatError::Unsupported("a mask of origins needs the status of each pixel".to_owned());
+    let encode = || {
+        let mask = smoothed.origin_mask().ok_or_else(no_status)?;
+        encode_png(smoothed.width, smoothed.height, png::ColorType::Grayscale, png::BitDepth::Eight, &mask)
+    };
+    encode().and_then(|bytes| write_whole(&path, &bytes)).map_err(IoError::at(&path))
 }
 
 /// Writes depth in metres as a NumPy array of f32, [height, width].

@@ -268,6 +268,12 @@ pub fn settings_to_json(settings: &Bound<'_, PyDict>) -> PyResult<String> {
     Ok(planish::io::settings_to_json(&from_dict(settings)?))
 }
 
+/// Returns the mask value of each status, by its code.
+#[pyfunction]
+pub fn origin_values() -> Vec<u8> {
+    planish::Status::ALL.iter().map(|status| status.origin().mask_value()).collect()
+}
+
 /// Returns the GPUs of this machine, and what `auto` takes: its name and why.
 #[pyfunction]
 pub fn devices(py: Python<'_>) -> (Vec<(usize, String, String)>, String, String) {

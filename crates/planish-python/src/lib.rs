@@ -27,7 +27,9 @@ mod _planish {
     #[pymodule_export]
     use super::command;
     #[pymodule_export]
-    use super::files::{devices, evaluate, read, read_settings, settings_to_json, simulate, write_depth, write_points};
+    use super::files::{
+        devices, evaluate, origin_values, read, read_settings, settings_to_json, simulate, write_depth, write_points,
+    };
     #[pymodule_export]
     use super::smoother::PySmoother;
     #[pymodule_export]

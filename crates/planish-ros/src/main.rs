@@ -75,6 +75,8 @@ Topics, all of which can be remapped (-r); the node is /{NODE_NAME} (-r __node:=
   points           out: smoothed clouds
   image_smoothed   out: smoothed depth, with -p publish_depth:=true
   normals          out: an image of normals, with -p publish_normals:=true
+  origin           out: with fill or temporal and publish_depth, where each pixel of image_smoothed comes from (mono8):
+                   0 a hole, 85 filled, 170 carried over from the previous frame, 255 measured
   /diagnostics     out: rates, drops and latencies
 
 Parameters (-p, * can be changed while the node runs):"

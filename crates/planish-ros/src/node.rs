@@ -34,6 +34,7 @@ const PATIENCE: Duration = Duration::from_millis(50);
 struct Publishers {
     points: Publisher<PointCloud2>,
     depth: Publisher<Image>,
+    origin: Publisher<Image>,
     normals: Publisher<Image>,
     compressed: Option<Publisher<CompressedImage>>,
     diagnostics: Publisher<DiagnosticArray>,
@@ -262,6 +263,7 @@ fn publish(node: &mut Node, settings: &NodeSettings, arguments: &Arguments) -> R
         depth: publisher(node, &depth, ("sensor_msgs", "Image"), &qos)?,
         compressed,
         normals: publisher(node, &arguments.topic("normals"), ("sensor_msgs", "Image"), &qos)?,
+        origin: publisher(node, &arguments.topic("origin"), ("sensor_msgs", "Image"), &qos)?,
         diagnostics: publisher(
             node,
             &arguments.topic("/diagnostics"),
@@ -377,6 +379,10 @@ impl Work {
                     self.count(sent);
                 }
             }
+        }
+        if let Some(image) = self.smoother.origin_image(message.header().clone()) {
+            let sent = self.publishers.origin.publish(image);
+            self.count(sent);
         }
         self.publish_normals(message.header());
         Ok(())

@@ -33,6 +33,7 @@ pub fn declared() -> Vec<Declared> {
             "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, or auto: estimated from the first frame",
         ),
         ("edges", NotSet, true, "robust or off [default: robust for images, off for unorganized clouds]"),
+        ("fill", NotSet, true, "Holes up to this many pixels wide are filled, 1 to 64; flagged in status and origin"),
         ("remove_isolated", NotSet, true, "Whether isolated points of unorganized clouds become holes"),
         ("window", NotSet, true, "Half-width of the window in samples, 1 to 7"),
         ("stride", NotSet, true, "Distance between samples in pixels, 1 to 8"),
@@ -46,6 +47,12 @@ pub fn declared() -> Vec<Declared> {
         ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),
         ("project", NotSet, true, "ray or normal: direction in which points move"),
         ("normals", Boolean(false), true, "Whether clouds have normal_x, normal_y, normal_z and curvature"),
+        (
+            "sigma",
+            Boolean(false),
+            true,
+            "Whether clouds on a grid have sigma: the standard error of each point in metres",
+        ),
         ("publish_points", Boolean(true), true, "Whether clouds are published (points)"),
         ("publish_depth", Boolean(false), true, "Whether depth images are published (image_smoothed)"),
         ("publish_normals", Boolean(false), true, "Whether normals are published as images of 32FC3 (normals)"),
@@ -110,7 +117,7 @@ impl NodeSettings {
             "sensor_data" | "best_effort" => Ok(false),
             other => bail!("{name}: {other:?} is unknown; sensor_data or reliable is expected"),
         };
-        let smoothing = smoothing(values, truth("normals")?)?;
+        let smoothing = smoothing(values, truth("normals")?, truth("sigma")?)?;
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
             ("depth", "raw") => Input::Image,
             ("depth", "compressedDepth") => Input::CompressedDepth,
@@ -121,7 +128,12 @@ impl NodeSettings {
             (other, _) => bail!("input: {other:?} is unknown; depth or points is expected"),
         };
         match input {
-            Input::Points => smoothing.cloud_params().map(drop)?,
+            Input::Points => {
+                // Clouds may have a grid, whose holes can be filled.
+                let mut of_clouds = smoothing.clone();
+                of_clouds.fill = None;
+                of_clouds.cloud_params()?;
+            }
             _ if smoothing.estimates_sensor() => {}
             _ => smoothing.frame_params().map(drop)?,
         }
@@ -151,7 +163,7 @@ impl NodeSettings {
 }
 
 /// Returns the settings of the smoother among the parameters.
-fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result<Settings> {
+fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool, sigma: bool) -> Result<Settings> {
     let mut settings = Settings::default();
     let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
     for (name, value) in values.iter().filter(|(name, _)| Settings::NAMES.contains(&name.as_str())) {
@@ -168,7 +180,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool) -> Result
         };
         settings.set(name, value)?;
     }
-    settings.outputs = Some(Outputs::POINTS.with_normals(normals).with_curvature(normals));
+    settings.outputs = Some(Outputs::POINTS.with_normals(normals).with_curvature(normals).with_sigma(sigma));
     settings.validate()?;
     Ok(settings)
 }

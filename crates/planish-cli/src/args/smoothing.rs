@@ -161,6 +161,12 @@ pub struct SmoothingArgs {
     /// scaled too.
     #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
     pub decimate: Option<u32>,
+    /// Fill holes up to N pixels wide with the surface around them, 1 to 64 [default: none are filled]
+    ///
+    /// A hole is filled if its rim is one surface, or if it is the shadow that a near object casts for the named
+    /// sensor. Filled pixels have the status 8. For depth images, NAME.origin.png shows them.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = TUNING)]
+    pub fill: Option<u32>,
     /// Half-width of the window in samples, 1 to 7: (2K+1)² candidates
     #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
     pub window: Option<u32>,
@@ -320,7 +326,7 @@ impl SmoothingArgs {
             RadiusArg::Sensor => SettingValue::from("sensor"),
             RadiusArg::Metres(radius_m) => radius_m.into(),
         });
-        let given: [(&str, SettingValue); 25] = [
+        let given: [(&str, SettingValue); 26] = [
             ("preset", named(self.preset.as_ref())),
             ("strength", self.strength.into()),
             ("sensor", named(self.sensor.as_ref())),
@@ -329,6 +335,7 @@ impl SmoothingArgs {
             ("min_range_m", self.min_range.into()),
             ("max_range_m", self.max_range.into()),
             ("decimate", self.decimate.into()),
+            ("fill", self.fill.into()),
             ("remove_isolated", self.remove_isolated.into()),
             ("window", self.window.into()),
             ("stride", self.stride.into()),

@@ -1,5 +1,6 @@
 //! `planish evaluate`: how good the surface is.
 
+mod filling;
 mod print;
 mod sequence;
 
@@ -78,6 +79,9 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     args.smoothing.settings()?.check_no_video().map_err(by_option)?;
     if args.smoothing.settings()?.devices.is_some() && args.rig.is_none() {
         bail!("devices has no effect on evaluate, which smooths one frame at a time; use engine and adapter");
+    }
+    if let Some(width_px) = args.smoothing.settings()?.fill.filter(|_| args.rig.is_none()) {
+        return filling::evaluate(args, width_px);
     }
     match (&args.input, args.rig) {
         (Some(file), _) => on_file(args, file),

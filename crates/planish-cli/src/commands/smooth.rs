@@ -460,6 +460,9 @@ impl Worker<'_> {
                     let raw = self.smoothed.depth.clone().context("no depth was computed")?;
                     io::write_depth(output, &DepthImage { width, height, raw })?;
                 }
+                if self.settings.fill.is_some() {
+                    io::write_origin_mask(output, &self.smoothed)?;
+                }
             }
         }
         Ok(())

@@ -38,8 +38,8 @@ fn smooth_keeps_grid_holes_and_colour_and_reports_in_json() {
     assert!(report["read_ms"].as_f64().unwrap() > 0.0 && report["write_ms"].as_f64().unwrap() > 0.0);
     let status = report["status"].as_object().unwrap();
     let names: Vec<&str> = status.keys().map(String::as_str).collect();
-    assert_eq!(names.len(), 7);
-    let sum: u64 = ["hole", "too_few", "degenerate", "plane", "polynomial", "isolated", "carried"]
+    assert_eq!(names.len(), 8);
+    let sum: u64 = ["hole", "too_few", "degenerate", "plane", "polynomial", "isolated", "carried", "filled"]
         .iter()
         .map(|n| status[*n].as_u64().unwrap())
         .sum();

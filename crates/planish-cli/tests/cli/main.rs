@@ -2,6 +2,7 @@
 
 mod engines;
 mod files;
+mod fill;
 mod folders;
 mod hostile;
 mod live;

@@ -132,7 +132,7 @@ impl Distortion {
 }
 
 /// Solves A c = t for a symmetric positive A by elimination; `None` if A is singular.
-fn solve<const N: usize>(mut a: [[f64; N]; N], mut t: [f64; N]) -> Option<[f64; N]> {
+pub(crate) fn solve<const N: usize>(mut a: [[f64; N]; N], mut t: [f64; N]) -> Option<[f64; N]> {
     for i in 0..N {
         // False for a NaN.
         let is_positive = a[i][i] > 0.0;

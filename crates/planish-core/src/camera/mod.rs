@@ -12,6 +12,7 @@ use crate::error::{FrameError, ParamError};
 use crate::xyz::validate_shape;
 
 pub use distortion::Distortion;
+pub(crate) use distortion::solve;
 pub use rays::Rays;
 pub(crate) use rays::{RowRays, RowRaysY};
 

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::check_rows;
+use super::{Colours, check_rows};
 use crate::camera::{Camera, Rays, RowRaysY, SATURATED_DEPTH, depth_m};
 use crate::cloud::OrganizedCloud;
 use crate::error::FrameError;
@@ -30,6 +30,7 @@ pub struct DepthView<'a> {
     samples: DepthSamples<'a>,
     /// Values from one row to the next.
     row_stride: usize,
+    colours: Option<Colours<'a>>,
 }
 
 /// The samples of a depth image.
@@ -44,19 +45,19 @@ pub(crate) enum DepthSamples<'a> {
 impl<'a> DepthView<'a> {
     /// Raw values in the camera's units, row by row; 0 and 65535 are holes.
     pub fn new(raw: &'a [u16], camera: &'a Camera) -> Result<Self, FrameError> {
-        let view = Self { camera, samples: DepthSamples::U16(raw), row_stride: camera.width };
+        let view = Self { camera, samples: DepthSamples::U16(raw), row_stride: camera.width, colours: None };
         view.check_exact(raw.len())
     }
 
     /// Takes depth in metres, row by row; values that are not finite or not positive are holes.
     pub fn from_metres(depth_m: &'a [f32], camera: &'a Camera) -> Result<Self, FrameError> {
-        let view = Self { camera, samples: DepthSamples::F32(depth_m), row_stride: camera.width };
+        let view = Self { camera, samples: DepthSamples::F32(depth_m), row_stride: camera.width, colours: None };
         view.check_exact(depth_m.len())
     }
 
     /// Takes raw units with rows that begin every `row_stride` values; the first `width` values of each are used.
     pub fn with_row_stride(raw: &'a [u16], row_stride: usize, camera: &'a Camera) -> Result<Self, FrameError> {
-        Self { camera, samples: DepthSamples::U16(raw), row_stride }.check(raw.len())
+        Self { camera, samples: DepthSamples::U16(raw), row_stride, colours: None }.check(raw.len())
     }
 
     /// [`DepthView::from_metres`] with rows that begin `row_stride` values after each other.
@@ -65,7 +66,7 @@ impl<'a> DepthView<'a> {
         row_stride: usize,
         camera: &'a Camera,
     ) -> Result<Self, FrameError> {
-        Self { camera, samples: DepthSamples::F32(depth_m), row_stride }.check(depth_m.len())
+        Self { camera, samples: DepthSamples::F32(depth_m), row_stride, colours: None }.check(depth_m.len())
     }
 
     fn check(self, len: usize) -> Result<Self, FrameError> {
@@ -82,6 +83,19 @@ impl<'a> DepthView<'a> {
             expected if expected == len => Ok(view),
             expected => Err(FrameError::LengthMismatch { what: "depth".into(), len, expected }),
         }
+    }
+
+    /// Sets the colours registered to the depth, 3 bytes (red, green, blue) per pixel, row by row. They guide the
+    /// filling of holes.
+    pub fn with_rgb(self, rgb: &'a [u8]) -> Result<Self, FrameError> {
+        match 3 * self.camera.width * self.camera.height {
+            expected if expected == rgb.len() => Ok(Self { colours: Some(Colours::Bytes(rgb)), ..self }),
+            expected => Err(FrameError::LengthMismatch { what: "rgb".into(), len: rgb.len(), expected }),
+        }
+    }
+
+    pub(super) fn colours(&self) -> Option<Colours<'a>> {
+        self.colours
     }
 
     /// Returns its camera.

@@ -1,5 +1,6 @@
 //! Input of a smoother: borrowed views of depth images and points, and owned types that convert into them.
 
+mod colours;
 mod depth_view;
 mod geometry;
 mod lattice;
@@ -11,8 +12,10 @@ mod sample;
 use crate::camera::Camera;
 use crate::cloud::{Attribute, OrganizedCloud, PointCloud};
 use crate::error::FrameError;
+use crate::threads::ONE_THREAD;
 use crate::xyz::validate_shape;
 
+pub(crate) use colours::Colours;
 pub(crate) use depth_view::DepthSamples;
 pub use depth_view::DepthView;
 pub use geometry::{assumed_sensor_of_sample, sampling_step};
@@ -141,6 +144,14 @@ impl<'a> Frame<'a> {
         }
     }
 
+    /// Returns the colours of its pixels, if it has any.
+    pub(crate) fn colours(&self) -> Option<Colours<'a>> {
+        match self {
+            Self::Depth(depth) => depth.colours(),
+            Self::Points(points) => points.colours(),
+        }
+    }
+
     /// Returns the camera, if known.
     pub fn camera(&self) -> Option<&'a Camera> {
         match self {
@@ -183,7 +194,11 @@ impl<'a> IntoFrame<'a> for PointsView<'a> {
 impl<'a> IntoFrame<'a> for &'a DepthFrame {
     fn into_frame(self) -> Result<Frame<'a>, FrameError> {
         self.validate()?;
-        Ok(Frame::Depth(DepthView::new(&self.raw, &self.camera)?))
+        let view = DepthView::new(&self.raw, &self.camera)?;
+        Ok(Frame::Depth(match &self.rgb {
+            Some(rgb) if !ONE_THREAD => view.with_rgb(rgb)?,
+            _ => view,
+        }))
     }
 }
 

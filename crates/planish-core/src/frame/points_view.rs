@@ -4,11 +4,12 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::check_rows;
+use super::{Colours, check_rows};
 use crate::camera::Camera;
 use crate::cloud::{OrganizedCloud, PointCloud};
 use crate::error::{FrameError, ParamError};
 use crate::pose::{RigidTransform, SensorPose};
+use crate::threads::ONE_THREAD;
 use crate::xyz::{MAX_PIXELS, Xyz, validate_shape};
 
 /// The type of a coordinate.
@@ -61,6 +62,7 @@ pub struct PointsView<'a> {
     camera: Option<&'a Camera>,
     /// The cloud that the points are a part of: how far it spans, and how many points it has.
     whole: Option<(f64, usize)>,
+    colours: Option<Colours<'a>>,
 }
 
 /// Coordinates as they lie in memory.
@@ -148,6 +150,7 @@ impl<'a> PointsView<'a> {
             subtracted_m: DVec3::ZERO,
             camera: None,
             whole: None,
+            colours: None,
         }
     }
 
@@ -157,7 +160,9 @@ impl<'a> PointsView<'a> {
         check_origin(cloud.origin_m)?;
         let positions = &cloud.positions;
         let view = Self::from_planes(positions.x(), positions.y(), positions.z())?;
-        Self { origin_m: DVec3::from_array(cloud.origin_m), ..view }.with_pose(cloud.pose)
+        // WebAssembly fills no holes.
+        let colours = if ONE_THREAD { None } else { Colours::of_cloud(cloud) };
+        Self { origin_m: DVec3::from_array(cloud.origin_m), colours, ..view }.with_pose(cloud.pose)
     }
 
     /// Borrows an organized cloud.
@@ -231,6 +236,10 @@ impl<'a> PointsView<'a> {
     {
         let planes = Positions::Planes([positions.x(), positions.y(), positions.z()]);
         PointsView { positions: planes, subtracted_m: DVec3::ZERO, ..*self }
+    }
+
+    pub(super) fn colours(&self) -> Option<Colours<'a>> {
+        self.colours
     }
 
     /// Returns the number of points, including holes.

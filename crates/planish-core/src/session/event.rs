@@ -8,6 +8,7 @@ use crate::error::EngineError;
 use crate::fleet::FleetDevice;
 use crate::params::{CloudParams, CloudRadius, Edges};
 use crate::sensor::SensorModel;
+use crate::threads::ONE_THREAD;
 
 /// How an unorganized cloud is smoothed where the settings leave that to planish. [`Display`](fmt::Display) gives one
 /// line for a user.
@@ -75,6 +76,8 @@ pub enum SessionEvent {
     Doubtful(Doubt),
     /// The motion of the camera is to be compensated over time, but no camera fits the points of the frames.
     CameraUnknown,
+    /// Holes are to be filled, but the points are not on the pixels of a camera.
+    NotFilled,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
         /// What the GPU allows.
@@ -130,6 +133,11 @@ impl fmt::Display for SessionEvent {
             Self::CameraUnknown => f.write_str(
                 "the points are on the pixels of no camera without distortion, so the motion of the camera cannot be \
                  compensated; give the camera",
+            ),
+            // WebAssembly fills none.
+            Self::NotFilled if ONE_THREAD => Ok(()),
+            Self::NotFilled => f.write_str(
+                "holes are not filled: the points are on the pixels of no camera without distortion; give the camera",
             ),
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
             Self::Reopening { error } => write!(f, "{error}; opening it once more"),

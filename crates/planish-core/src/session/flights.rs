@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::Session;
 use super::pending::{AnyFrame, OnReceipt, Pending};
-use super::sigma::check_sensor;
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
 use crate::frame::{Frame, IntoFrame};
@@ -20,23 +19,23 @@ impl Session {
     /// [`Settings::cloud_params`](crate::Settings::cloud_params), and one pass.
     ///
     /// # Errors
-    /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over.
+    /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over; if
+    /// holes are to be filled and the status is not among the outputs.
     pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
         let frame: AnyFrame = frame;
         self.check_room()?;
         let is_cloud = frame.frame()?.grid().is_none();
-        if !ONE_THREAD && self.options.outputs.sigma {
-            check_sensor(frame.frame()?)?;
-        }
+        self.check_can_finish(frame.frame()?)?;
+        self.check_flags()?;
         let failed = match self.submit_now(&frame, buffer) {
             Ok(()) => None,
             Err(error @ Error::Engine(_)) => Some(error),
             Err(error) => return Err(error),
         };
         let on_receipt = self.on_receipt();
-        let for_sigma = if ONE_THREAD { None } else { self.for_sigma(frame.frame()?) };
+        let finish = self.to_finish(frame.frame()?);
         let outputs = self.options.outputs;
-        self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt, for_sigma, outputs });
+        self.pending.push_back(Pending { frame: Some(frame), is_cloud, on_receipt, finish, outputs });
         failed.map_or(Ok(()), |error| self.smooth_again(error))
     }
 
@@ -48,9 +47,13 @@ impl Session {
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
-        if !ONE_THREAD && self.options.outputs.sigma {
+        if self.finishes() {
             let allowed = "only for frames that are shared (submit), since it follows from frame and result";
-            return Err(ParamError { field: "outputs", value: "sigma".into(), allowed }.into());
+            let (field, value) = match self.fill_px() {
+                Some(width_px) => ("fill", width_px.to_string()),
+                None => ("outputs", "sigma".to_owned()),
+            };
+            return Err(ParamError { field, value, allowed }.into());
         }
         let admitted = self.open_in_flight(frame, false)?;
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
@@ -59,7 +62,7 @@ impl Session {
         }
         let on_receipt = self.on_receipt();
         let (is_cloud, outputs) = (frame.grid().is_none(), self.options.outputs);
-        self.pending.push_back(Pending { frame: None, is_cloud, on_receipt, for_sigma: None, outputs });
+        self.pending.push_back(Pending { frame: None, is_cloud, on_receipt, finish: None, outputs });
         Ok(())
     }
 
@@ -108,12 +111,12 @@ impl Session {
         match self.receive_in_space()? {
             Some((view, pending)) => {
                 let view = self.received(view, pending.on_receipt)?;
-                let (Some(for_sigma), Some(frame), false) = (pending.for_sigma, &pending.frame, ONE_THREAD) else {
+                let (Some(finish), Some(frame), false) = (pending.finish, &pending.frame, ONE_THREAD) else {
                     return Ok(Some(view));
                 };
                 let timings = view.timings();
                 let mut smoothed = view.into_smoothed();
-                self.add_sigma(frame.frame()?, &mut smoothed, &for_sigma)?;
+                self.finish_received(frame.frame()?, &mut smoothed, &finish)?;
                 Ok(Some(SmoothedView::owned(smoothed, timings)))
             }
             None => Ok(None),
@@ -167,11 +170,11 @@ impl Session {
             let outputs_now = std::mem::replace(&mut self.options.outputs, outputs);
             let (result, on_receipt) =
                 self.as_submitted(&before, |session| session.submit_now(&frame, Smoothed::default()));
-            let for_sigma = if ONE_THREAD { None } else { self.for_sigma(frame.frame()?) };
+            let finish = self.to_finish(frame.frame()?);
             self.options.outputs = outputs_now;
             // Another engine may leave the filter over time to the session.
             if let Some(pending) = self.pending.get_mut(self.ready.len()) {
-                (pending.on_receipt, pending.for_sigma) = (on_receipt, for_sigma);
+                (pending.on_receipt, pending.finish) = (on_receipt, finish);
             }
             let result = result.and_then(|()| match &mut self.open {
                 Some(open) => open.receive(),

@@ -5,6 +5,7 @@ mod clock;
 mod evenly;
 mod event;
 mod filtering;
+mod finish;
 mod first_pass;
 mod flights;
 mod inspect;
@@ -37,6 +38,7 @@ use crate::smoothing_engine::AdmittedFrame;
 use crate::threads::ONE_THREAD;
 
 pub use event::{CloudChoice, SessionEvent};
+use finish::Finishing;
 pub use open::LIVE_IN_FLIGHT;
 use open::{Open, OpenFor, process_id};
 use over_time::OverTime;
@@ -44,7 +46,6 @@ use pending::Pending;
 pub use recovery::{GpuLosses, Recovery};
 pub use results::{ResultFilter, ResultSight};
 use sight::Sight;
-use sigma::SigmaBuffers;
 pub use watch::ProgressWatch;
 
 /// Smooths frames and clouds of any shape, one after another or several in flight.
@@ -101,8 +102,8 @@ pub struct Session {
     sight: Option<Sight>,
     /// Doubts reported for earlier frames.
     doubts: Vec<Doubt>,
-    /// For standard errors, once they were requested.
-    sigma: Option<Box<SigmaBuffers>>,
+    /// For results that the session finishes.
+    finish: Option<Box<dyn Finishing>>,
     is_live: bool,
     is_single: bool,
     /// Whether the window of the first frame with a known resolution is kept for all frames of its shape.
@@ -176,7 +177,7 @@ impl Session {
             video: OverTime::default(),
             sight: None,
             doubts: Vec::new(),
-            sigma: None,
+            finish: None,
             is_live: false,
             is_single: false,
             keeps_window: false,
@@ -253,9 +254,14 @@ impl Session {
     /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
-        if !ONE_THREAD && self.options.outputs.sigma {
-            return self.smooth_with_sigma(frame, out);
+        match self.finishes() {
+            true => self.smooth_and_finish(frame, out),
+            false => self.smooth_unfinished(frame, out),
         }
+    }
+
+    /// Smooths a frame, and leaves the result as the engine and the filter over time have made it.
+    fn smooth_unfinished(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
         if !ONE_THREAD && self.over_time(frame).is_some() {
             let result = self.smooth_over_time(frame, out);
             self.is_prepared = false;
@@ -269,15 +275,17 @@ impl Session {
     /// Smooths one frame or cloud into buffers of the caller's.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth), and if a buffer has another length than the frame or is not among the outputs.
+    /// As [`smooth`](Self::smooth), and if a buffer has another length than the frame or is not among the outputs, or
+    /// if holes are to be filled and the status is not among the outputs.
     pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
         out.check(width * height, self.options.outputs)?;
-        if !ONE_THREAD && self.options.outputs.sigma {
-            return self.smooth_with_sigma_into(frame, out);
+        self.check_flags()?;
+        match self.finishes() {
+            true => self.smooth_and_finish_into(frame, out),
+            false => self.smooth_frame(frame, out),
         }
-        self.smooth_frame(frame, out)
     }
 
     fn smooth_frame(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
@@ -408,8 +416,8 @@ impl Session {
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
-            let sigma = self.sigma.take();
-            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video), sigma));
+            let finish = self.finish.take();
+            std::mem::forget((self.open.take(), self.open_for_first.take(), std::mem::take(&mut self.video), finish));
             self.sight = None;
             self.pending.clear();
             self.ready.clear();
@@ -436,7 +444,7 @@ impl Session {
         (self.open, self.open_for_first) = (None, None);
         self.lattice = None;
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
-        self.sigma = None;
+        self.finish = None;
         self.restart_video();
         self.video.close();
         self.pending.clear();

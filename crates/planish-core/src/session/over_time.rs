@@ -6,7 +6,6 @@ use super::filtering::Filtering;
 use super::open::Open;
 use super::pending::OnReceipt;
 use super::sight::{Sight, StatedPose};
-use super::sigma::needed;
 use super::{Chosen, Session, SessionEvent};
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::Error;
@@ -111,18 +110,10 @@ impl Session {
     /// Returns the results that an engine must compute for a frame that is then smoothed over time. Raw depth and
     /// frames are added after the filter.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
-        let outputs = self.outputs_before_sigma(frame);
+        let outputs = self.outputs_to_finish(frame);
         match self.over_time(frame) {
             Some(_) => outputs_in_space(outputs, self.tracks_camera()),
             None => outputs,
-        }
-    }
-
-    /// Returns the requested outputs, with those from which standard errors follow instead of these.
-    fn outputs_before_sigma(&self, frame: Frame<'_>) -> Outputs {
-        match self.options.outputs {
-            outputs if outputs.sigma && !ONE_THREAD => needed(outputs, self.over_time(frame).is_some()),
-            outputs => outputs,
         }
     }
 
@@ -251,7 +242,7 @@ impl Session {
                 geometry,
                 sensor: params.sensor,
                 camera,
-                outputs: self.outputs_before_sigma(frame),
+                outputs: self.outputs_to_finish(frame),
                 video: self.video.clock.video(),
                 pose: self.video.pose.or(stated),
                 is_pose_of_file: self.video.pose.is_none(),

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use super::finish::Finish;
 use super::sight::Sight;
-use super::sigma::ForSigma;
 use crate::fleet::SharedFrame;
 use crate::outputs::Outputs;
 use crate::temporal::CameraMotion;
@@ -17,8 +17,8 @@ pub(super) struct Pending {
     pub(super) frame: Option<AnyFrame>,
     pub(super) is_cloud: bool,
     pub(super) on_receipt: OnReceipt,
-    /// How it gets standard errors, if they are requested.
-    pub(super) for_sigma: Option<ForSigma>,
+    /// How the session finishes its result, if it does.
+    pub(super) finish: Option<Finish>,
     /// The outputs that were requested.
     pub(super) outputs: Outputs,
 }

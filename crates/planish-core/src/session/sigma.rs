@@ -3,10 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::Session;
-use crate::error::{Error, FrameError, ParamError};
-use crate::frame::{Frame, FrameGeometry, GeometryScratch, RangeRule};
-use crate::outputs::{Outputs, SmoothedMut};
+use crate::frame::{Frame, FrameGeometry, RangeRule};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
@@ -51,115 +48,16 @@ const BIAS_WEIGHT: f32 = 0.5;
 /// The share of the variance that is the same in every frame of a stationary sensor, and so does not fall over time.
 const FIXED_SHARE: f32 = 0.65;
 
-/// How a result gets its standard errors when it is received.
+/// How standard errors are estimated.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct ForSigma {
-    geometry: FrameGeometry,
-    params: EngineParams,
-    /// The outputs that were requested.
-    outputs: Outputs,
-}
-
-/// Returns the outputs from which the standard errors follow.
-pub(super) fn needed(outputs: Outputs, is_over_time: bool) -> Outputs {
-    let outputs = outputs.with_sigma(false).with_points(true).with_status(true).with_neighbours(true);
-    outputs.with_frames(outputs.frames || is_over_time)
-}
-
-impl Session {
-    /// Smooths a frame and estimates the error of each point.
-    pub(super) fn smooth_with_sigma(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
-        check_sensor(frame)?;
-        let outputs = self.options.outputs;
-        self.options.outputs = needed(outputs, self.over_time(frame).is_some());
-        // The session lends buffers for results that were not requested.
-        self.sigma_buffers().exchange(out, outputs);
-        self.sigma_buffers().spare.sigma = out.sigma.take();
-        let result = self.smooth(frame, out);
-        self.options.outputs = outputs;
-        let for_sigma = result.and_then(|()| Ok((self.for_sigma(frame), self.threads_for_sigma()?)));
-        if let Ok((Some(for_sigma), threads)) = &for_sigma {
-            for_sigma.estimate(frame, out, threads, self.sigma_buffers());
-        }
-        self.sigma_buffers().exchange(out, outputs);
-        // Clears results left from earlier calls with other outputs.
-        let (width, height) = frame.shape();
-        out.prepare(width, height, outputs);
-        for_sigma.map(drop)
-    }
-
-    fn sigma_buffers(&mut self) -> &mut SigmaBuffers {
-        self.sigma.get_or_insert_default()
-    }
-
-    /// Returns the threads that estimate errors, kept from frame to frame.
-    pub(super) fn threads_for_sigma(&mut self) -> Result<Threads, Error> {
-        let wanted = self.options.threads;
-        match self.sigma.as_deref().and_then(|sigma| sigma.threads.as_ref()) {
-            Some((threads, open)) if *threads == wanted => Ok(open.clone()),
-            _ => {
-                let open = Threads::open(wanted)?;
-                self.sigma_buffers().threads = Some((wanted, open.clone()));
-                Ok(open)
-            }
-        }
-    }
-
-    /// As [`smooth_with_sigma`](Self::smooth_with_sigma), into the caller's buffers.
-    pub(super) fn smooth_with_sigma_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
-        let mut smoothed = std::mem::take(&mut self.sigma_buffers().with_sigma);
-        let result = self.smooth_with_sigma(frame, &mut smoothed);
-        if result.is_ok() {
-            out.copy_from(&smoothed);
-        }
-        self.sigma_buffers().with_sigma = smoothed;
-        result
-    }
-
-    /// Adds standard errors to a received result.
-    pub(super) fn add_sigma(
-        &mut self,
-        frame: Frame<'_>,
-        smoothed: &mut Smoothed,
-        for_sigma: &ForSigma,
-    ) -> Result<(), Error> {
-        let threads = self.threads_for_sigma()?;
-        for_sigma.estimate(frame, smoothed, &threads, self.sigma_buffers());
-        let (width, height) = frame.shape();
-        smoothed.prepare(width, height, for_sigma.outputs);
-        Ok(())
-    }
-
-    /// Returns how the last frame that an engine was opened for gets its standard errors, if they are requested.
-    pub(super) fn for_sigma(&mut self, frame: Frame<'_>) -> Option<ForSigma> {
-        let params = self.open.as_ref()?.open_for().params;
-        let outputs = self.options.outputs;
-        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        outputs.sigma.then_some(ForSigma { geometry, params, outputs })
-    }
-}
-
-/// Refuses clouds without a grid, and grids whose sensor could be anywhere: they have no rays.
-pub(super) fn check_sensor(frame: Frame<'_>) -> Result<(), Error> {
-    match frame {
-        Frame::Points(points) if points.grid().is_none() => {
-            let allowed = "only for frames on a grid";
-            Err(ParamError { field: "outputs", value: "sigma".into(), allowed }.into())
-        }
-        Frame::Points(points) if points.seen_from().is_none() => Err(FrameError::UnknownSensor.into()),
-        _ => Ok(()),
-    }
+pub(super) struct Sigma {
+    pub(super) geometry: FrameGeometry,
+    pub(super) params: EngineParams,
 }
 
 /// Buffers that are kept from frame to frame.
 #[derive(Default)]
 pub(super) struct SigmaBuffers {
-    /// The result before it is copied into the caller's buffers.
-    with_sigma: Smoothed,
-    /// The requested number of threads, and the threads.
-    threads: Option<(Option<usize>, Threads)>,
-    /// Results that the caller did not request.
-    spare: Smoothed,
     /// The smoothed range of each pixel, and the sensor's deviation there.
     ranges_m: Vec<f32>,
     deviations_m: Vec<f32>,
@@ -176,23 +74,6 @@ pub(super) struct SigmaBuffers {
 }
 
 impl SigmaBuffers {
-    /// Lends the caller's result the buffers it lacks and sigma needs, or takes them back.
-    fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
-        let spare = &mut self.spare;
-        if !outputs.points {
-            std::mem::swap(&mut out.points, &mut spare.points);
-        }
-        if !outputs.status {
-            std::mem::swap(&mut out.status, &mut spare.status);
-        }
-        if !outputs.neighbours {
-            std::mem::swap(&mut out.neighbours, &mut spare.neighbours);
-        }
-        if !outputs.frames {
-            std::mem::swap(&mut out.frames, &mut spare.frames);
-        }
-    }
-
     fn resize(&mut self, pixels: usize) {
         let Self { ranges_m, deviations_m, values, squares, counts, variances, means, steps, near, .. } = self;
         for buffer in [ranges_m, deviations_m, values, squares, counts, variances, means] {
@@ -207,11 +88,17 @@ fn is_on_surface(status: Status) -> bool {
     matches!(status, Status::Plane | Status::Polynomial2 | Status::Polynomial3)
 }
 
-impl ForSigma {
+impl Sigma {
     /// Estimates the standard errors of a frame's result.
-    fn estimate(&self, frame: Frame<'_>, smoothed: &mut Smoothed, threads: &Threads, buffers: &mut SigmaBuffers) {
+    pub(super) fn estimate(
+        &self,
+        frame: Frame<'_>,
+        smoothed: &mut Smoothed,
+        threads: &Threads,
+        buffers: &mut SigmaBuffers,
+    ) {
         let pixels = smoothed.width * smoothed.height;
-        let mut sigma_m = buffers.spare.sigma.take().or(smoothed.sigma.take()).unwrap_or_default();
+        let mut sigma_m = smoothed.sigma.take().unwrap_or_default();
         sigma_m.resize(pixels, f32::NAN);
         buffers.resize(pixels);
         threads.install(|| self.fill(frame, smoothed, buffers, &mut sigma_m));

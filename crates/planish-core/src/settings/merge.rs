@@ -42,6 +42,7 @@ impl Settings {
             min_range_m,
             max_range_m,
             decimate,
+            fill,
             remove_isolated,
             window,
             stride,
@@ -72,6 +73,7 @@ impl Settings {
             self.min_range_m = min_range_m.or(self.min_range_m);
             self.max_range_m = max_range_m.or(self.max_range_m);
             self.decimate = decimate.or(self.decimate);
+            self.fill = fill.or(self.fill);
         }
         self.remove_isolated = remove_isolated.or(self.remove_isolated);
         self.window = window.or(self.window);

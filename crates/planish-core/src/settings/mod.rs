@@ -19,6 +19,7 @@ use crate::cpu::CloudEstimate;
 use crate::devices::GpuOptions;
 use crate::engines::{Engine, SmootherOptions};
 use crate::error::ParamError;
+use crate::fill::check_width;
 use crate::fleet::FleetDevice;
 use crate::outputs::Outputs;
 use crate::params::{CloudParams, Edges, Params, Project, Strength};
@@ -64,6 +65,9 @@ pub struct Settings {
     pub max_range_m: Option<f32>,
     /// Side of the blocks of pixels that become one pixel each before smoothing, 2 to 8.
     pub decimate: Option<u32>,
+    /// Holes up to this many pixels wide are filled with the surface around them, and flagged, 1 to 64 [default: none].
+    /// Frames of a camera only.
+    pub fill: Option<u32>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
     pub remove_isolated: Option<bool>,
     /// Half-width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
@@ -131,18 +135,25 @@ pub struct Resolved {
 /// The settings whose values are one of some names.
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
-const OUTPUTS: &str = "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames, sigma";
+const OUTPUTS: &str = if ONE_THREAD {
+    "a list of points, depth, depth_m, normals, curvature, status, neighbours"
+} else {
+    "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames, sigma"
+};
 const PASSES: &str = "1 or 2";
-/// Allowed values of the field `settings`.
-const FIELDS: &str = "preset, strength, sensor, edges, remove_floating, min_range_m, max_range_m, decimate, remove_isolated, \
-                      window, stride, \
-                      average_blocks, \
-                      radius_m, neighbours, passes, grid, even, temporal, track, degree, bandwidth_m, ridge, project, engine, adapter, devices, threads, \
-                      outputs";
+/// Allowed values of the field `settings`. WebAssembly leaves some out.
+const FIELDS: &str = if ONE_THREAD {
+    "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, average_blocks, radius_m, \
+     neighbours, passes, grid, degree, bandwidth_m, ridge, project, engine, threads, outputs"
+} else {
+    "preset, strength, sensor, edges, remove_floating, min_range_m, max_range_m, decimate, fill, remove_isolated, \
+     window, stride, average_blocks, radius_m, neighbours, passes, grid, even, temporal, track, degree, bandwidth_m, \
+     ridge, project, engine, adapter, devices, threads, outputs"
+};
 
 impl Settings {
     /// The names of all fields, as [`set`](Self::set) and files take them.
-    pub const NAMES: [&'static str; 28] = [
+    pub const NAMES: [&'static str; 29] = [
         "preset",
         "strength",
         "sensor",
@@ -151,6 +162,7 @@ impl Settings {
         "min_range_m",
         "max_range_m",
         "decimate",
+        "fill",
         "remove_isolated",
         "window",
         "stride",
@@ -194,6 +206,7 @@ impl Settings {
                 self.max_range_m = value.number("max_range_m", "a range in metres, 0 or more")?
             }
             "decimate" if !ONE_THREAD => self.decimate = value.whole("decimate", "2 to 8")?,
+            "fill" if !ONE_THREAD => self.fill = value.whole("fill", "1 to 64 pixels")?,
             "remove_isolated" => self.remove_isolated = value.truth("remove_isolated")?,
             "window" => self.window = value.whole("window", "1 to 7")?,
             "stride" => self.stride = value.whole("stride", "1 to 8")?,
@@ -246,13 +259,14 @@ impl Settings {
         if ONE_THREAD && self.even == Some(true) {
             return contradiction("even", "true", "only outside a browser, whose module is kept small");
         }
-        if self.tracks_camera() && self.temporal == Some(TemporalChoice::Off) {
+        if !ONE_THREAD && self.tracks_camera() && self.temporal == Some(TemporalChoice::Off) {
             return contradiction("track", "true", "only with temporal=steady");
         }
         if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
             return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
         }
-        if self.outputs.is_some_and(|outputs| outputs.frames) && self.temporal_params().is_none() {
+        let wants_frames = !ONE_THREAD && self.outputs.is_some_and(|outputs| outputs.frames);
+        if wants_frames && self.temporal_params().is_none() {
             return contradiction("outputs", "frames", "only with temporal=steady");
         }
         if let Some(adapter) = &self.adapter {
@@ -277,6 +291,7 @@ impl Settings {
         self.cloud_params_unchecked().validate()?;
         if !ONE_THREAD {
             self.preparation().validate()?;
+            check_width(self.fill)?;
         }
         if self.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" });
@@ -299,7 +314,7 @@ impl Settings {
     /// neighbours or passes, or the paper preset, nor where points are to be removed or spaced evenly.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
-        let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly();
+        let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly() || self.fill.is_some();
         self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
     }
 

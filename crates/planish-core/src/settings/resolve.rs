@@ -129,6 +129,7 @@ impl Settings {
             ("min_range_m", min_range_m.map(|range_m| range_m.to_string())),
             ("max_range_m", max_range_m.map(|range_m| range_m.to_string())),
             ("decimate", decimate.map(|k| k.to_string())),
+            ("fill", self.fill.map(|width_px| width_px.to_string())),
         ];
         match given.into_iter().find_map(|(field, value)| Some((field, value?))) {
             Some((field, value)) => Err(ParamError { field, value, allowed }),

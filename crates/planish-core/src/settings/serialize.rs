@@ -50,6 +50,7 @@ impl Serialize for Settings {
             entry!("min_range_m", self.min_range_m);
             entry!("max_range_m", self.max_range_m);
             entry!("decimate", self.decimate);
+            entry!("fill", self.fill);
         }
         entry!("remove_isolated", self.remove_isolated);
         entry!("window", self.window);

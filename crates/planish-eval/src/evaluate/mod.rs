@@ -6,6 +6,7 @@
 mod calibration;
 mod curves;
 mod evaluation;
+mod filling;
 mod geometry;
 mod patches;
 mod rig;
@@ -19,6 +20,7 @@ use planish_core::{Camera, Xyz};
 pub use calibration::{Calibration, CalibrationReport};
 pub use curves::CurveReport;
 pub use evaluation::{AngleReport, Evaluation, RangeReport, Report, jitter_mm};
+pub use filling::{FillEvaluation, FillReport, HoleReport, cut_holes, hole_mask};
 pub use patches::{PatchReport, patch_planes};
 pub use rig::{RigCase, RigCaseCamera, RigEvaluation, RigReport, RigSuite};
 pub use suite::{Case, Gauges, Suite};

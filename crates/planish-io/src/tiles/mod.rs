@@ -15,7 +15,7 @@ use plan::{Tile, bytes_a_point};
 use planish_core::{
     CloudEstimate, CloudParams, CloudRadius, Engine, EngineError, Error, FormatError, Frame, IntoFrame, IoError,
     Outputs, ParamError, Params, PointCloud, PointsView, Progress, SensorPose, Settings, Smoothed, Smoother,
-    SmootherOptions,
+    SmootherOptions, Status,
     internal::{NeededHalo, halo},
 };
 use spill::{Spill, too_large};
@@ -83,7 +83,7 @@ pub struct TilesReport {
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
     /// Points of each status, by its code.
-    pub status_counts: [usize; 8],
+    pub status_counts: [usize; Status::ALL.len()],
     /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
     pub reaching_beyond: usize,
     /// Whether the file or the options state the sensor's pose.

@@ -78,6 +78,10 @@ impl RigOptions {
         settings: &Settings,
         voxel_m: Option<f64>,
     ) -> Result<Self, planish_core::Error> {
+        if let Some(width_px) = settings.fill {
+            let allowed = "only for single cameras";
+            return Err(ParamError { field: "fill", value: width_px.to_string(), allowed }.into());
+        }
         let of_camera = |camera: &super::RigCamera| {
             let mut settings = settings.clone();
             settings.sensor = settings.sensor.or(camera.sensor.map(SensorChoice::Known));

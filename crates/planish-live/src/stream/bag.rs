@@ -47,6 +47,9 @@ impl Sink for BagSink {
             if let OwnedFrame::Depth(planish_core::DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
                 writer.add_colour((width, height), rgb, timestamp_s)?;
             }
+            if let Some(mask) = frame.smoothed.origin_mask() {
+                writer.add_origin((width, height), mask, timestamp_s)?;
+            }
             return writer.add_depth(&DepthImage { width, height, raw: raw.clone() }, &camera, timestamp_s);
         }
         let mut cloud = match &frame.source {

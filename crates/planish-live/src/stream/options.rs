@@ -81,6 +81,10 @@ impl StreamOptions {
         }
     }
 
+    fn fills(&self) -> bool {
+        matches!(&self.params, StreamParams::Settings(settings) if settings.fill.is_some())
+    }
+
     pub(super) fn is_over_time(&self) -> bool {
         matches!(&self.params, StreamParams::Settings(settings) if settings.temporal_params().is_some())
     }
@@ -92,7 +96,11 @@ impl StreamOptions {
                 Session::with_params(*params, CloudParams::default(), self.smoother.clone(), self.devices.clone())?
             }
         };
-        let session = session.with_options(self.smoother.clone());
+        let mut session = session.with_options(self.smoother.clone());
+        // Flags pixels that were filled or, in depth images, carried over time.
+        let outputs = session.outputs();
+        let flags = self.fills() || (self.is_over_time() && outputs.needs_camera());
+        session.set_outputs(outputs.with_status(outputs.status || flags));
         let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
         Ok(session.with_cloud_estimates(false))
     }

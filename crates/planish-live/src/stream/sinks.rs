@@ -59,7 +59,8 @@ impl SinkFormat {
 /// atomically.
 ///
 /// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units,
-/// and colour in `rgb` with `rgb.txt`. Clouds whose source has time stamps are listed in `points.txt`.
+/// and colour in `rgb` with `rgb.txt`. NAME.origin.png shows the origin of each pixel
+/// if values may be filled or carried over time. Clouds whose source has time stamps are listed in `points.txt`.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -105,6 +106,9 @@ impl FolderSink {
         let raw = frame.smoothed.depth.clone().ok_or(missing)?;
         let file = format!("{name}.{}", self.format.extension());
         io::write_depth(&self.folder.join(&file), &DepthImage { width, height, raw })?;
+        if frame.smoothed.status.is_some() {
+            io::write_origin_mask(&self.folder.join(&file), &frame.smoothed)?;
+        }
         let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
         if let OwnedFrame::Depth(DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
             let colour = format!("rgb/{name}.png");

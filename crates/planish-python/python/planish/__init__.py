@@ -20,7 +20,7 @@ Many frames, with buffers that are kept:
 from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
 from ._planish import VERSION as __version__
 from ._planish import Camera
-from ._result import CloudChoice, Smoothed, Status
+from ._result import CloudChoice, Origin, Smoothed, Status
 from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
 from ._stream import Stream, StreamFrame, stream
@@ -33,6 +33,7 @@ __all__ = [
     "Devices",
     "Distances",
     "Frame",
+    "Origin",
     "Sensor",
     "Settings",
     "SettingsFile",

@@ -10,6 +10,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ._planish import origin_values as _origin_values
+
 
 class Status(enum.IntEnum):
     """Status of a point in the result."""
@@ -30,6 +32,21 @@ class Status(enum.IntEnum):
     ISOLATED = 6
     #: With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame.
     CARRIED = 7
+    #: With ``fill``: a hole that was filled with the surface around it. Nothing was measured here.
+    FILLED = 8
+
+
+class Origin(enum.IntEnum):
+    """Where the value of a point comes from, as in the masks beside depth images (NAME.origin.png)."""
+
+    #: There is no value.
+    NONE = 0
+    #: Filled with the surface around the hole.
+    FILLED = 85
+    #: Kept from the previous frame of a video.
+    CARRIED = 170
+    #: Measured in this frame.
+    MEASURED = 255
 
 
 class CloudChoice(NamedTuple):
@@ -103,6 +120,23 @@ class Smoothed:
     depth_m: NDArray[np.float32] = _ABSENT
     frames: NDArray[np.float32] = _ABSENT
     sigma: NDArray[np.float32] = _ABSENT
+
+    @property
+    def origin(self) -> NDArray[np.uint8]:
+        """Where each value comes from, of the shape of `status`; see `Origin`. Needs the output ``"status"``.
+
+        Examples
+        --------
+        >>> import planish
+        >>> frame = planish.simulate("table")
+        >>> frame.depth[200:204, 300:304] = 0
+        >>> result = planish.smooth(frame.depth, frame.camera, fill=8)
+        >>> bool((result.origin[200:204, 300:304] == planish.Origin.FILLED).all())
+        True
+        """
+        if self.status is None:
+            raise ValueError('origin: follows from the status; add "status" to the outputs')
+        return np.frombuffer(_origin_values(), np.uint8)[self.status]
 
     def __repr__(self) -> str:
         return described(self)

@@ -91,6 +91,9 @@ class Settings(TypedDict, total=False):
     """Pixels of a frame that are farther become holes before smoothing; streams, `mesh` and the command only."""
     decimate: int | None
     """Side of the blocks of pixels that become one before smoothing, 2 to 8; streams, `mesh` and the command only."""
+    fill: int | None
+    """Holes of a frame up to this many pixels wide are filled with the surface around them, 1 to 64 [default: none]. Filled points have
+    the status `Status.FILLED`; the outputs must include ``"status"``."""
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None

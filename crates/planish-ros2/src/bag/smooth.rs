@@ -11,7 +11,7 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use super::of_mcap;
 use super::records::{Next, Records};
-use super::schemas::{CLOUD, CLOUD_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
+use super::schemas::{CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
 use super::writer::channel_metadata;
 use crate::ros::{DepthMessage, MessageError, MessageSmoother, PointCloud2, from_cdr, to_cdr};
@@ -139,7 +139,7 @@ pub fn smooth_bag(
         smoother,
         channels: Channels::default(),
         reports: BTreeMap::new(),
-        points_channel: None,
+        added: BTreeMap::new(),
         taken,
         copied: 0,
         done: 0,
@@ -254,6 +254,15 @@ impl From<McapError> for CopyError {
     }
 }
 
+/// The messages that replace one.
+struct Rewritten {
+    message: Vec<u8>,
+    /// A cloud, if it is wanted.
+    points: Option<Vec<u8>>,
+    /// The origins of a depth image's pixels, if some may not be measured.
+    origin: Option<Vec<u8>>,
+}
+
 /// A recording on its way.
 struct Copy<'a> {
     chosen: Vec<Chosen>,
@@ -261,7 +270,8 @@ struct Copy<'a> {
     smoother: &'a mut MessageSmoother,
     channels: Channels,
     reports: BTreeMap<String, TopicReport>,
-    points_channel: Option<u16>,
+    /// Channels that the input lacks, by topic.
+    added: BTreeMap<String, u16>,
     /// Numbers of channels and schemas that the input has.
     taken: BTreeSet<u16>,
     copied: u64,
@@ -322,12 +332,17 @@ impl Copy<'_> {
         let result = self.smooth(&chosen, data);
         let report = self.reports.entry(topic).or_insert_with(|| empty_report(&chosen));
         match result {
-            Ok((smoothed, points)) => {
+            Ok(Rewritten { message, points, origin }) => {
                 report.smoothed += 1;
-                writer.write_to_known_channel(&header, &smoothed)?;
-                if let Some(points) = points {
-                    let channel_id = self.points_channel(writer)?;
+                writer.write_to_known_channel(&header, &message)?;
+                if let (Some(points), Some(topic)) = (points, &self.options.points_topic) {
+                    let channel_id = self.added_channel(writer, topic, (CLOUD_TYPE, CLOUD))?;
                     writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &points)?;
+                }
+                if let Some(origin) = origin {
+                    let topic = format!("{}/origin", chosen.topic);
+                    let channel_id = self.added_channel(writer, &topic, (IMAGE_TYPE, IMAGE))?;
+                    writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &origin)?;
                 }
                 Ok(())
             }
@@ -340,13 +355,14 @@ impl Copy<'_> {
         }
     }
 
-    /// Returns the bytes of the smoothed message, and of a cloud if that is wanted.
-    fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<(Vec<u8>, Option<Vec<u8>>), MessageError> {
+    /// Smooths a message.
+    fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<Rewritten, MessageError> {
         self.smoother.set_topic(&chosen.topic)?;
         let message = match chosen.kind {
             MessageKind::PointCloud2 => {
                 let cloud: PointCloud2 = from_cdr(data)?;
-                return Ok((to_cdr(&self.smoother.smooth_cloud(cloud)?)?, None));
+                let message = to_cdr(&self.smoother.smooth_cloud(cloud)?)?;
+                return Ok(Rewritten { message, points: None, origin: None });
             }
             MessageKind::CompressedImage => DepthMessage::Compressed(from_cdr(data)?),
             _ => DepthMessage::Image(from_cdr(data)?),
@@ -355,24 +371,32 @@ impl Copy<'_> {
         let wants_points = self.options.points_topic.is_some();
         let smoothed = self.smoother.smooth_depth(&message, camera, wants_points)?;
         let points = wants_points.then(|| PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed()));
-        let bytes = match message.with_pixels(&smoothed)? {
+        let origin = self.smoother.origin_image(message.header().clone());
+        let message = match message.with_pixels(&smoothed)? {
             DepthMessage::Image(image) => to_cdr(&image)?,
             DepthMessage::Compressed(image) => to_cdr(&image)?,
         };
-        Ok((bytes, points.as_ref().map(to_cdr).transpose()?))
+        let points = points.as_ref().map(to_cdr).transpose()?;
+        Ok(Rewritten { message, points, origin: origin.as_ref().map(to_cdr).transpose()? })
     }
 
-    /// Creates the channel for clouds, with IDs of channel and schema that are unused in the input.
-    fn points_channel<W: Write + Seek>(&mut self, writer: &mut Writer<W>) -> Result<u16, CopyError> {
-        if let Some(channel) = self.points_channel {
-            return Ok(channel);
+    /// Returns the channel of a topic that the input lacks, with IDs of channel and schema that are unused there.
+    fn added_channel<W: Write + Seek>(
+        &mut self,
+        writer: &mut Writer<W>,
+        topic: &str,
+        (type_name, definition): (&str, &str),
+    ) -> Result<u16, CopyError> {
+        if let Some(channel) = self.added.get(topic) {
+            return Ok(*channel);
         }
-        let topic = self.options.points_topic.as_deref().unwrap_or_default();
-        let free = (1..=u16::MAX).rev().find(|number| !self.taken.contains(number) && !self.channels.has(*number));
-        let number = free.ok_or(McapError::TooManyChannels)?;
-        let schema = writer.add_schema_with_id(number, CLOUD_TYPE, SCHEMA_ENCODING, CLOUD.as_bytes())?;
+        let is_free = |number: &u16| {
+            !self.taken.contains(number) && !self.channels.has(*number) && !self.added.values().any(|id| id == number)
+        };
+        let number = (1..=u16::MAX).rev().find(is_free).ok_or(McapError::TooManyChannels)?;
+        let schema = writer.add_schema_with_id(number, type_name, SCHEMA_ENCODING, definition.as_bytes())?;
         let channel = writer.add_channel_with_id(number, schema, topic, MESSAGE_ENCODING, &channel_metadata())?;
-        self.points_channel = Some(channel);
+        self.added.insert(topic.to_owned(), channel);
         Ok(channel)
     }
 }

@@ -20,6 +20,7 @@ use planish_io::internal::AtomicFile;
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
 const RAW_TOPIC: &str = "/camera/depth/image_raw";
 const COLOUR_TOPIC: &str = "/camera/rgb/image_rect_color";
+const ORIGIN_TOPIC: &str = "/camera/depth/origin";
 const POINTS_TOPIC: &str = "/camera/depth/points";
 const FRAME_ID: &str = "camera_depth_optical_frame";
 
@@ -104,6 +105,14 @@ impl BagWriter {
             data: rgb.to_vec(),
         };
         Ok(self.write(COLOUR_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
+    }
+
+    /// Adds where the pixels of the depth image that is added next come from
+    /// ([`Smoothed::origin_mask`](planish_core::Smoothed::origin_mask)), on `/camera/depth/origin`.
+    pub fn add_origin(&mut self, shape: (usize, usize), mask: Vec<u8>, timestamp_s: Option<f64>) -> Result<(), Error> {
+        let header = self.header(timestamp_s);
+        let image = Image::of_origins(header.clone(), shape, mask);
+        Ok(self.write(ORIGIN_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
     }
 
     /// Adds a frame as its source gave it.

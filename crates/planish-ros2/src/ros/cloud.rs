@@ -20,6 +20,7 @@ const MOST_PADDING: u64 = 4096;
 /// The fields of a video.
 const FRAMES: &str = "frames";
 const STATUS: &str = "status";
+const SIGMA: &str = "sigma";
 
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
@@ -156,9 +157,9 @@ impl PointCloud2 {
         Ok(self)
     }
 
-    /// Returns the cloud at its smoothed positions, with holes as NaN. Normals, curvature, frames and statuses of the
-    /// result replace fields of these names, or are appended. Fields `frames` and `status` of another type stay. All
-    /// other bytes are unchanged.
+    /// Returns the cloud at its smoothed positions, with holes as NaN. Normals, curvature, frames, statuses and
+    /// standard errors of the result replace fields of these names, or are appended. Fields `frames`, `status` and
+    /// `sigma` of another type stay. All other bytes are unchanged.
     ///
     /// # Errors
     /// If the result is not one of this cloud.
@@ -194,6 +195,9 @@ impl PointCloud2 {
         }
         if let Some(status) = smoothed.status.as_deref().filter(|_| cloud.may_set(STATUS, U8)) {
             cloud.set_codes(STATUS, status)?;
+        }
+        if let Some(sigma) = smoothed.sigma.as_deref().filter(|_| cloud.may_set(SIGMA, F32)) {
+            cloud.set_field(SIGMA, sigma)?;
         }
         cloud.is_dense = (0..points).all(|i| smoothed.points.is_finite(i));
         Ok(cloud)
@@ -268,15 +272,17 @@ impl PointCloud2 {
 
     /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the
     /// fields are float32, as in PCL's structs. If the result has frames or statuses, 8 more bytes hold them (float32,
-    /// uint8).
+    /// uint8), and 4 more its standard errors (float32) if it has any.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let of_pcl: u32 = if with_normals { 32 } else { 16 };
         let is_of_video = smoothed.frames.is_some() || smoothed.status.is_some();
-        let point_step = if is_of_video { of_pcl + 8 } else { of_pcl };
+        let before_sigma = if is_of_video { of_pcl + 8 } else { of_pcl };
+        let point_step = if smoothed.sigma.is_some() { before_sigma + 4 } else { before_sigma };
         let names = ["x", "y", "z"].into_iter().zip([0, 4, 8]);
         let more = NORMALS.into_iter().chain(["curvature"]).zip([16, 20, 24, 28]).filter(|_| with_normals);
         let more = more.chain(smoothed.frames.as_ref().map(|_| (FRAMES, of_pcl)));
+        let more = more.chain(smoothed.sigma.as_ref().map(|_| (SIGMA, before_sigma)));
         let field = |(name, offset): (&str, u32)| PointField { name: name.into(), offset, datatype: F32, count: 1 };
         let code = |name: &str, offset| PointField { name: name.into(), offset, datatype: U8, count: 1 };
         let codes = smoothed.status.as_ref().map(|_| code(STATUS, of_pcl + 4));
@@ -298,6 +304,9 @@ impl PointCloud2 {
                 let status = smoothed.status.as_ref().map_or(0, |status| status[i] as u8);
                 data.extend_from_slice(&frames.to_ne_bytes());
                 data.extend_from_slice(&[status, 0, 0, 0]);
+            }
+            if let Some(sigma) = &smoothed.sigma {
+                data.extend_from_slice(&sigma[i].to_ne_bytes());
             }
         }
         Self {

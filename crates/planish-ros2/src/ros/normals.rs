@@ -4,6 +4,19 @@ use super::{Header, Image};
 use planish_core::Xyz;
 
 impl Image {
+    /// Creates a mono8 image of where each pixel's value comes from.
+    pub fn of_origins(header: Header, (width, height): (usize, usize), mask: Vec<u8>) -> Self {
+        Self {
+            header,
+            height: height as u32,
+            width: width as u32,
+            encoding: "mono8".into(),
+            is_bigendian: 0,
+            step: width as u32,
+            data: mask,
+        }
+    }
+
     /// Encodes the unit normals of a frame on a grid, in the camera's optical frame and towards the camera: 32FC3, NaN
     /// for pixels without one.
     pub(super) fn of_normals(header: Header, (width, height): (usize, usize), normals: &Xyz) -> Self {

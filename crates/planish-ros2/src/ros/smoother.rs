@@ -167,6 +167,20 @@ impl MessageSmoother {
         (height > 1).then(|| Image::of_normals(header, (width, height), normals))
     }
 
+    /// Returns where the pixels of the last depth image come from, as a mono8 image: 0 for holes, 85 for filled pixels,
+    /// 170 for those carried over from the previous frame, 255 for measured ones. `None` if all are measured, since
+    /// holes are not filled and frames not smoothed over time.
+    pub fn origin_image(&self, header: Header) -> Option<Image> {
+        let Smoothed { width, height, .. } = self.smoothed;
+        let mask = self.smoothed.origin_mask().filter(|_| self.flags_origins() && height > 1)?;
+        Some(Image::of_origins(header, (width, height), mask))
+    }
+
+    /// Returns whether pixels may have values that were not measured.
+    fn flags_origins(&self) -> bool {
+        self.session.settings().is_some_and(|settings| settings.fill.is_some() || settings.temporal_params().is_some())
+    }
+
     /// Returns the engine that smoothed the last message.
     pub fn engine(&self) -> Option<Engine> {
         self.session.engine()
@@ -252,6 +266,7 @@ impl MessageSmoother {
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
         let outputs = if points { self.cloud_outputs(true) } else { Outputs::POINTS.with_points(false) };
+        let outputs = outputs.with_status(outputs.status || self.flags_origins());
         match &pixels {
             DepthPixels::Millimetres(image) => {
                 // The unit of the message, whatever the camera says.
@@ -281,14 +296,14 @@ impl MessageSmoother {
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
 
-    /// Returns the outputs for a cloud: the requested normals, curvature and status; for a video also status and
-    /// frames.
+    /// Returns the outputs for a cloud: the requested normals, curvature, status and, on a grid, standard errors; for a
+    /// video also status and frames.
     fn cloud_outputs(&self, is_on_grid: bool) -> Outputs {
-        let Outputs { normals, curvature, status, .. } = self.outputs;
+        let Outputs { normals, curvature, status, sigma, .. } = self.outputs;
         let is_over_time = self.session.settings().is_some_and(|settings| settings.temporal_params().is_some());
         let is_video = is_on_grid && is_over_time;
         let outputs = Outputs::POINTS.with_normals(normals).with_curvature(curvature);
-        outputs.with_status(status || is_video).with_frames(is_video)
+        outputs.with_status(status || is_video).with_frames(is_video).with_sigma(sigma && is_on_grid)
     }
 
     fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {

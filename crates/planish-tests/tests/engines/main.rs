@@ -5,6 +5,7 @@ mod camera_motion;
 mod clean;
 mod cpu_parity;
 mod edges;
+mod fill;
 mod general;
 mod general_on_gpu;
 mod gpu_engine;

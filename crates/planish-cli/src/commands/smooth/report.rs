@@ -47,12 +47,14 @@ pub struct StatusCounts {
     pub polynomial: usize,
     pub isolated: usize,
     pub carried: usize,
+    pub filled: usize,
 }
 
 impl StatusCounts {
     /// Creates counts from the number of points with each status code.
-    pub fn of([hole, too_few, degenerate, plane, quadratic, cubic, isolated, carried]: [usize; 8]) -> Self {
-        Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated, carried }
+    pub fn of(counts: [usize; 9]) -> Self {
+        let [hole, too_few, degenerate, plane, quadratic, cubic, isolated, carried, filled] = counts;
+        Self { hole, too_few, degenerate, plane, polynomial: quadratic + cubic, isolated, carried, filled }
     }
 
     /// Lists the points that were not smoothed, by cause; omits causes without points.
@@ -61,6 +63,7 @@ impl StatusCounts {
             (self.degenerate, "with collinear or coincident neighbours unchanged"),
             (self.isolated, "with too few neighbours unchanged"),
             (self.carried, "carried over from the frame before"),
+            (self.filled, "holes filled with the surface around them"),
             (self.too_few, "with too few neighbours turned into holes"),
             (self.hole, "holes before"),
         ];

@@ -1,0 +1,121 @@
+//! Connected holes, and which of them have two surfaces at their rim.
+
+use std::ops::Range;
+
+use super::pixel::Holes;
+
+/// Points up to this many pixels from a pixel of a hole show whether the rim is one surface there.
+const RIM_PX: usize = 2;
+
+/// Adjacent holes of a row.
+#[derive(Debug, Clone)]
+struct Run {
+    columns: Range<usize>,
+    /// Another run of the same hole, or the run itself for the first.
+    parent: usize,
+    /// Whether the hole of a first run has two surfaces at its rim.
+    has_step: bool,
+}
+
+/// The holes of a frame: pixels without points that touch, corners included.
+#[derive(Default)]
+pub(super) struct Labels {
+    runs: Vec<Run>,
+    /// The index of the first run of each row, and the number of runs.
+    rows: Vec<usize>,
+}
+
+impl Labels {
+    /// Finds the holes.
+    pub(super) fn find(&mut self, holes: &Holes<'_>) {
+        let (width, height) = holes.shape;
+        self.runs.clear();
+        self.rows.clear();
+        for v in 0..height {
+            self.rows.push(self.runs.len());
+            let row = &holes.inverse[v * width..(v + 1) * width];
+            let mut u = 0;
+            while let Some(start) = row[u..].iter().position(|inverse| *inverse == 0.0).map(|by| u + by) {
+                let end = row[start..].iter().position(|inverse| *inverse != 0.0).map_or(width, |by| start + by);
+                self.runs.push(Run { columns: start..end, parent: self.runs.len(), has_step: false });
+                u = end;
+            }
+            if v > 0 {
+                self.join_rows(self.rows[v - 1]..self.rows[v]);
+            }
+        }
+        self.rows.push(self.runs.len());
+        for v in 0..height {
+            for k in self.rows[v]..self.rows[v + 1] {
+                if self.is_at_step(holes, v, k) {
+                    let first = self.first(k);
+                    self.runs[first].has_step = true;
+                }
+            }
+        }
+    }
+
+    /// Joins the runs of the last row with those of the row before.
+    fn join_rows(&mut self, before: Range<usize>) {
+        let mut above = before.start;
+        for k in before.end..self.runs.len() {
+            let columns = self.runs[k].columns.clone();
+            // Corners touch.
+            while above < before.end && self.runs[above].columns.end < columns.start {
+                above += 1;
+            }
+            let mut other = above;
+            while other < before.end && self.runs[other].columns.start <= columns.end {
+                let (a, b) = (self.first(k), self.first(other));
+                self.runs[a.max(b)].parent = a.min(b);
+                other += 1;
+            }
+        }
+    }
+
+    fn is_at_step(&self, holes: &Holes<'_>, v: usize, k: usize) -> bool {
+        let (width, height) = holes.shape;
+        let columns = self.runs[k].columns.clone();
+        let is_point = |u: usize, v: usize| holes.inverse[v * width + u] != 0.0;
+        columns.clone().any(|u| {
+            let is_end = u == columns.start || u + 1 == columns.end;
+            let is_rim = is_end || (v > 0 && is_point(u, v - 1)) || (v + 1 < height && is_point(u, v + 1));
+            is_rim && holes.has_step_near((u, v), RIM_PX)
+        })
+    }
+
+    /// Returns the first run of the hole of a run.
+    fn first(&self, k: usize) -> usize {
+        let mut at = k;
+        while self.runs[at].parent != at {
+            at = self.runs[at].parent;
+        }
+        at
+    }
+
+    /// Returns the hole of a pixel, which must be in one: the number of its first run.
+    pub(super) fn hole(&self, (u, v): (usize, usize)) -> usize {
+        let row = self.rows[v]..self.rows[v + 1];
+        let within = self.runs[row.clone()].partition_point(|run| run.columns.end <= u);
+        self.first((row.start + within).min(row.end.saturating_sub(1)))
+    }
+
+    /// Returns the number of pixels of each hole, by the number of its first run; 0 for other runs.
+    pub(super) fn sizes(&self) -> Vec<usize> {
+        let mut sizes = vec![0; self.runs.len()];
+        for (k, run) in self.runs.iter().enumerate() {
+            sizes[self.first(k)] += run.columns.len();
+        }
+        sizes
+    }
+
+    /// Returns whether a hole has two surfaces at its rim.
+    pub(super) fn has_step(&self, hole: usize) -> bool {
+        self.runs[hole].has_step
+    }
+
+    /// Returns the columns of the holes of a row.
+    pub(super) fn columns(&self, v: usize) -> impl Iterator<Item = usize> + '_ {
+        self.runs[self.rows[v]..self.rows[v + 1]].iter().flat_map(|run| run.columns.clone())
+    }
+}

@@ -1,0 +1,163 @@
+//! Fills the holes of a frame with the surface around them (docs/method.md, section 18).
+
+mod distances;
+mod labels;
+mod pixel;
+mod solid;
+
+use rayon::prelude::*;
+
+use crate::camera::{Camera, Rays};
+use crate::error::ParamError;
+use crate::frame::{Colours, FrameGeometry, RangeRule};
+use crate::pose::RigidTransform;
+use crate::sensor::SensorModel;
+use crate::smoothed::Smoothed;
+use crate::status::Status;
+use crate::threads::Threads;
+use distances::Distances;
+use labels::Labels;
+use pixel::{Holes, Patch};
+use solid::{keep_whole_holes, make_solid};
+
+/// The widest hole that can be filled, in pixels.
+const MOST_PX: u32 = 64;
+
+/// Refuses widths outside their range.
+pub(crate) fn check_width(width_px: Option<u32>) -> Result<(), ParamError> {
+    match width_px {
+        Some(width_px) if !(1..=MOST_PX).contains(&width_px) => {
+            Err(ParamError { field: "fill", value: width_px.to_string(), allowed: "1 to 64 pixels" })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// How the holes of one frame are filled.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fill<'a> {
+    /// Holes up to this many pixels wide are filled.
+    pub(crate) width_px: u32,
+    pub(crate) geometry: FrameGeometry,
+    pub(crate) sensor: SensorModel,
+    /// The camera of the frame, if it is known; otherwise its points must show it.
+    pub(crate) camera: Option<Camera>,
+    pub(crate) colours: Option<Colours<'a>>,
+}
+
+/// Buffers that are kept from frame to frame.
+#[derive(Default)]
+pub(crate) struct FillBuffers {
+    /// 1/z of each point in the frame of the camera, 0 for holes.
+    inverse: Vec<f32>,
+    distances: Distances,
+    labels: Labels,
+    rays: Rays,
+    rows: Vec<Vec<Patch>>,
+}
+
+impl Fill<'_> {
+    /// Fills holes of a result that has points and status, in all its outputs. Returns false, and does nothing, if the
+    /// points are not on the pixels of a camera.
+    pub(crate) fn apply(&self, smoothed: &mut Smoothed, buffers: &mut FillBuffers, threads: &Threads) -> bool {
+        threads.install(|| match self.find(smoothed, buffers) {
+            Some(camera) => {
+                self.write(&camera, smoothed, buffers);
+                true
+            }
+            // A frame of holes shows no camera, and has nothing to fill with.
+            None => smoothed.points.z().iter().all(|z| z.is_nan()),
+        })
+    }
+
+    /// Finds the pixels to fill.
+    fn find(&self, smoothed: &Smoothed, buffers: &mut FillBuffers) -> Option<Camera> {
+        let shape @ (width, height) = (smoothed.width, smoothed.height);
+        let FillBuffers { inverse, distances, labels, rays, rows } = buffers;
+        let status = smoothed.status.as_ref()?;
+        if !matches!(self.geometry.rule, RangeRule::Depth { .. }) {
+            return None;
+        }
+        let transform = self.geometry.cloud_from_sensor;
+        let in_sensor = |i: usize, transform: &RigidTransform| {
+            transform.to_sensor(glam::Vec3::from_array(smoothed.points.get(i)).as_dvec3()).as_vec3()
+        };
+        let of_points = || match &transform {
+            None => Camera::of_points(shape, &smoothed.points),
+            Some(transform) => {
+                let points = (0..width * height).map(|i| in_sensor(i, transform).to_array()).collect();
+                Camera::of_points(shape, &points)
+            }
+        };
+        let camera = self.camera.or_else(of_points)?;
+        rays.set(&camera);
+        inverse.resize(width * height, 0.0);
+        inverse.par_chunks_mut(width).enumerate().for_each(|(v, inverse)| {
+            for (u, inverse) in inverse.iter_mut().enumerate() {
+                let i = v * width + u;
+                let z_m = transform.as_ref().map_or(smoothed.points.z()[i], |transform| in_sensor(i, transform).z);
+                *inverse = if status[i].has_point() && z_m > 0.0 { z_m.recip() } else { 0.0 };
+            }
+        });
+        let shift = self.sensor.baseline_m().map(|baseline_m| baseline_m * camera.fx);
+        distances.find(inverse, width);
+        let mut holes = Holes {
+            inverse,
+            distances,
+            shape,
+            sensor: self.sensor,
+            most_px: self.width_px as usize,
+            shadow: None,
+            colours: self.colours,
+            sigma_m: smoothed.sigma.as_deref(),
+        };
+        labels.find(&holes);
+        holes.shadow = shift.and_then(|shift| holes.find_shadow(shift));
+        let of_row = |v: usize| labels.columns(v).filter_map(|u| holes.fill((u, v), labels)).collect();
+        *rows = (0..height).into_par_iter().map(of_row).collect();
+        keep_whole_holes(rows, labels);
+        make_solid(&holes, rows);
+        Some(camera)
+    }
+
+    /// Writes the filled pixels into every output.
+    fn write(&self, camera: &Camera, smoothed: &mut Smoothed, buffers: &FillBuffers) {
+        let width = smoothed.width;
+        for (v, patch) in buffers.rows.iter().enumerate().flat_map(|(v, row)| row.iter().map(move |patch| (v, patch))) {
+            let (u, i) = (patch.u, v * width + patch.u);
+            let [ray_x, ray_y] = buffers.rays.at(u, v).map(f64::from);
+            let z_m = patch.inverse.recip();
+            let point = z_m * glam::DVec3::new(ray_x, ray_y, 1.0);
+            // 1/z is linear over the pixels of a plane, whose equation follows from its slopes.
+            let [x, y] = [patch.slopes[0] * camera.fx, patch.slopes[1] * camera.fy];
+            let normal = -glam::DVec3::new(x, y, patch.inverse - x * ray_x - y * ray_y).normalize_or_zero();
+            let transform = self.geometry.cloud_from_sensor;
+            let moved = transform.map_or(point, |transform| transform.to_cloud(point));
+            let turned = transform.map_or(normal, |transform| transform.rotation * normal);
+            smoothed.points.set(i, moved.as_vec3().to_array());
+            if let Some(status) = &mut smoothed.status {
+                status[i] = Status::Filled;
+            }
+            if let Some(depth) = &mut smoothed.depth {
+                depth[i] = camera.raw_depth(z_m as f32);
+            }
+            if let Some(depth_m) = &mut smoothed.depth_m {
+                depth_m[i] = z_m as f32;
+            }
+            if let Some(normals) = &mut smoothed.normals {
+                normals.set(i, turned.as_vec3().to_array());
+            }
+            if let Some(curvature) = &mut smoothed.curvature {
+                let known = patch.rims().map(|rim| curvature[rim]).filter(|value| value.is_finite());
+                let (sum, count) = known.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0f32));
+                curvature[i] = sum / count;
+            }
+            if let Some(neighbours) = &mut smoothed.neighbours {
+                neighbours[i] = patch.samples;
+            }
+            if let Some(sigma) = &mut smoothed.sigma {
+                sigma[i] = patch.sigma_m as f32;
+            }
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! What follows smoothing on the CPU, whatever engine computed the result: standard errors, and the filling of holes.
+
+use super::sigma::{Sigma, SigmaBuffers};
+use super::{Chosen, Session, SessionEvent};
+use crate::error::{Error, FrameError, ParamError};
+use crate::fill::{Fill, FillBuffers};
+use crate::frame::{Frame, FrameGeometry, GeometryScratch};
+use crate::outputs::{Outputs, SmoothedMut};
+use crate::params::EngineParams;
+use crate::smoothed::Smoothed;
+use crate::threads::{ONE_THREAD, Threads};
+
+/// How a result is finished when it is received.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Finish {
+    geometry: FrameGeometry,
+    params: EngineParams,
+    /// The outputs that were requested.
+    outputs: Outputs,
+    /// The widest hole to fill, in pixels.
+    fill_px: Option<u32>,
+}
+
+/// What finishes results. A trait object, so that WebAssembly, where none is ever made, has no code that frees it.
+pub(super) trait Finishing: Send {
+    fn buffers(&mut self) -> &mut FinishBuffers;
+    fn threads(&self) -> Option<&(Option<usize>, Threads)>;
+}
+
+impl Finishing for FinishBuffers {
+    fn buffers(&mut self) -> &mut FinishBuffers {
+        self
+    }
+
+    fn threads(&self) -> Option<&(Option<usize>, Threads)> {
+        self.threads.as_ref()
+    }
+}
+
+/// Buffers that are kept from frame to frame.
+#[derive(Default)]
+pub(super) struct FinishBuffers {
+    /// The result before it is copied into the caller's buffers.
+    finished: Smoothed,
+    /// Results that the caller did not request.
+    spare: Smoothed,
+    /// The requested number of threads, and the threads.
+    threads: Option<(Option<usize>, Threads)>,
+    sigma: SigmaBuffers,
+    fill: FillBuffers,
+    /// Whether the caller knows that holes cannot be filled.
+    told: bool,
+}
+
+impl FinishBuffers {
+    /// Lends the caller's result the buffers it lacks and finishing needs, or takes them back.
+    fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
+        let spare = &mut self.spare;
+        if !outputs.points {
+            std::mem::swap(&mut out.points, &mut spare.points);
+        }
+        if !outputs.status {
+            std::mem::swap(&mut out.status, &mut spare.status);
+        }
+        if !outputs.neighbours {
+            std::mem::swap(&mut out.neighbours, &mut spare.neighbours);
+        }
+        if !outputs.frames {
+            std::mem::swap(&mut out.frames, &mut spare.frames);
+        }
+    }
+}
+
+impl Session {
+    /// Returns whether results are finished by the session.
+    pub(super) fn finishes(&self) -> bool {
+        !ONE_THREAD && (self.options.outputs.sigma || self.fill_px().is_some())
+    }
+
+    /// Returns the requested outputs, with the status if holes are filled: it flags them.
+    fn flagged_outputs(&self) -> Outputs {
+        let outputs = self.options.outputs;
+        outputs.with_status(outputs.status || (!ONE_THREAD && self.fill_px().is_some()))
+    }
+
+    /// Returns the outputs from which the requested ones follow.
+    pub(super) fn outputs_to_finish(&self, frame: Frame<'_>) -> Outputs {
+        let outputs = self.options.outputs;
+        if !self.finishes() {
+            return outputs;
+        }
+        let needed = outputs.with_sigma(false).with_points(true).with_status(true);
+        match outputs.sigma {
+            true => needed.with_neighbours(true).with_frames(outputs.frames || self.over_time(frame).is_some()),
+            false => needed,
+        }
+    }
+
+    /// Returns the widest hole to fill, in pixels.
+    pub(super) fn fill_px(&self) -> Option<u32> {
+        match &self.chosen {
+            Chosen::Settings(settings) => settings.fill,
+            Chosen::Params(..) => None,
+        }
+    }
+
+    /// Refuses buffers of the caller's in which filled pixels could not be told from others.
+    pub(super) fn check_flags(&self) -> Result<(), ParamError> {
+        match self.fill_px() {
+            Some(width_px) if !self.options.outputs.status && !ONE_THREAD => {
+                let allowed = "only if status is among the outputs, since it flags filled pixels";
+                Err(ParamError { field: "fill", value: width_px.to_string(), allowed })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses frames that cannot be finished: without a grid, or whose sensor could be anywhere, if standard errors
+    /// are requested. They have no rays.
+    pub(super) fn check_can_finish(&self, frame: Frame<'_>) -> Result<(), Error> {
+        match frame {
+            _ if ONE_THREAD || !self.options.outputs.sigma => Ok(()),
+            Frame::Points(points) if points.grid().is_none() => {
+                let allowed = "only for frames on a grid";
+                Err(ParamError { field: "outputs", value: "sigma".into(), allowed }.into())
+            }
+            Frame::Points(points) if points.seen_from().is_none() => Err(FrameError::UnknownSensor.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Smooths a frame and finishes the result.
+    pub(super) fn smooth_and_finish(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
+        self.check_can_finish(frame)?;
+        let (requested, outputs) = (self.options.outputs, self.flagged_outputs());
+        let sigma_m = out.sigma.take();
+        // The session lends buffers for results that were not requested.
+        self.finish_buffers().exchange(out, outputs);
+        self.options.outputs = self.outputs_to_finish(frame);
+        let result = self.smooth_unfinished(frame, out);
+        self.options.outputs = requested;
+        out.sigma = sigma_m;
+        let result = result.and_then(|()| match self.to_finish(frame) {
+            Some(finish) => self.finish(frame, out, &finish),
+            None => Ok(()),
+        });
+        self.finish_buffers().exchange(out, outputs);
+        // Clears results left from earlier calls with other outputs.
+        let (width, height) = frame.shape();
+        out.prepare(width, height, outputs);
+        result
+    }
+
+    /// As [`smooth_and_finish`](Self::smooth_and_finish), into the caller's buffers.
+    pub(super) fn smooth_and_finish_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
+        let mut finished = std::mem::take(&mut self.finish_buffers().finished);
+        let result = self.smooth_and_finish(frame, &mut finished);
+        if result.is_ok() {
+            out.copy_from(&finished);
+        }
+        self.finish_buffers().finished = finished;
+        result
+    }
+
+    /// Finishes a received result.
+    pub(super) fn finish_received(
+        &mut self,
+        frame: Frame<'_>,
+        smoothed: &mut Smoothed,
+        finish: &Finish,
+    ) -> Result<(), Error> {
+        self.finish(frame, smoothed, finish)?;
+        let (width, height) = frame.shape();
+        smoothed.prepare(width, height, finish.outputs);
+        Ok(())
+    }
+
+    /// Returns how the result of the frame that an engine was last opened for is finished, if it is.
+    pub(super) fn to_finish(&self, frame: Frame<'_>) -> Option<Finish> {
+        if !self.finishes() {
+            return None;
+        }
+        let params = self.open.as_ref()?.open_for().params;
+        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px() })
+    }
+
+    fn finish(&mut self, frame: Frame<'_>, smoothed: &mut Smoothed, finish: &Finish) -> Result<(), Error> {
+        let threads = self.threads_to_finish()?;
+        let Finish { geometry, params, outputs, fill_px } = *finish;
+        let buffers = self.finish_buffers();
+        if outputs.sigma {
+            Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
+        }
+        let Some(width_px) = fill_px else { return Ok(()) };
+        let (camera, colours) = (frame.camera().copied(), frame.colours());
+        let fill = Fill { width_px, geometry, sensor: params.sensor, camera, colours };
+        let has_camera = fill.apply(smoothed, &mut buffers.fill, &threads);
+        if !has_camera && !std::mem::replace(&mut buffers.told, true) {
+            self.events.push(SessionEvent::NotFilled);
+        }
+        Ok(())
+    }
+
+    fn finish_buffers(&mut self) -> &mut FinishBuffers {
+        self.finish.get_or_insert_with(|| Box::<FinishBuffers>::default()).buffers()
+    }
+
+    /// Returns the threads that finish results, kept from frame to frame.
+    fn threads_to_finish(&mut self) -> Result<Threads, Error> {
+        let wanted = self.options.threads;
+        match self.finish.as_deref().and_then(Finishing::threads) {
+            Some((threads, open)) if *threads == wanted => Ok(open.clone()),
+            _ => {
+                let open = Threads::open(wanted)?;
+                self.finish_buffers().threads = Some((wanted, open.clone()));
+                Ok(open)
+            }
+        }
+    }
+}
