@@ -1,5 +1,6 @@
 //! Clouds and depth images into files, or into the bytes of files.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::atomic_write::check_target;
@@ -124,10 +125,21 @@ pub fn origin_mask_of(depth: &Path) -> PathBuf {
     depth.with_extension(ORIGIN)
 }
 
-/// Returns true for the name of a file of [`origin_mask_of`].
+/// Returns true for a mask of origins: its name ends in .origin.png, and it is an 8-bit PNG, which no depth image is.
 pub(crate) fn is_origin_mask(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&format!(".{ORIGIN}")))
+    let has_name = path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&format!(".{ORIGIN}")));
+    has_name && is_8_bit(path)
 }
+
+/// Returns true for a PNG of 8 bits per channel.
+fn is_8_bit(path: &Path) -> bool {
+    let mut start = [0; PNG_BIT_DEPTH + 1];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start[PNG_BIT_DEPTH] == 8
+}
+
+/// The position of the bit depth in a PNG: behind the signature, the header's length and type, width and height.
+const PNG_BIT_DEPTH: usize = 24;
 
 /// The extension of masks of origins.
 const ORIGIN: &str = "origin.png";
@@ -136,9 +148,14 @@ const ORIGIN: &str = "origin.png";
 /// pixels, 170 for pixels carried over from the previous frame, and 255 for measured ones.
 ///
 /// # Errors
-/// If the result has no status, or the file cannot be written.
+/// If the result has no status, the file cannot be written, or another file has its name. Write the mask before the
+/// depth, so that no depth is left without one.
 pub fn write_origin_mask(depth: &Path, smoothed: &Smoothed) -> Result<(), IoError> {
     let path = origin_mask_of(depth);
+    if path.exists() && !is_8_bit(&path) {
+        let text = "another file has the name of the mask of filled pixels; rename it, or choose another output";
+        return Err(IoError { path, problem: FormatError::Unsupported(text.to_owned()) });
+    }
     let no_status = || FormatError::Unsupported("a mask of origins needs the status of each pixel".to_owned());
     let encode = || {
         let mask = smoothed.origin_mask().ok_or_else(no_status)?;

@@ -315,6 +315,7 @@ impl Worker<'_> {
     fn outputs(&self) -> Outputs {
         let outputs = self.wanted_outputs();
         let Outputs { normals, curvature, .. } = self.renewed;
+        let outputs = outputs.with_status(outputs.status || self.settings.fill.is_some());
         outputs.with_normals(outputs.normals || normals).with_curvature(outputs.curvature || curvature)
     }
 
@@ -454,14 +455,16 @@ impl Worker<'_> {
             }
             Output::Points(_) => {}
             &Output::Depth { width, height } => {
+                if self.settings.flags_origins() {
+                    io::write_origin_mask(output, &self.smoothed)?;
+                } else if io::origin_mask_of(output).exists() {
+                    errln!("{}: is of an earlier result", io::origin_mask_of(output).display());
+                }
                 if let Some(depth_m) = &self.smoothed.depth_m {
                     io::write_depth_metres(output, width, depth_m)?;
                 } else {
                     let raw = self.smoothed.depth.clone().context("no depth was computed")?;
                     io::write_depth(output, &DepthImage { width, height, raw })?;
-                }
-                if self.settings.fill.is_some() {
-                    io::write_origin_mask(output, &self.smoothed)?;
                 }
             }
         }

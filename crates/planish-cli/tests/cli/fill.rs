@@ -48,6 +48,38 @@ fn files_flag_filled_pixels() {
     }
     smooth("unfilled.png", &[]);
     assert!(!path("unfilled.origin.png").exists());
+    // Clouds without a filled hole have the field too.
+    smooth("full.pcd", &["--fill", "1"]);
+    let Contents::Organized(cloud) = io::read(&path("full.pcd")).unwrap().1 else { panic!("organized") };
+    assert!(cloud.points.attribute("status").is_some());
+}
+
+#[test]
+fn a_mask_replaces_no_other_file_and_no_depth_is_without_one() {
+    let (folder, camera, _) = with_hole();
+    let path = |name: &str| folder.path().join(name);
+    fs::copy(path("depth.png"), path("in.origin.png")).unwrap();
+    let (from, to) = (path("in.origin.png"), path("in.png"));
+    let before = fs::read(&from).unwrap();
+    for more in [&[][..], &["--overwrite"]] {
+        let said = refused(&[&["smooth", str(&from), str(&to), "--camera", &camera, "--fill", "6"], more].concat());
+        assert!(said.contains("in.origin.png") && said.contains("another file has the name of the mask"), "{said}");
+        assert!(fs::read(&from).unwrap() == before && !to.exists());
+    }
+    // Without filling the name means nothing: it is a frame of its folder.
+    let frames = path("frames");
+    fs::create_dir(&frames).unwrap();
+    fs::copy(&from, frames.join("a.origin.png")).unwrap();
+    let report = json_line(&ok(&["smooth", str(&frames), str(&path("out")), "--camera", &camera, "--json"]));
+    assert_eq!(report["frames"].as_array().unwrap().len(), 1);
+    // A mask of an earlier result is reported.
+    let smooth = |more: &[&str]| {
+        let (from, to) = (path("depth.png"), path("again.png"));
+        super::planish(&[&["smooth", str(&from), str(&to), "--camera", &camera], more].concat())
+    };
+    assert!(smooth(&["--fill", "6"]).status.success() && smooth(&["--fill", "6"]).status.success());
+    let said = super::text(&smooth(&[]).stderr);
+    assert!(said.contains("again.origin.png: is of an earlier result"), "{said}");
 }
 
 #[test]
@@ -99,6 +131,8 @@ fn recordings_get_a_topic_of_origins() {
     assert!(!topics("raw.mcap").contains("/origin"));
     assert!(topics("a.mcap").contains("/camera/depth/image_rect/origin"));
     assert!(topics("b.mcap").contains("/camera/depth/origin"));
+    let said = refused(&["smooth", str(&path("a.mcap")), str(&path("c.mcap")), "--fill", "6"]);
+    assert!(said.contains("already has a topic /camera/depth/image_rect/origin"), "{said}");
     // The depth is filled in both.
     for name in ["a.mcap", "b.mcap"] {
         let mut source = planish::source::open(str(&path(name)), &planish::source::SourceOptions::default()).unwrap();

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::camera::{Camera, Rays};
 use crate::error::ParamError;
-use crate::frame::{Colours, FrameGeometry, RangeRule};
+use crate::frame::{Frame, FrameGeometry, RangeRule};
 use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::smoothed::Smoothed;
@@ -42,7 +42,7 @@ pub(crate) struct Fill<'a> {
     pub(crate) sensor: SensorModel,
     /// The camera of the frame, if it is known; otherwise its points must show it.
     pub(crate) camera: Option<Camera>,
-    pub(crate) colours: Option<Colours<'a>>,
+    pub(crate) frame: Frame<'a>,
 }
 
 /// Buffers that are kept from frame to frame.
@@ -50,6 +50,8 @@ pub(crate) struct Fill<'a> {
 pub(crate) struct FillBuffers {
     /// 1/z of each point in the frame of the camera, 0 for holes.
     inverse: Vec<f32>,
+    /// The same of measurements that smoothing has turned into holes.
+    lost: Vec<f32>,
     distances: Distances,
     labels: Labels,
     rays: Rays,
@@ -73,7 +75,7 @@ impl Fill<'_> {
     /// Finds the pixels to fill.
     fn find(&self, smoothed: &Smoothed, buffers: &mut FillBuffers) -> Option<Camera> {
         let shape @ (width, height) = (smoothed.width, smoothed.height);
-        let FillBuffers { inverse, distances, labels, rays, rows } = buffers;
+        let FillBuffers { inverse, lost, distances, labels, rays, rows } = buffers;
         let status = smoothed.status.as_ref()?;
         if !matches!(self.geometry.rule, RangeRule::Depth { .. }) {
             return None;
@@ -100,6 +102,15 @@ impl Fill<'_> {
             }
         });
         let shift = self.sensor.baseline_m().map(|baseline_m| baseline_m * camera.fx);
+        lost.resize(width * height, 0.0);
+        lost.par_chunks_mut(width).enumerate().for_each(|(v, lost)| {
+            for (u, lost) in lost.iter_mut().enumerate() {
+                let is_lost = status[v * width + u] == Status::TooFew;
+                *lost = if is_lost { self.measured_inverse((u, v), width) } else { 0.0 };
+            }
+        });
+        let extent = inverse.par_iter().filter(|inverse| **inverse > 0.0).map(|inverse| [*inverse; 2]);
+        let extent = extent.reduce(|| [f32::INFINITY, 0.0], |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         distances.find(inverse, width);
         let mut holes = Holes {
             inverse,
@@ -108,8 +119,10 @@ impl Fill<'_> {
             sensor: self.sensor,
             most_px: self.width_px as usize,
             shadow: None,
-            colours: self.colours,
+            colours: self.frame.colours(),
             sigma_m: smoothed.sigma.as_deref(),
+            extent,
+            lost,
         };
         labels.find(&holes);
         holes.shadow = shift.and_then(|shift| holes.find_shadow(shift));
@@ -118,6 +131,15 @@ impl Fill<'_> {
         keep_whole_holes(rows, labels);
         make_solid(&holes, rows);
         Some(camera)
+    }
+
+    /// Returns 1/z of a pixel as it was measured; 0 for a hole.
+    fn measured_inverse(&self, (u, v): (usize, usize), width: usize) -> f32 {
+        let z_m = match self.frame {
+            Frame::Depth(depth) => depth.depth_m(u, v),
+            Frame::Points(points) => points.point_in_sensor(v * width + u, &self.geometry).z as f32,
+        };
+        if z_m > 0.0 { z_m.recip() } else { 0.0 }
     }
 
     /// Writes the filled pixels into every output.
@@ -132,6 +154,10 @@ impl Fill<'_> {
             let [x, y] = [patch.slopes[0] * camera.fx, patch.slopes[1] * camera.fy];
             let normal = -glam::DVec3::new(x, y, patch.inverse - x * ray_x - y * ray_y).normalize_or_zero();
             let transform = self.geometry.cloud_from_sensor;
+            // Too far for the image's unit.
+            if smoothed.depth.is_some() && camera.raw_depth(z_m as f32) == 0 {
+                continue;
+            }
             let moved = transform.map_or(point, |transform| transform.to_cloud(point));
             let turned = transform.map_or(normal, |transform| transform.rotation * normal);
             smoothed.points.set(i, moved.as_vec3().to_array());

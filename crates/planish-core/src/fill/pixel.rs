@@ -32,6 +32,8 @@ const SHADOW_SHARES: [f32; 2] = [0.7, 1.25];
 const SHADOW_PX: [f32; 2] = [-2.0, 3.0];
 /// Pixels next to the near surface could belong to it: this many, and as many as the run is too wide.
 const SHADOW_MARGIN_PX: f32 = 2.0;
+/// A surface is not extended to values of 1/z that differ by more than this share from that at its rim.
+const SHADOW_CHANGE: f32 = 0.1;
 /// The standard error at the rim, as a share of what residuals and standard errors there give, and its growth per pixel
 /// from the nearest rim; in a shadow also per pixel from the rim that is extended. Measured on simulated frames.
 const GROWTH: [f64; 2] = [0.95, 0.03];
@@ -49,6 +51,10 @@ pub(super) struct Holes<'a> {
     pub(super) shadow: Option<Shadow>,
     pub(super) colours: Option<Colours<'a>>,
     pub(super) sigma_m: Option<&'a [f32]>,
+    /// The least and the largest 1/z of the frame.
+    pub(super) extent: [f32; 2],
+    /// 1/z of measurements that smoothing has turned into holes, 0 for other pixels.
+    pub(super) lost: &'a [f32],
 }
 
 /// Where a sensor with two views cannot see.
@@ -292,6 +298,9 @@ impl Holes<'_> {
         }
         let patch = self.patch(at, &surface, &of_far, fit.samples)?;
         let inverse = patch.inverse as f32;
+        if (inverse - far.inverse).abs() > SHADOW_CHANGE * far.inverse {
+            return None;
+        }
         // Behind what casts the shadow.
         (inverse < near.inverse && self.is_step(inverse, near.inverse))
             .then(|| Patch { sigma_m: (1.0 + SHADOW_GROWTH * far.distance_px()) * patch.sigma_m, ..patch })
@@ -320,8 +329,12 @@ impl Holes<'_> {
         }
         let growth = GROWTH[0] + GROWTH[1] * nearest_px;
         let sigma_m = growth * (squares / weights + (sigma_m / weights).powi(2)).sqrt();
-        // False for a NaN.
-        (inverse > 0.0).then(|| Patch {
+        // A lost measurement may contradict the surface; the frame has nothing outside its extent.
+        let lost = self.lost[at.1 * self.shape.0 + at.0];
+        let [least, most] =
+            [(1.0 - RIM_SHARE) * f64::from(self.extent[0]), (1.0 + RIM_SHARE) * f64::from(self.extent[1])];
+        let is_possible = (least..=most).contains(&inverse) && (lost == 0.0 || !self.is_step(lost, inverse as f32));
+        is_possible.then(|| Patch {
             u: at.0,
             inverse,
             slopes: [x / surface.scale_px, y / surface.scale_px],

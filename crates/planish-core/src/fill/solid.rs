@@ -51,7 +51,7 @@ pub(super) fn make_solid(holes: &Holes<'_>, rows: &mut Vec<Vec<Patch>>) {
     }
 }
 
-/// What is at a pixel that is not a hole.
+/// A pixel that is not a hole.
 enum Neighbour<'a> {
     Measured(f32),
     Filled(&'a Patch),
@@ -111,6 +111,10 @@ fn close(holes: &Holes<'_>, rows: &[Vec<Patch>], at: (usize, usize)) -> Option<P
     };
     let inverse = mean(&|patch, [x, y]| patch.inverse - x * patch.slopes[0] - y * patch.slopes[1]);
     let slopes = [0, 1].map(|axis| mean(&|patch, _| patch.slopes[axis]));
+    let lost = holes.lost[at.1 * holes.shape.0 + at.0];
+    if lost != 0.0 && holes.is_step(lost, inverse as f32) {
+        return None;
+    }
     let sigma_m = filled.iter().map(|(patch, _)| patch.sigma_m).fold(0.0, f64::max);
     let (first, _) = filled.first()?;
     (inverse > 0.0).then(|| Patch { u: at.0, inverse, slopes, sigma_m, ..(*first).clone() })

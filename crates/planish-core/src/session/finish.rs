@@ -1,4 +1,4 @@
-//! What follows smoothing on the CPU, whatever engine computed the result: standard errors, and the filling of holes.
+//! Steps on the CPU after any engine: standard errors, and the filling of holes.
 
 use super::sigma::{Sigma, SigmaBuffers};
 use super::{Chosen, Session, SessionEvent};
@@ -21,7 +21,8 @@ pub(super) struct Finish {
     fill_px: Option<u32>,
 }
 
-/// What finishes results. A trait object, so that WebAssembly, where none is ever made, has no code that frees it.
+/// Finishes results. WebAssembly makes no such object, and a trait object keeps the code that frees it out of the
+/// module.
 pub(super) trait Finishing: Send {
     fn buffers(&mut self) -> &mut FinishBuffers;
     fn threads(&self) -> Option<&(Option<usize>, Threads)>;
@@ -104,7 +105,7 @@ impl Session {
         }
     }
 
-    /// Refuses buffers of the caller's in which filled pixels could not be told from others.
+    /// Refuses buffers of the caller's that cannot flag filled pixels.
     pub(super) fn check_flags(&self) -> Result<(), ParamError> {
         match self.fill_px() {
             Some(width_px) if !self.options.outputs.status && !ONE_THREAD => {
@@ -193,8 +194,8 @@ impl Session {
             Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
         }
         let Some(width_px) = fill_px else { return Ok(()) };
-        let (camera, colours) = (frame.camera().copied(), frame.colours());
-        let fill = Fill { width_px, geometry, sensor: params.sensor, camera, colours };
+        let camera = frame.camera().copied();
+        let fill = Fill { width_px, geometry, sensor: params.sensor, camera, frame };
         let has_camera = fill.apply(smoothed, &mut buffers.fill, &threads);
         if !has_camera && !std::mem::replace(&mut buffers.told, true) {
             self.events.push(SessionEvent::NotFilled);

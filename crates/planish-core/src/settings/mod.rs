@@ -339,6 +339,11 @@ impl Settings {
         }
     }
 
+    /// Returns whether results may have values that were not measured in their frame: filled, or carried over time.
+    pub fn flags_origins(&self) -> bool {
+        !ONE_THREAD && (self.fill.is_some() || self.temporal_params().is_some())
+    }
+
     /// Returns the sensor; `None` if it is to be estimated.
     pub fn known_sensor(&self) -> Option<SensorModel> {
         match self.sensor {

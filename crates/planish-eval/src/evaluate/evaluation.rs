@@ -7,7 +7,7 @@ use super::curves::{CurveReport, Curves};
 use super::geometry::{angle_deg, distance_to_surface, floats, measured_point, plane, step_m};
 use super::suite::{Case, Gauges};
 use super::{edge_band, flat_pixels};
-use crate::simulate::{Gauge, Truth};
+use crate::simulate::{DepthNoise, Gauge, Truth};
 use planish_core::Xyz;
 
 /// Only pixels further than this from every discontinuity count as flat, in pixels.
@@ -90,7 +90,8 @@ pub struct Report {
     pub over_z: Vec<(f64, f64)>,
     /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
     pub edge_mean_mm: f64,
-    /// Share of the points there that float between two surfaces: more than 1 cm and three depth steps from either.
+    /// Share of the points there that float between two surfaces: more than 1 cm and 4.6 standard deviations (three
+    /// depth steps of a Kinect v1) from either.
     pub flying_share: f64,
     /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in
     /// degrees.
@@ -107,6 +108,10 @@ pub struct Report {
     pub lost_share: f64,
     /// Share of the measured pixels on a surface (not floating) that have no point.
     pub lost_true_share: f64,
+    /// Share of the measured pixels that float between two surfaces that have no point: the recall of their removal.
+    pub floating_removed: f64,
+    /// Share of the lost pixels that floated: the precision of their removal.
+    pub removed_floating: f64,
     /// Pixels with a point that were not measured.
     pub invented: usize,
 }
@@ -203,6 +208,7 @@ pub struct Evaluation {
     measured: usize,
     lost: usize,
     lost_true: usize,
+    floating: usize,
     invented: usize,
 }
 
@@ -217,16 +223,19 @@ impl Evaluation {
         for (i, &raw) in case.frame.raw.iter().enumerate() {
             let (measured, there) = (case.frame.camera.depth_m(raw).is_finite(), points.is_finite(i));
             self.measured += usize::from(measured);
+            let point = measured_point(&case.frame, i, raw);
+            let is_floating = measured && floats(truth, &case.noise, i, point);
+            self.floating += usize::from(is_floating);
             if measured && !there {
                 self.lost += 1;
-                self.lost_true += usize::from(!floats(truth, i, measured_point(&case.frame, i, raw)));
+                self.lost_true += usize::from(!is_floating);
             }
             self.invented += usize::from(there && !measured);
         }
         match &case.gauges {
             Gauges::Surfaces => {
                 self.add_flat(truth, points, normals);
-                self.add_edges(truth, points);
+                self.add_edges(truth, &case.noise, points);
             }
             Gauges::Shapes(gauge) => self.add_shapes(truth, gauge, points, normals),
             Gauges::Curves(..) => {}
@@ -260,12 +269,12 @@ impl Evaluation {
         }
     }
 
-    fn add_edges(&mut self, truth: &Truth, points: &Xyz) {
+    fn add_edges(&mut self, truth: &Truth, noise: &DepthNoise, points: &Xyz) {
         let band = edge_band(truth, EDGE_MARGIN_PX);
         for i in (0..band.len()).filter(|&i| band[i] && points.is_finite(i)) {
             let p = points.vector(i);
             self.edge_m.add(distance_to_surface(truth, i, p));
-            self.flying += usize::from(floats(truth, i, p));
+            self.flying += usize::from(floats(truth, noise, i, p));
         }
     }
 
@@ -364,6 +373,8 @@ impl Evaluation {
             curves: self.curves.report(),
             lost_share: self.lost as f64 / self.measured as f64,
             lost_true_share: self.lost_true as f64 / self.measured as f64,
+            floating_removed: (self.lost - self.lost_true) as f64 / self.floating as f64,
+            removed_floating: (self.lost - self.lost_true) as f64 / self.lost as f64,
             invented: self.invented,
         }
     }

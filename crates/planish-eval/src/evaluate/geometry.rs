@@ -2,13 +2,15 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::simulate::{NO_OBJECT, Truth};
+use crate::simulate::{DepthNoise, NO_OBJECT, Truth};
 use planish_core::{DepthFrame, SensorModel};
 
 /// The true surface is searched this many pixels around a pixel.
 const NEAREST_PX: usize = 4;
-/// A point of the band further than this and three depth steps from every surface floats between two.
+/// A point floats if its distance from every surface exceeds both of these: metres, and standard deviations of the
+/// sensor. 4.6 deviations are three depth steps of a Kinect v1.
 const FLYING_M: f64 = 0.01;
+const FLYING_DEVIATIONS: f64 = 4.6;
 
 pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
     a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
@@ -20,8 +22,11 @@ pub(super) fn step_m(z: f64) -> f64 {
 }
 
 /// Returns true if the point of pixel i is on no surface.
-pub(super) fn floats(truth: &Truth, i: usize, p: DVec3) -> bool {
-    distance_to_surface(truth, i, p) > FLYING_M.max(3.0 * step_m(p.z))
+pub(super) fn floats(truth: &Truth, noise: &DepthNoise, i: usize, p: DVec3) -> bool {
+    // The search is slow, and most points are close to the truth.
+    let limit_m = FLYING_M.max(FLYING_DEVIATIONS * noise.deviation_m(p.z));
+    let is_close = (p - truth.points.vector(i)).length() <= limit_m;
+    !is_close && distance_to_surface(truth, i, p) > limit_m
 }
 
 /// Returns the point that the camera measured at pixel i.

@@ -39,6 +39,8 @@ pub struct Case {
     pub truth: Truth,
     /// What the camera sees.
     pub frame: DepthFrame,
+    /// The noise of the frame.
+    pub noise: DepthNoise,
     /// What is measured.
     pub gauges: Gauges,
 }
@@ -61,7 +63,7 @@ impl Suite {
         let case = |(name, (scene, pose), gauges): (String, (Scene, _), _)| {
             let truth = scene.render(&self.camera, &pose);
             let frame = simulator.frame(&truth, 0)?;
-            Ok(Case { name: format!("{name}-{seed}"), truth, frame, gauges })
+            Ok(Case { name: format!("{name}-{seed}"), truth, frame, noise: self.noise, gauges })
         };
         scenes.into_iter().map(case).collect()
     }

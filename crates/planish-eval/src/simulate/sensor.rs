@@ -132,6 +132,17 @@ impl DepthNoise {
     }
 }
 
+impl DepthNoise {
+    /// Returns the standard deviation of a measurement at a range, in metres, rounding included.
+    pub fn deviation_m(&self, range_m: f64) -> f64 {
+        let squares = self.fixed_pattern_rms.powi(2) + self.temporal_rms.powi(2);
+        match self.unit {
+            ErrorUnit::Disparity { step_at_1m } => (squares + 1.0 / 12.0).sqrt() * step_at_1m * range_m * range_m,
+            ErrorUnit::Depth { sigma: [c0, c1, c2] } => squares.sqrt() * (c0 + range_m * (c1 + range_m * c2)),
+        }
+    }
+}
+
 /// Noise of 0.08 pixels of disparity in steps of 1/32 of a pixel.
 const STEREO_NOISE_IN_STEPS: f64 = 0.08 * 32.0;
 

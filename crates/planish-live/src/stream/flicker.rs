@@ -84,6 +84,9 @@ impl FlickerMeter {
             (None, Some(raw), OwnedFrame::Depth(depth)) => depth.camera.depth_m(raw[i]),
             _ => f32::NAN,
         };
+        // Filled values jump as their rims do, and were not measured.
+        let is_filled = |i: usize| smoothed.status.as_ref().is_some_and(|status| status[i] == Status::Filled);
+        let result_m = |i: usize| if is_filled(i) { f32::NAN } else { result_m(i) };
         let is_next = self.shape == shape;
         let measured = self.jitter_m(is_next, sampled().map(measured_m), |meter| &mut meter.measured_m);
         let result = self.jitter_m(is_next, sampled().map(result_m), |meter| &mut meter.smoothed_m);

@@ -99,7 +99,8 @@ impl StreamOptions {
         let mut session = session.with_options(self.smoother.clone());
         // Flags pixels that were filled or, in depth images, carried over time.
         let outputs = session.outputs();
-        let flags = self.fills() || (self.is_over_time() && outputs.needs_camera());
+        let may_flag = session.settings().is_some_and(Settings::flags_origins);
+        let flags = may_flag && (self.fills() || outputs.needs_camera());
         session.set_outputs(outputs.with_status(outputs.status || flags));
         let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
         Ok(session.with_cloud_estimates(false))

@@ -105,10 +105,10 @@ impl FolderSink {
         let missing = planish_core::FrameError::MissingCamera { what: "depth as an output" };
         let raw = frame.smoothed.depth.clone().ok_or(missing)?;
         let file = format!("{name}.{}", self.format.extension());
-        io::write_depth(&self.folder.join(&file), &DepthImage { width, height, raw })?;
         if frame.smoothed.status.is_some() {
             io::write_origin_mask(&self.folder.join(&file), &frame.smoothed)?;
         }
+        io::write_depth(&self.folder.join(&file), &DepthImage { width, height, raw })?;
         let seconds = frame.source.timestamp_s().unwrap_or(frame.index as f64 / FRAMES_PER_SECOND);
         if let OwnedFrame::Depth(DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
             let colour = format!("rgb/{name}.png");

@@ -126,6 +126,13 @@ pub fn smooth_bag(
         let problem = FormatError::Unsupported(format!("already has a topic {taken}; choose another for the clouds"));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     }
+    if smoother.flags_origins() {
+        let of_depth = chosen.iter().filter(|chosen| chosen.kind != MessageKind::PointCloud2);
+        if let Some(taken) = of_depth.map(Chosen::origin_topic).find(|topic| names().any(|name| name == topic)) {
+            let text = format!("already has a topic {taken}, which shows filled pixels; smooth the original recording");
+            return Err(IoError { path: input.to_path_buf(), problem: FormatError::Unsupported(text) }.into());
+        }
+    }
     let counts = survey.topics.iter().filter(|topic| chosen.iter().any(|chosen| chosen.topic == topic.name));
     let total = counts.map(|topic| topic.messages).sum::<Option<u64>>();
     let at_output = |problem: FormatError| -> Error { IoError { path: output.to_path_buf(), problem }.into() };
@@ -254,6 +261,13 @@ impl From<McapError> for CopyError {
     }
 }
 
+impl Chosen {
+    /// Returns the topic of the origins of its pixels.
+    fn origin_topic(&self) -> String {
+        format!("{}/origin", self.topic)
+    }
+}
+
 /// The messages that replace one.
 struct Rewritten {
     message: Vec<u8>,
@@ -340,8 +354,7 @@ impl Copy<'_> {
                     writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &points)?;
                 }
                 if let Some(origin) = origin {
-                    let topic = format!("{}/origin", chosen.topic);
-                    let channel_id = self.added_channel(writer, &topic, (IMAGE_TYPE, IMAGE))?;
+                    let channel_id = self.added_channel(writer, &chosen.origin_topic(), (IMAGE_TYPE, IMAGE))?;
                     writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &origin)?;
                 }
                 Ok(())

@@ -177,8 +177,8 @@ impl MessageSmoother {
     }
 
     /// Returns whether pixels may have values that were not measured.
-    fn flags_origins(&self) -> bool {
-        self.session.settings().is_some_and(|settings| settings.fill.is_some() || settings.temporal_params().is_some())
+    pub(crate) fn flags_origins(&self) -> bool {
+        self.session.settings().is_some_and(Settings::flags_origins)
     }
 
     /// Returns the engine that smoothed the last message.

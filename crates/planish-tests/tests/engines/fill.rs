@@ -154,6 +154,30 @@ fn a_shadow_becomes_the_surface_behind_where_the_sensor_casts_it() {
 }
 
 #[test]
+fn nothing_is_filled_against_a_measurement_or_far_outside_the_frame() {
+    // A slanted pole before a wall, too thin for the surface of a Kinect: smoothing loses some of its pixels.
+    let is_pole = |u: usize, v: usize| u >= v / 4 + 60 && u < v / 4 + 62;
+    let frame = frame(|u, v| if is_pole(u, v) { 700 } else { 2000 });
+    for preset in ["default", "strong", "paper"] {
+        let result = smoothed(&format!("engine=cpu preset={preset} fill=8"), &frame);
+        let status = result.status.as_ref().unwrap();
+        let filled = (0..WIDTH * HEIGHT).filter(|&i| status[i] == Status::Filled);
+        let contradicts = |i: &usize| is_pole(i % WIDTH, i / WIDTH) && result.points.z()[*i] > 1.0;
+        assert_eq!(filled.filter(contradicts).count(), 0, "{preset}");
+    }
+    // A corridor: a near pillar's shadow on a side wall that recedes to the left.
+    let corridor = self::frame(|u, _| match u {
+        80..110 => 800,
+        60..80 => 0,
+        ..60 => (1500.0 + 80.0 * (u as f64)) as u16,
+        _ => 6000,
+    });
+    let result = smoothed_by("engine=cpu sensor=kinect1 fill=64", Outputs::POINTS.with_sigma(true), &corridor);
+    let farthest_m = |z_m: &[f32]| z_m.iter().copied().filter(|z_m| z_m.is_finite()).fold(0.0, f32::max);
+    assert!(farthest_m(result.points.z()) < 6.4);
+}
+
+#[test]
 fn another_colour_in_a_hole_is_another_object() {
     let in_hole = |i: usize| (70..76).contains(&(i % WIDTH)) && (40..46).contains(&(i / WIDTH));
     let frame = frame(|u, v| if in_hole(v * WIDTH + u) { 0 } else { 1500 });
@@ -299,7 +323,7 @@ fn what_cannot_be_filled_or_flagged_is_refused_or_reported() {
     let cloud = frame.deproject().unwrap().points;
     let error = session.smooth(&cloud, &mut smoothed).unwrap_err().to_string();
     assert!(error.contains("fill = 8 is not allowed: only frames on a grid"), "{error}");
-    // A scanner that turns has no camera.
+    // The grid of a turning scanner is not a camera's.
     let of_scanner = |i: usize| {
         let (azimuth, elevation) = (0.02 * (i % WIDTH) as f32, 0.01 * (i / WIDTH) as f32 - 0.5);
         let ray = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];

@@ -71,6 +71,8 @@ pub(super) fn print(rows: &[Row]) {
     outln!("pixels");
     line("measured, but lost", &|r| percent(r.report.lost_share));
     line("  of which on a surface, not floating", &|r| percent(r.report.lost_true_share));
+    line("floating pixels, removed of all", &|r| percent(r.report.floating_removed));
+    line("  lost pixels that floated", &|r| percent(r.report.removed_floating));
     line("invented: present without a measurement", &|r| r.report.invented.to_string());
     if let Some(calibration) = rows.iter().find_map(|row| row.calibration.as_ref()) {
         outln!("stated standard errors (sigma): points within one, within two");
