@@ -33,6 +33,7 @@ mod input;
 mod kitti;
 #[cfg(feature = "scans")]
 mod las;
+mod length_unit;
 mod little_endian;
 mod mesh;
 mod npy;
@@ -75,6 +76,7 @@ pub(crate) use {
 };
 
 pub use input::{ReadOptions, read_bytes};
+pub use length_unit::LengthUnit;
 #[cfg(feature = "scans")]
 pub use read::read_in_parts;
 pub use read::{

@@ -459,7 +459,7 @@ pub enum FieldArg {
     /// Surface variation, 0 to 1/3
     Curvature,
     /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated, 7
-    /// carried over from the frame before
+    /// carried over from the frame before, 8 filled
     Status,
     /// With --temporal: effective number of frames averaged into the point, 1 to 16; 0 for holes
     Frames,

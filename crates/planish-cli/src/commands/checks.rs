@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use planish::io::{self, Format};
+use planish::io::{self, Format, LengthUnit};
 use planish::{PointCloud, Precision};
 use planish_bench::errln;
 
@@ -55,6 +55,18 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
         );
     }
     Ok(())
+}
+
+/// Reports the unit of a cloud that is not in metres: lengths are in it.
+pub fn report_unit(input: &Path, cloud: &PointCloud) {
+    let unit = LengthUnit::of_cloud(cloud);
+    if !unit.is_metre() {
+        let symbol = unit.symbol;
+        errln!(
+            "{}: coordinates, and lengths such as radii and voxels, are in units of the {unit} ({symbol})",
+            input.display()
+        );
+    }
 }
 
 /// Refuses to write over the settings.

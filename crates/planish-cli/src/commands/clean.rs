@@ -10,7 +10,7 @@ use planish::{Error, OrganizedCloud, Outputs, ParamError};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes};
+use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes, report_unit};
 use super::{ms_since, organized};
 use crate::args::CleanArgs;
 
@@ -46,6 +46,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     let (mut points, mut grid) = match contents {
         Contents::General(points) => {
             report_columns(input, format, &points);
+            report_unit(input, &points);
             (points, None)
         }
         contents => {

@@ -7,7 +7,7 @@ use crate::exit::ExitCode;
 use std::path::Path;
 
 use anyhow::Result;
-use planish::io::{self, Contents, DepthSummary, Format};
+use planish::io::{self, Contents, DepthSummary, Format, LengthUnit};
 use planish::{
     Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, IoError, OrganizedCloud, PointCloud,
     PointsView, RangeRule, SensorModel,
@@ -27,6 +27,11 @@ struct Info {
     valid_points: usize,
     /// Smallest and largest x, y, z in metres.
     bounds_m: Option<[[f64; 3]; 2]>,
+    /// The unit of a LAS file's coordinates if it is not the metre; the lengths are then in it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<&'static str>,
+    #[serde(skip)]
+    symbol: &'static str,
     median_z_m: Option<f64>,
     /// Metres between neighbouring pixels at a range of 1 m.
     pixel_pitch_at_1m: Option<f64>,
@@ -99,6 +104,8 @@ impl Info {
             fields: vec!["depth".into()],
             valid_points: 0,
             bounds_m: None,
+            unit: None,
+            symbol: LengthUnit::METRE.symbol,
             median_z_m: None,
             pixel_pitch_at_1m: None,
             range: None,
@@ -122,6 +129,7 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
         info.valid_points += part.valid_points;
         info.bounds_m = [info.bounds_m, part.bounds_m].into_iter().flatten().reduce(union);
         info.fields = fields(cloud);
+        (info.unit, info.symbol) = (part.unit, part.symbol);
         info.sensor_pose = info.sensor_pose.or(part.sensor_pose);
         let finite = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i));
         sample.extend(finite.step_by(SAMPLE_STEP).map(|i| cloud.origin_m[2] + f64::from(cloud.positions.z()[i])));
@@ -194,6 +202,8 @@ fn describe_grid(cloud: &OrganizedCloud, info: &mut Info) -> Result<()> {
 fn describe_points(cloud: &PointCloud, info: &mut Info) {
     info.sensor_pose = (!cloud.pose.is_identity()).then(|| cloud.pose.viewpoint());
     info.valid_points = cloud.valid_points();
+    let unit = LengthUnit::of_cloud(cloud);
+    (info.unit, info.symbol) = ((!unit.is_metre()).then_some(unit.name), unit.symbol);
     let valid = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).map(|i| {
         let p = cloud.positions.get(i);
         [0, 1, 2].map(|axis| cloud.origin_m[axis] + f64::from(p[axis]))
@@ -240,16 +250,19 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     outln!("  fields        {}", info.fields.join(" "));
     let share = 100.0 * info.valid_points as f64 / pixels.max(1) as f64;
     outln!("  valid         {} of {pixels} ({share:.1} %)", info.valid_points);
+    if let Some(unit) = info.unit {
+        outln!("  unit          {unit}");
+    }
     if let Some([low, high]) = info.bounds_m {
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
-            outln!("  {name}             {:.4} to {:.4} m", low[axis], high[axis]);
+            outln!("  {name}             {:.4} to {:.4} {}", low[axis], high[axis], info.symbol);
         }
     }
     if let Some([low, high]) = info.raw_depth {
         outln!("  raw depth     {low} to {high}");
     }
     if let Some(z) = info.median_z_m {
-        outln!("  median z      {z:.4} m");
+        outln!("  median z      {z:.4} {}", info.symbol);
     }
     if let Some(pose) = info.sensor_pose {
         outln!("  sensor pose   {}", pose.map(|number| number.to_string()).join(" "));

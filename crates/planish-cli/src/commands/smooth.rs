@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, ReadOptions};
+use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, LengthUnit, ReadOptions};
 use planish::{
     Camera, CloudChoice, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud,
     Outputs, PointCloud, SensorPose, Session, SessionEvent, Settings, Smoothed,
@@ -30,6 +30,7 @@ use report::{
 
 use super::checks::{
     check_not_input, check_not_settings, check_radius, convert_fields, report_columns, report_losses, report_notes,
+    report_unit,
 };
 use super::{ms_since, organized};
 use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
@@ -62,6 +63,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         beside: 1,
         smoothed: Smoothed::default(),
         renewed: Outputs::POINTS,
+        unit: LengthUnit::METRE,
         noted: Arc::default(),
     };
     if args.repeat > 1 && worker.settings.temporal_params().is_some() {
@@ -131,6 +133,8 @@ struct Worker<'a> {
     smoothed: Smoothed,
     /// Fields of the file that are computed again.
     renewed: Outputs,
+    /// The unit of the cloud that is smoothed.
+    unit: LengthUnit,
     /// Notes already printed, shared by all workers.
     noted: Arc<Mutex<HashSet<String>>>,
 }
@@ -336,6 +340,8 @@ impl Worker<'_> {
         cloud: &PointCloud,
     ) -> Result<(PointCounts, SmoothTimes)> {
         let params = self.general_params(input)?;
+        report_unit(input, cloud);
+        self.unit = LengthUnit::of_cloud(cloud);
         if let (CloudRadius::Fixed { radius_m }, false) = (params.radius, self.args.force) {
             check_radius(input, cloud, radius_m)?;
         }
@@ -435,6 +441,9 @@ impl Worker<'_> {
     }
 
     fn report_choice(&self, output: &Path, choice: &CloudChoice) {
+        // The noise is shown in millimetres.
+        let mut choice = *choice;
+        choice.noise_m = choice.noise_m.map(|noise| noise * self.unit.metres as f32);
         errln!("{}: {choice} (change with --strength, --neighbours or --edges)", output.display());
     }
 

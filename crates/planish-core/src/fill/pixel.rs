@@ -35,9 +35,8 @@ const SHADOW_MARGIN_PX: f32 = 2.0;
 /// A surface is not extended to values of 1/z that differ by more than this share from that at its rim.
 const SHADOW_CHANGE: f32 = 0.1;
 /// The standard error at the rim, as a share of what residuals and standard errors there give, and its growth per pixel
-/// from the nearest rim; in a shadow also per pixel from the rim that is extended. Measured on simulated frames.
+/// from the nearest rim. Measured on simulated frames.
 const GROWTH: [f64; 2] = [0.95, 0.03];
-const SHADOW_GROWTH: f64 = 0.08;
 /// Colours that differ by more, in the largest of their channels, are of different things.
 const OTHER_COLOUR: i16 = 50;
 
@@ -134,11 +133,21 @@ impl Fit {
         self.samples += 1;
     }
 
-    fn solve(&self) -> Option<Surface> {
+    /// Returns the matrix of the normal equations, with their ridge.
+    fn matrix(&self) -> [[f64; 6]; 6] {
         let ridge = [0.0, 1e-3, 1e-3, RIDGE, RIDGE, RIDGE];
         let of_ridge = |i: usize, j: usize| if i == j { ridge[i] * self.a[0][0] } else { 0.0 };
-        let a = std::array::from_fn(|i| std::array::from_fn(|j| self.a[i.min(j)][i.max(j)] + of_ridge(i, j)));
-        Some(Surface { scale_px: self.scale_px, coefficients: solve(a, self.t)? })
+        std::array::from_fn(|i| std::array::from_fn(|j| self.a[i.min(j)][i.max(j)] + of_ridge(i, j)))
+    }
+
+    fn solve(&self) -> Option<Surface> {
+        Some(Surface { scale_px: self.scale_px, coefficients: solve(self.matrix(), self.t)? })
+    }
+
+    /// Returns the variance of the fit at the pixel, in units of that of a weighted mean of the samples.
+    fn leverage(&self) -> f64 {
+        let inverse = solve(self.matrix(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        inverse.map_or(f64::INFINITY, |inverse| inverse[0] * self.a[0][0])
     }
 }
 
@@ -303,7 +312,7 @@ impl Holes<'_> {
         }
         // Behind what casts the shadow.
         (inverse < near.inverse && self.is_step(inverse, near.inverse))
-            .then(|| Patch { sigma_m: (1.0 + SHADOW_GROWTH * far.distance_px()) * patch.sigma_m, ..patch })
+            .then(|| Patch { sigma_m: fit.leverage().max(1.0).sqrt() * patch.sigma_m, ..patch })
     }
 
     fn is_shadow(&self, shift: f32, near: f32, far: f32, width_px: usize) -> bool {

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 
 use super::format::las_or_laz;
+use super::length_unit::{LengthUnit, unit_of_geo_keys, unit_of_wkt};
 use super::{Format, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Precision, Provenance, Xyz, internal::middle};
 pub(crate) use stream::LasReader;
@@ -146,6 +147,17 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     let mut writer = LasWriter::new(Cursor::new(Vec::new()), records.header)?;
     writer.write(raw)?;
     Ok(writer.finish()?.into_inner())
+}
+
+/// Returns the unit of length in the coordinate system of a cloud that was read from LAS or LAZ.
+pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
+    const PROJECTION: &str = "LASF_Projection";
+    const WKT: u16 = 2112;
+    const GEO_KEYS: u16 = 34735;
+    let LasHeader(header) = cloud.provenance.get()?;
+    let record = |id: u16| header.all_vlrs().find(|vlr| vlr.user_id == PROJECTION && vlr.record_id == id);
+    let of_wkt = || unit_of_wkt(&String::from_utf8_lossy(&record(WKT)?.data));
+    of_wkt().or_else(|| unit_of_geo_keys(&record(GEO_KEYS)?.data))
 }
 
 /// Before LAS 1.4 headers count points by their return only up to the fifth.

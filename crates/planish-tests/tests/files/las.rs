@@ -298,3 +298,41 @@ fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
     let error = refused(&bytes, Format::Laz);
     assert!(error.contains("1000 points of") && error.contains("in a file of"), "{error}");
 }
+
+#[test]
+fn the_unit_of_coordinates_is_read_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let survey_foot =
+        r#"PROJCS["x",GEOGCS["y",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",0.3048006096012192]]"#;
+    let keys: Vec<u8> = [1u16, 1, 0, 1, 3076, 0, 1, 9002].iter().flat_map(|number| number.to_le_bytes()).collect();
+    let records = [(2112, survey_foot.as_bytes().to_vec()), (34735, keys)];
+    for (k, expected) in
+        [Some(io::LengthUnit::US_SURVEY_FOOT), Some(io::LengthUnit::FOOT), None].into_iter().enumerate()
+    {
+        let mut builder = las::Builder::from((1, 4));
+        builder.vlrs.extend(records.get(k).map(|(record_id, data)| las::Vlr {
+            user_id: "LASF_Projection".into(),
+            record_id: *record_id,
+            data: data.clone(),
+            ..Default::default()
+        }));
+        let path = folder.path().join(format!("{k}.las"));
+        let mut writer = las::Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+        writer.write_point(las::Point { x: 1.0, y: 2.0, z: 3.0, ..Default::default() }).unwrap();
+        writer.close().unwrap();
+        let unit = |path: &Path| {
+            let Contents::General(cloud) = io::read(path).unwrap().1 else { panic!("points") };
+            (io::LengthUnit::of_cloud(&cloud), cloud)
+        };
+        let expected = expected.unwrap_or(io::LengthUnit::METRE);
+        let (found, cloud) = unit(&path);
+        assert_eq!(found, expected);
+        let copy = folder.path().join("copy.laz");
+        io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
+        assert_eq!(unit(&copy).0, expected);
+    }
+    if let Some(data) = self::folder("LAS") {
+        let cloud = general_cloud(&data, "unorganized/autzen_trim.laz");
+        assert_eq!(io::LengthUnit::of_cloud(&cloud), io::LengthUnit::FOOT);
+    }
+}

@@ -265,6 +265,7 @@ fn beside_each_other(
             beside: workers as u64,
             smoothed: Smoothed::default(),
             renewed: planish::Outputs::POINTS,
+            unit: planish::io::LengthUnit::METRE,
             noted: Arc::clone(noted),
         };
         while !stop.load(Ordering::Relaxed) {

@@ -1,0 +1,121 @@
+//! The unit of a file's coordinates, where the file states it.
+
+use planish_core::PointCloud;
+
+/// A unit of length. [`Display`](std::fmt::Display) gives its name.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct LengthUnit {
+    /// The name: metre, foot or US survey foot.
+    pub name: &'static str,
+    /// The symbol: m, ft or ftUS.
+    pub symbol: &'static str,
+    /// Metres per unit.
+    pub metres: f64,
+}
+
+impl LengthUnit {
+    /// The metre, which is assumed if a file states no unit.
+    pub const METRE: Self = Self { name: "metre", symbol: "m", metres: 1.0 };
+    /// The international foot.
+    pub const FOOT: Self = Self { name: "foot", symbol: "ft", metres: 0.3048 };
+    /// The foot of older surveys in the USA.
+    pub const US_SURVEY_FOOT: Self = Self { name: "US survey foot", symbol: "ftUS", metres: 1200.0 / 3937.0 };
+
+    /// Returns the unit of a cloud's coordinates: of the coordinate system in a LAS or LAZ file, otherwise the metre.
+    pub fn of_cloud(cloud: &PointCloud) -> Self {
+        #[cfg(feature = "scans")]
+        let stated = super::las::length_unit(cloud);
+        #[cfg(not(feature = "scans"))]
+        let stated = {
+            let _ = cloud;
+            None
+        };
+        stated.unwrap_or(Self::METRE)
+    }
+
+    /// Returns true for the metre.
+    pub fn is_metre(&self) -> bool {
+        *self == Self::METRE
+    }
+
+    /// Returns the unit with a code of EPSG.
+    #[cfg(any(test, feature = "scans"))]
+    pub(crate) fn of_epsg(code: u16) -> Option<Self> {
+        match code {
+            9001 => Some(Self::METRE),
+            9002 => Some(Self::FOOT),
+            9003 => Some(Self::US_SURVEY_FOOT),
+            _ => None,
+        }
+    }
+
+    /// Returns the unit of a length that is as many metres long.
+    #[cfg(any(test, feature = "scans"))]
+    pub(crate) fn of_metres(metres: f64) -> Option<Self> {
+        // The two feet differ by two in a million.
+        let known = [Self::METRE, Self::FOOT, Self::US_SURVEY_FOOT];
+        known.into_iter().find(|unit| (unit.metres - metres).abs() < 1e-8)
+    }
+}
+
+impl std::fmt::Display for LengthUnit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+/// Returns the linear unit in a coordinate system as well-known text, version 1 or 2.
+#[cfg(any(test, feature = "scans"))]
+pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
+    // Angles have units too, in degrees or radians; of several lengths, the horizontal one is first.
+    let units = text.match_indices("UNIT[").map(|(at, start)| &text[at + start.len()..]);
+    units.into_iter().find_map(|unit| {
+        // Behind the quoted name.
+        let (_, rest) = unit.split_once('"')?.1.split_once('"')?;
+        let number = rest.trim_start_matches(',').split([',', ']']).next()?;
+        LengthUnit::of_metres(number.trim().parse().ok()?)
+    })
+}
+
+/// Returns the linear unit in the keys of GeoTIFF: records of four numbers behind a header of four.
+#[cfg(any(test, feature = "scans"))]
+pub(crate) fn unit_of_geo_keys(bytes: &[u8]) -> Option<LengthUnit> {
+    /// ProjLinearUnitsGeoKey, and VerticalUnitsGeoKey if that is missing.
+    const KEYS: [u16; 2] = [3076, 4099];
+    let numbers: Vec<u16> = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+    let value = |key: u16| {
+        let keys = numbers.get(4..)?.chunks_exact(4);
+        // A location of 0 means that the last number is the value itself.
+        keys.into_iter().find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
+    };
+    KEYS.into_iter().find_map(|key| LengthUnit::of_epsg(value(key)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_read_from_well_known_text_and_from_geo_keys() {
+        let wkt1 = r#"PROJCS["NAD83",GEOGCS["NAD83",DATUM["D",SPHEROID["GRS 1980",6378137,298.257]],UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]]],PROJECTION["P"],UNIT["foot",0.3048,AUTHORITY["EPSG","9002"]]]"#;
+        assert_eq!(unit_of_wkt(wkt1), Some(LengthUnit::FOOT));
+        let survey = r#"PROJCS["x",UNIT["US survey foot",0.3048006096012192,AUTHORITY["EPSG","9003"]]]"#;
+        assert_eq!(unit_of_wkt(survey), Some(LengthUnit::US_SURVEY_FOOT));
+        let wkt2 = r#"PROJCRS["x",BASEGEOGCRS["y",ANGLEUNIT["degree",0.0174]],CS[Cartesian,2],LENGTHUNIT["metre",1,ID["EPSG",9001]]]"#;
+        assert_eq!(unit_of_wkt(wkt2), Some(LengthUnit::METRE));
+        for nothing in ["", "PROJCS[", "UNIT[", r#"UNIT["fathom",1.8288]"#, "UNIT[]", r#"UNIT["x"#] {
+            assert_eq!(unit_of_wkt(nothing), None, "{nothing}");
+        }
+        let keys = |entries: &[[u16; 4]]| -> Vec<u8> {
+            let header = [[1, 1, 0, entries.len() as u16]];
+            header.iter().chain(entries).flatten().flat_map(|number| number.to_le_bytes()).collect()
+        };
+        assert_eq!(unit_of_geo_keys(&keys(&[[1024, 0, 1, 1], [3076, 0, 1, 9003]])), Some(LengthUnit::US_SURVEY_FOOT));
+        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]])), Some(LengthUnit::FOOT));
+        for nothing in [keys(&[]), keys(&[[3076, 34736, 1, 0]]), keys(&[[3076, 0, 1, 9005]]), vec![1, 0, 3], Vec::new()]
+        {
+            assert_eq!(unit_of_geo_keys(&nothing), None);
+        }
+    }
+}
