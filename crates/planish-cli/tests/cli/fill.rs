@@ -38,7 +38,7 @@ fn files_flag_filled_pixels() {
     assert!(hole.iter().all(|&i| mask[i] == Origin::Filled.mask_value() && image.raw[i] != 0));
     let holes = image.raw.iter().filter(|raw| **raw == 0).count();
     assert_eq!(mask.iter().filter(is(Origin::None)).count(), holes);
-    // A cloud has its status, also if nobody asked for it.
+    // A cloud has its status even without --fields status.
     smooth("filled.pcd", &["--fill", "6", "--fields", "normals,sigma"]);
     let Contents::Organized(cloud) = io::read(&path("filled.pcd")).unwrap().1 else { panic!("organized") };
     let (status, sigma) = (cloud.points.attribute("status").unwrap(), cloud.points.attribute("sigma").unwrap());

@@ -62,7 +62,7 @@ fn sweep(steps: &mut [u8], inverse: &[f32], width: usize, x: isize, rows: impl I
         if k > 0 {
             let last = v.wrapping_add_signed(towards) * width;
             let last = &steps[last..last + width];
-            // The pixel beside the one before, and none outside the image.
+            // Shifted by a column; there is no point outside the image.
             match x {
                 0 => before.copy_from_slice(last),
                 1 => {

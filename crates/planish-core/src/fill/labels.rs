@@ -55,7 +55,7 @@ impl Labels {
         }
     }
 
-    /// Joins the runs of the last row with those of the row before.
+    /// Joins the runs of the last row with touching runs of the previous row.
     fn join_rows(&mut self, before: Range<usize>) {
         let mut above = before.start;
         for k in before.end..self.runs.len() {

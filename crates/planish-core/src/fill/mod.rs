@@ -50,7 +50,7 @@ pub(crate) struct Fill<'a> {
 pub(crate) struct FillBuffers {
     /// 1/z of each point in the frame of the camera, 0 for holes.
     inverse: Vec<f32>,
-    /// The same of measurements that smoothing has turned into holes.
+    /// 1/z of measurements that smoothing has turned into holes, 0 for other pixels.
     lost: Vec<f32>,
     distances: Distances,
     labels: Labels,

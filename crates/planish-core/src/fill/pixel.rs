@@ -15,7 +15,7 @@ const REACH: usize = 2;
 /// Samples at the rim and behind it, and their distance in pixels.
 const SAMPLES: usize = 4;
 const SPACING_PX: isize = 2;
-/// The same beside a shadow, whose surface is extended and not spanned.
+/// Samples and their distance beside a shadow, where the surface is extended.
 const SHADOW_SAMPLES: usize = 6;
 const SHADOW_SPACING_PX: isize = 3;
 /// Ridge of the second-order terms, as a share of the weights.
@@ -56,7 +56,7 @@ pub(super) struct Holes<'a> {
     pub(super) lost: &'a [f32],
 }
 
-/// Where a sensor with two views cannot see.
+/// The shadows of a sensor with two views.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shadow {
     /// Baseline times focal length: pixels of shadow per difference of 1/z.
@@ -144,7 +144,7 @@ impl Fit {
         Some(Surface { scale_px: self.scale_px, coefficients: solve(self.matrix(), self.t)? })
     }
 
-    /// Returns the variance of the fit at the pixel, in units of that of a weighted mean of the samples.
+    /// Returns the variance of the fit at the pixel, relative to a weighted mean of the samples.
     fn leverage(&self) -> f64 {
         let inverse = solve(self.matrix(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         inverse.map_or(f64::INFINITY, |inverse| inverse[0] * self.a[0][0])
@@ -190,7 +190,7 @@ impl Holes<'_> {
         least < most && self.is_step(least, most)
     }
 
-    /// Returns the first point in a direction, so many steps away.
+    /// Returns the first point in a direction, which is this number of steps away.
     fn rim(&self, (u, v): (usize, usize), direction: [isize; 2], steps: u8) -> Option<Rim> {
         let (steps, [x, y]) = (usize::from(steps), direction);
         if steps > REACH * self.most_px || steps == usize::from(NONE) {
@@ -269,7 +269,7 @@ impl Holes<'_> {
         self.patch(at, &surface, rims, fit.samples)
     }
 
-    /// Returns the farther surface beside a hole, if the hole is the shadow of the nearer one.
+    /// Returns the far surface of a hole in the shadow of a near one.
     fn shadowed(&self, at: (usize, usize), rims: &[Option<Rim>; 8]) -> Option<Patch> {
         let (shadow, right, left) = (self.shadow?, rims[0]?, rims[1]?);
         let (near, far) = match shadow.side {
@@ -288,7 +288,7 @@ impl Holes<'_> {
         let towards_near = near.direction[0];
         let is_other = |rim: &Rim| self.is_step(rim.inverse, far.inverse);
         let rims = rims.map(|rim| rim.filter(|rim| rim.direction[0] != towards_near));
-        // Something farther still: which surface goes on behind the near one is not known.
+        // With a third surface farther away, either could continue behind the near one.
         if rims.iter().flatten().any(|rim| rim.inverse < far.inverse && is_other(rim)) {
             return None;
         }

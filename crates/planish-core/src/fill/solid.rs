@@ -11,7 +11,7 @@ use super::pixel::{Holes, Patch};
 const LEAST_SHARE: f64 = 0.7;
 /// Rounds in which gaps are closed.
 const ROUNDS: usize = 2;
-/// A gap is closed if so many of its eight neighbours are not holes, and so many of those were filled.
+/// A gap is closed if it has at least this number of neighbours (of eight) that are not holes, and that were filled.
 const LEAST_NEIGHBOURS: usize = 4;
 const LEAST_FILLED: usize = 3;
 /// Filled stripes that are narrower than this many pixels, between holes, are removed.
