@@ -17,13 +17,13 @@ const MIN_SUPPORT: u8 = 2;
 const SURFACE_SUPPORT: u8 = 3;
 /// Both surfaces that a pixel is between are within this distance in pixels.
 const NEAR_PX: usize = 2;
-/// Distance of the other surface if holes are beside the pixel. They often separate the two surfaces.
+/// Two or more adjacent holes often separate the surfaces; the other one may then be this far away in pixels.
 const BEHIND_HOLES_PX: usize = 12;
 const HOLES: usize = 2;
 /// A single pixel is a speck, even if it is between no surfaces, if none of its depth is within this distance. Others
 /// are on a frayed edge.
 const SPECK_PX: usize = 4;
-/// Largest number of holes beside a speck.
+/// A pixel with more adjacent holes than this is not a speck.
 const SPECK_HOLES: usize = 3;
 
 /// Finds floating pixels by their ranges. They are supported by fewer than two of their eight neighbours, and are

@@ -481,22 +481,3 @@ def test_settings_of_a_file_are_keyword_arguments(tmp_path: Path) -> None:
         planish.read_settings(file)
     with pytest.raises(ValueError, match="1 to 7"):
         planish.write_settings(written, {"window": 9})
-
-
-def test_holes_are_filled_and_flagged() -> None:
-    frame = planish.simulate("table")
-    depth = frame.depth.copy()
-    hole = np.s_[200:204, 300:304]
-    depth[hole] = 0
-    result = planish.smooth(depth, frame.camera, fill=8, outputs=("points", "depth", "status", "sigma"))
-    assert (result.status[hole] == planish.Status.FILLED).all()
-    assert (result.origin[hole] == planish.Origin.FILLED).all()
-    assert np.isfinite(result.points[hole]).all() and (result.sigma[hole] > 0).all()
-    assert np.abs(result.depth[hole].astype(int) - frame.depth[hole].astype(int)).max() < 30
-    assert set(np.unique(result.origin)) <= {int(origin) for origin in planish.Origin}
-    with pytest.raises(ValueError, match="fill = 8 is not allowed: only if status is among the outputs"):
-        planish.smooth(depth, frame.camera, fill=8, outputs=("points",))
-    with pytest.raises(ValueError, match="1 to 64 pixels"):
-        planish.smooth(depth, frame.camera, fill=0)
-    with pytest.raises(ValueError, match="add \"status\" to the outputs"):
-        _ = planish.smooth(depth, frame.camera, outputs=("points",)).origin

@@ -4,6 +4,7 @@
 mod bag;
 mod folder;
 mod memory;
+mod notes;
 mod prepare;
 mod progress;
 mod report;
@@ -18,8 +19,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, LengthUnit, ReadOptions};
 use planish::{
-    Camera, CloudChoice, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud,
-    Outputs, PointCloud, SensorPose, Session, SessionEvent, Settings, Smoothed,
+    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
+    PointCloud, SensorPose, Session, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
 
@@ -33,7 +34,7 @@ use super::checks::{
     report_unit,
 };
 use super::{ms_since, organized};
-use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error, option_of};
+use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error};
 
 /// Refuses two files that would both be read from standard input.
 fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
@@ -360,20 +361,6 @@ impl Worker<'_> {
         self.settings.cloud_params().map_err(by_option).with_context(|| input.display().to_string())
     }
 
-    /// Reports options that have no effect on unorganized clouds.
-    fn report_unused_by_clouds(&self, input: &Path) {
-        let mut unused: Vec<String> = self.settings.unused_by_clouds().into_iter().map(option_of).collect();
-        let given = [
-            ("--camera", self.args.camera.camera.is_some() || self.args.camera.camera_file.is_some()),
-            ("--depth-units-per-metre", self.args.camera.depth_units_per_metre.is_some()),
-        ];
-        unused.extend(given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name.to_owned()));
-        if !unused.is_empty() {
-            let verb = if unused.len() == 1 { "has" } else { "have" };
-            errln!("{}: {} {verb} no effect on unorganized clouds", input.display(), unused.join(", "));
-        }
-    }
-
     /// Smooths a frame as many times as requested, and reports if many points were lost.
     fn smooth(
         &mut self,
@@ -424,27 +411,6 @@ impl Worker<'_> {
             return Err(NothingLeft(format!("{}: {reason}", input.display())).into());
         }
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
-    }
-
-    /// Prints the session's events.
-    fn report_events(&mut self, output: &Path) {
-        for event in self.session.take_events() {
-            match event {
-                SessionEvent::SensorEstimated { .. } => {}
-                SessionEvent::NeighboursChosen(choice) => self.report_choice(output, &choice),
-                SessionEvent::GridRebuilt { .. } => {
-                    errln!("{}: {event} (leave it unorganized with --grid off)", output.display());
-                }
-                _ => errln!("{}: {event}", output.display()),
-            }
-        }
-    }
-
-    fn report_choice(&self, output: &Path, choice: &CloudChoice) {
-        // The noise is shown in millimetres.
-        let mut choice = *choice;
-        choice.noise_m = choice.noise_m.map(|noise| noise * self.unit.metres as f32);
-        errln!("{}: {choice} (change with --strength, --neighbours or --edges)", output.display());
     }
 
     /// Puts the result into the cloud.

@@ -62,7 +62,7 @@ fn sweep(steps: &mut [u8], inverse: &[f32], width: usize, x: isize, rows: impl I
         if k > 0 {
             let last = v.wrapping_add_signed(towards) * width;
             let last = &steps[last..last + width];
-            // Shifted by a column; there is no point outside the image.
+            // Shifted by a column; pixels outside the image count as holes.
             match x {
                 0 => before.copy_from_slice(last),
                 1 => {

@@ -40,8 +40,7 @@ pub(crate) struct Fill<'a> {
     pub(crate) width_px: u32,
     pub(crate) geometry: FrameGeometry,
     pub(crate) sensor: SensorModel,
-    /// The camera of the frame, if it is known; otherwise its points must show it.
-    pub(crate) camera: Option<Camera>,
+    /// If its camera is unknown, the points must show it.
     pub(crate) frame: Frame<'a>,
 }
 
@@ -91,7 +90,7 @@ impl Fill<'_> {
                 Camera::of_points(shape, &points)
             }
         };
-        let camera = self.camera.or_else(of_points)?;
+        let camera = self.frame.camera().copied().or_else(of_points)?;
         rays.set(&camera);
         inverse.resize(width * height, 0.0);
         inverse.par_chunks_mut(width).enumerate().for_each(|(v, inverse)| {

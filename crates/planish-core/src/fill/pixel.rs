@@ -15,7 +15,7 @@ const REACH: usize = 2;
 /// Samples at the rim and behind it, and their distance in pixels.
 const SAMPLES: usize = 4;
 const SPACING_PX: isize = 2;
-/// Samples and their distance beside a shadow, where the surface is extended.
+/// Number and distance of samples for surfaces that are extended into a shadow.
 const SHADOW_SAMPLES: usize = 6;
 const SHADOW_SPACING_PX: isize = 3;
 /// Ridge of the second-order terms, as a share of the weights.
@@ -338,12 +338,7 @@ impl Holes<'_> {
         }
         let growth = GROWTH[0] + GROWTH[1] * nearest_px;
         let sigma_m = growth * (squares / weights + (sigma_m / weights).powi(2)).sqrt();
-        // A lost measurement may contradict the surface; the frame has nothing outside its extent.
-        let lost = self.lost[at.1 * self.shape.0 + at.0];
-        let [least, most] =
-            [(1.0 - RIM_SHARE) * f64::from(self.extent[0]), (1.0 + RIM_SHARE) * f64::from(self.extent[1])];
-        let is_possible = (least..=most).contains(&inverse) && (lost == 0.0 || !self.is_step(lost, inverse as f32));
-        is_possible.then(|| Patch {
+        self.is_possible(at, inverse).then(|| Patch {
             u: at.0,
             inverse,
             slopes: [x / surface.scale_px, y / surface.scale_px],
@@ -351,6 +346,16 @@ impl Holes<'_> {
             samples,
             rims: rims.map(|rim| rim.map(|rim| rim.pixel as u32)),
         })
+    }
+
+    /// Returns true if a value of 1/z is within the frame's extent and contradicts no measurement that was lost in
+    /// smoothing.
+    pub(super) fn is_possible(&self, (u, v): (usize, usize), inverse: f64) -> bool {
+        let lost = self.lost[v * self.shape.0 + u];
+        let [least, most] = self.extent.map(f64::from);
+        let is_within = ((1.0 - RIM_SHARE) * least..=(1.0 + RIM_SHARE) * most).contains(&inverse);
+        // False for a NaN.
+        is_within && (lost == 0.0 || !self.is_step(lost, inverse as f32))
     }
 
     fn colour(&self, i: usize) -> Option<[u8; 3]> {

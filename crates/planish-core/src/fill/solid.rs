@@ -111,11 +111,7 @@ fn close(holes: &Holes<'_>, rows: &[Vec<Patch>], at: (usize, usize)) -> Option<P
     };
     let inverse = mean(&|patch, [x, y]| patch.inverse - x * patch.slopes[0] - y * patch.slopes[1]);
     let slopes = [0, 1].map(|axis| mean(&|patch, _| patch.slopes[axis]));
-    let lost = holes.lost[at.1 * holes.shape.0 + at.0];
-    if lost != 0.0 && holes.is_step(lost, inverse as f32) {
-        return None;
-    }
     let sigma_m = filled.iter().map(|(patch, _)| patch.sigma_m).fold(0.0, f64::max);
     let (first, _) = filled.first()?;
-    (inverse > 0.0).then(|| Patch { u: at.0, inverse, slopes, sigma_m, ..(*first).clone() })
+    holes.is_possible(at, inverse).then(|| Patch { u: at.0, inverse, slopes, sigma_m, ..(*first).clone() })
 }

@@ -21,8 +21,7 @@ pub(super) struct Finish {
     fill_px: Option<u32>,
 }
 
-/// Finishes results. WebAssembly makes no such object, and a trait object keeps the code that frees it out of the
-/// module.
+/// Finishes results. Because it is a trait object, WebAssembly, which creates none, does not contain its code.
 pub(super) trait Finishing: Send {
     fn buffers(&mut self) -> &mut FinishBuffers;
     fn threads(&self) -> Option<&(Option<usize>, Threads)>;
@@ -194,8 +193,7 @@ impl Session {
             Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
         }
         let Some(width_px) = fill_px else { return Ok(()) };
-        let camera = frame.camera().copied();
-        let fill = Fill { width_px, geometry, sensor: params.sensor, camera, frame };
+        let fill = Fill { width_px, geometry, sensor: params.sensor, frame };
         let has_camera = fill.apply(smoothed, &mut buffers.fill, &threads);
         if !has_camera && !std::mem::replace(&mut buffers.told, true) {
             self.events.push(SessionEvent::NotFilled);

@@ -81,10 +81,6 @@ impl StreamOptions {
         }
     }
 
-    fn fills(&self) -> bool {
-        matches!(&self.params, StreamParams::Settings(settings) if settings.fill.is_some())
-    }
-
     pub(super) fn is_over_time(&self) -> bool {
         matches!(&self.params, StreamParams::Settings(settings) if settings.temporal_params().is_some())
     }
@@ -99,8 +95,9 @@ impl StreamOptions {
         let mut session = session.with_options(self.smoother.clone());
         // Flags pixels that were filled or, in depth images, carried over time.
         let outputs = session.outputs();
-        let may_flag = session.settings().is_some_and(Settings::flags_origins);
-        let flags = may_flag && (self.fills() || outputs.needs_camera());
+        let flags = session
+            .settings()
+            .is_some_and(|settings| settings.fill.is_some() || (settings.flags_origins() && outputs.needs_camera()));
         session.set_outputs(outputs.with_status(outputs.status || flags));
         let session = session.with_live(is_live).with_kept_window(true).with_kept_sensor(true);
         Ok(session.with_cloud_estimates(false))
