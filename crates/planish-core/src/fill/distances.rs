@@ -11,42 +11,37 @@ pub(super) const NONE: u8 = u8::MAX;
 #[derive(Default)]
 pub(super) struct Distances {
     steps: [Vec<u8>; 8],
+    /// All bits of holes, none of points.
+    holes: Vec<u8>,
 }
 
 impl Distances {
     /// Finds the distances in an image of which holes have the value 0.
-    pub(super) fn find(&mut self, inverse: &[f32], width: usize) {
-        let [right, left, down, up, down_right, up_left, up_right, down_left] = &mut self.steps;
-        let pixels = inverse.len();
-        for steps in [&mut *right, left, down, up, down_right, up_left, up_right, down_left] {
-            steps.resize(pixels, NONE);
-        }
-        let height = pixels / width.max(1);
-        let along_rows = || {
-            let rows = right.par_chunks_mut(width).zip(left.par_chunks_mut(width)).zip(inverse.par_chunks(width));
-            rows.for_each(|((right, left), inverse)| {
-                let mut last = NONE;
-                for (steps, inverse) in left.iter_mut().zip(inverse) {
-                    last = if *inverse == 0.0 { last.saturating_add(1) } else { 0 };
-                    *steps = last;
-                }
-                last = NONE;
-                for (steps, inverse) in right.iter_mut().zip(inverse).rev() {
-                    last = if *inverse == 0.0 { last.saturating_add(1) } else { 0 };
-                    *steps = last;
-                }
-            });
-        };
+    pub(super) fn find(&mut self, inverse: &[f32], (width, height): (usize, usize)) {
+        let Self { steps, holes } = self;
+        steps.iter_mut().chain([&mut *holes]).for_each(|buffer| buffer.resize(inverse.len(), NONE));
+        let [right, left, down, up, down_right, up_left, up_right, down_left] = steps;
+        let rows = right.par_chunks_mut(width).zip(left.par_chunks_mut(width));
+        rows.zip(holes.par_chunks_mut(width)).zip(inverse.par_chunks(width)).for_each(
+            |(((right, left), holes), inverse)| {
+                holes
+                    .iter_mut()
+                    .zip(inverse)
+                    .for_each(|(hole, inverse)| *hole = if *inverse == 0.0 { NONE } else { 0 });
+                let next = |last: &mut u8, hole: &u8| {
+                    *last = last.saturating_add(1) & hole;
+                    Some(*last)
+                };
+                let leftmost = holes.iter().scan(NONE, next);
+                left.iter_mut().zip(leftmost).for_each(|(steps, last)| *steps = last);
+                let rightmost = holes.iter().rev().scan(NONE, next);
+                right.iter_mut().rev().zip(rightmost).for_each(|(steps, last)| *steps = last);
+            },
+        );
         // Each row follows from the one before it, downwards and upwards.
-        let (upper, lower) = ([up, up_left, up_right], [down, down_left, down_right]);
-        let downwards =
-            || upper.into_iter().zip([0, -1, 1]).for_each(|(steps, x)| sweep(steps, inverse, width, x, 0..height, -1));
-        let upwards = || {
-            for (steps, x) in lower.into_iter().zip([0, -1, 1]) {
-                sweep(steps, inverse, width, x, (0..height).rev(), 1);
-            }
-        };
-        rayon::join(along_rows, || rayon::join(downwards, upwards));
+        let downwards = || sweep([up, up_left, up_right], holes, width, 0..height);
+        let upwards = || sweep([down, down_left, down_right], holes, width, (0..height).rev());
+        rayon::join(downwards, upwards);
     }
 
     /// Returns the steps from a pixel in each of [`DIRECTIONS`].
@@ -55,29 +50,19 @@ impl Distances {
     }
 }
 
-/// Follows one direction through the rows in an order in which the row towards it is done first.
-fn sweep(steps: &mut [u8], inverse: &[f32], width: usize, x: isize, rows: impl Iterator<Item = usize>, towards: isize) {
-    let mut before = vec![NONE; width];
-    for (k, v) in rows.enumerate() {
-        if k > 0 {
-            let last = v.wrapping_add_signed(towards) * width;
-            let last = &steps[last..last + width];
-            // Shifted by a column; pixels outside the image count as holes.
-            match x {
-                0 => before.copy_from_slice(last),
-                1 => {
-                    before[..width - 1].copy_from_slice(&last[1..]);
-                    before[width - 1] = NONE;
-                }
-                _ => {
-                    before[1..].copy_from_slice(&last[..width - 1]);
-                    before[0] = NONE;
-                }
+/// Follows the directions towards the row before, to its left and to its right, in an order of rows in which that one
+/// is done first.
+fn sweep(directions: [&mut Vec<u8>; 3], holes: &[u8], width: usize, rows: impl Iterator<Item = usize> + Clone) {
+    for (steps, x) in directions.into_iter().zip([0, -1, 1]) {
+        // With a pixel on both sides: those outside the image count as holes.
+        let mut before = vec![NONE; width + 2];
+        for v in rows.clone() {
+            let row = v * width..(v + 1) * width;
+            let shifted = &before[1usize.wrapping_add_signed(x)..][..width];
+            for ((steps, before), hole) in steps[row.clone()].iter_mut().zip(shifted).zip(&holes[row.clone()]) {
+                *steps = before.saturating_add(1) & hole;
             }
-        }
-        let row = v * width..(v + 1) * width;
-        for ((steps, before), inverse) in steps[row.clone()].iter_mut().zip(&before).zip(&inverse[row]) {
-            *steps = if *inverse == 0.0 { before.saturating_add(1) } else { 0 };
+            before[1..=width].copy_from_slice(&steps[row]);
         }
     }
 }
@@ -91,7 +76,7 @@ mod tests {
         let (width, height) = (13, 9);
         let inverse: Vec<f32> = (0..width * height).map(|i| f32::from(u8::from(i * i % 11 < 2))).collect();
         let mut distances = Distances::default();
-        distances.find(&inverse, width);
+        distances.find(&inverse, (width, height));
         for i in 0..width * height {
             for (k, [x, y]) in DIRECTIONS.into_iter().enumerate() {
                 let at = |steps: isize| {

@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use super::pixel::Holes;
+use rayon::prelude::*;
+
+use super::image::Image;
 
 /// Points up to this many pixels from a pixel of a hole show whether the rim is one surface there.
 const RIM_PX: usize = 2;
@@ -27,13 +29,13 @@ pub(super) struct Labels {
 
 impl Labels {
     /// Finds the holes.
-    pub(super) fn find(&mut self, holes: &Holes<'_>) {
-        let (width, height) = holes.shape;
+    pub(super) fn find(&mut self, image: &Image<'_>) {
+        let (width, height) = image.shape;
         self.runs.clear();
         self.rows.clear();
         for v in 0..height {
             self.rows.push(self.runs.len());
-            let row = &holes.inverse[v * width..(v + 1) * width];
+            let row = &image.inverse[v * width..(v + 1) * width];
             let mut u = 0;
             while let Some(start) = row[u..].iter().position(|inverse| *inverse == 0.0).map(|by| u + by) {
                 let end = row[start..].iter().position(|inverse| *inverse != 0.0).map_or(width, |by| start + by);
@@ -45,13 +47,12 @@ impl Labels {
             }
         }
         self.rows.push(self.runs.len());
-        for v in 0..height {
-            for k in self.rows[v]..self.rows[v + 1] {
-                if self.is_at_step(holes, v, k) {
-                    let first = self.first(k);
-                    self.runs[first].has_step = true;
-                }
-            }
+        let labels = &*self;
+        let at_step = |v: usize| (labels.rows[v]..labels.rows[v + 1]).filter(move |&k| labels.is_at_step(image, v, k));
+        let at_step: Vec<usize> = (0..height).into_par_iter().flat_map_iter(at_step).collect();
+        for k in at_step {
+            let first = self.first(k);
+            self.runs[first].has_step = true;
         }
     }
 
@@ -73,14 +74,14 @@ impl Labels {
         }
     }
 
-    fn is_at_step(&self, holes: &Holes<'_>, v: usize, k: usize) -> bool {
-        let (width, height) = holes.shape;
+    fn is_at_step(&self, image: &Image<'_>, v: usize, k: usize) -> bool {
+        let (width, height) = image.shape;
         let columns = self.runs[k].columns.clone();
-        let is_point = |u: usize, v: usize| holes.inverse[v * width + u] != 0.0;
+        let is_point = |u: usize, v: usize| image.inverse[v * width + u] != 0.0;
         columns.clone().any(|u| {
             let is_end = u == columns.start || u + 1 == columns.end;
             let is_rim = is_end || (v > 0 && is_point(u, v - 1)) || (v + 1 < height && is_point(u, v + 1));
-            is_rim && holes.has_step_near((u, v), RIM_PX)
+            is_rim && image.has_step_near((u, v), RIM_PX)
         })
     }
 

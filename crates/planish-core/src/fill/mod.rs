@@ -1,6 +1,7 @@
 //! Fills the holes of a frame with the surface around them (docs/method.md, section 18).
 
 mod distances;
+mod image;
 mod labels;
 mod pixel;
 mod solid;
@@ -16,6 +17,7 @@ use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::threads::Threads;
 use distances::Distances;
+use image::Image;
 use labels::Labels;
 use pixel::{Holes, Patch};
 use solid::{keep_whole_holes, make_solid};
@@ -108,14 +110,12 @@ impl Fill<'_> {
                 *lost = if is_lost { self.measured_inverse((u, v), width) } else { 0.0 };
             }
         });
-        let extent = inverse.par_iter().filter(|inverse| **inverse > 0.0).map(|inverse| [*inverse; 2]);
-        let extent = extent.reduce(|| [f32::INFINITY, 0.0], |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-        distances.find(inverse, width);
+        let extent = inverse.par_chunks(width).map(extent_of).reduce(|| NO_EXTENT, join_extents);
+        let image = Image { inverse, shape, sensor: self.sensor };
+        rayon::join(|| labels.find(&image), || distances.find(inverse, shape));
         let mut holes = Holes {
-            inverse,
+            image,
             distances,
-            shape,
-            sensor: self.sensor,
             most_px: self.width_px as usize,
             shadow: None,
             colours: self.frame.colours(),
@@ -123,7 +123,6 @@ impl Fill<'_> {
             extent,
             lost,
         };
-        labels.find(&holes);
         holes.shadow = shift.and_then(|shift| holes.find_shadow(shift));
         let of_row = |v: usize| labels.columns(v).filter_map(|u| holes.fill((u, v), labels)).collect();
         *rows = (0..height).into_par_iter().map(of_row).collect();
@@ -185,4 +184,24 @@ impl Fill<'_> {
             }
         }
     }
+}
+
+/// The least and the largest 1/z of no points.
+const NO_EXTENT: [f32; 2] = [f32::INFINITY, 0.0];
+
+/// Returns the least and the largest 1/z of a row.
+fn extent_of(row: &[f32]) -> [f32; 2] {
+    // In parts, so that it vectorizes.
+    let (mut least, mut most) = ([f32::INFINITY; 8], [0.0f32; 8]);
+    for part in row.chunks(8) {
+        for (k, inverse) in part.iter().enumerate() {
+            least[k] = if *inverse > 0.0 { least[k].min(*inverse) } else { least[k] };
+            most[k] = most[k].max(*inverse);
+        }
+    }
+    (0..8).map(|k| [least[k], most[k]]).fold(NO_EXTENT, join_extents)
+}
+
+fn join_extents(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
 }

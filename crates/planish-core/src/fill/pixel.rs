@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use super::distances::{Distances, NONE};
+use super::image::Image;
 use super::labels::Labels;
 use crate::camera::solve;
 use crate::frame::Colours;
-use crate::sensor::SensorModel;
 
 /// Opposite directions follow each other.
 pub(super) const DIRECTIONS: [[isize; 2]; 8] = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]];
@@ -20,9 +20,6 @@ const SHADOW_SAMPLES: usize = 6;
 const SHADOW_SPACING_PX: isize = 3;
 /// Ridge of the second-order terms, as a share of the weights.
 const RIDGE: f64 = 0.3;
-/// A step between points, in standard deviations of the sensor and as a share of the range.
-const STEP_DEVIATIONS: f64 = 8.0;
-const STEP_SHARE: f64 = 0.02;
 /// The rim is one surface if it is within this of the fit, in the same units.
 const RIM_DEVIATIONS: f64 = 4.0;
 const RIM_SHARE: f64 = 0.01;
@@ -42,10 +39,8 @@ const OTHER_COLOUR: i16 = 50;
 
 /// The holes of a frame.
 pub(super) struct Holes<'a> {
-    pub(super) inverse: &'a [f32],
+    pub(super) image: Image<'a>,
     pub(super) distances: &'a Distances,
-    pub(super) shape: (usize, usize),
-    pub(super) sensor: SensorModel,
     pub(super) most_px: usize,
     pub(super) shadow: Option<Shadow>,
     pub(super) colours: Option<Colours<'a>>,
@@ -71,6 +66,9 @@ pub(super) enum Side {
     Right,
 }
 
+/// A direction without a rim.
+const NO_RIM: u32 = u32::MAX;
+
 /// A filled pixel of a row.
 #[derive(Clone)]
 pub(super) struct Patch {
@@ -81,13 +79,13 @@ pub(super) struct Patch {
     pub(super) sigma_m: f64,
     /// Number of points that the surface was fitted to.
     pub(super) samples: u32,
-    pub(super) rims: [Option<u32>; 8],
+    pub(super) rims: [u32; 8],
 }
 
 impl Patch {
     /// The pixels at the rim that the surface was fitted to.
     pub(super) fn rims(&self) -> impl Iterator<Item = usize> + '_ {
-        self.rims.iter().flatten().map(|&i| i as usize)
+        self.rims.iter().filter(|&&rim| rim != NO_RIM).map(|&rim| rim as usize)
     }
 }
 
@@ -165,31 +163,6 @@ impl Surface {
 }
 
 impl Holes<'_> {
-    /// Returns the largest difference of 1/z between points of one surface, near this value.
-    fn limit(&self, inverse: f32, deviations: f64, share: f64) -> f32 {
-        let z_m = f64::from(inverse).recip();
-        ((deviations * self.sensor.sigma_m(z_m)).max(share * z_m) / (z_m * z_m)) as f32
-    }
-
-    pub(super) fn is_step(&self, a: f32, b: f32) -> bool {
-        (a - b).abs() > self.limit(a.min(b), STEP_DEVIATIONS, STEP_SHARE)
-    }
-
-    /// Returns whether points near a pixel belong to two surfaces.
-    pub(super) fn has_step_near(&self, (u, v): (usize, usize), reach_px: usize) -> bool {
-        let (width, height) = self.shape;
-        let (mut least, mut most) = (f32::INFINITY, 0.0f32);
-        for y in v.saturating_sub(reach_px)..(v + reach_px + 1).min(height) {
-            for x in u.saturating_sub(reach_px)..(u + reach_px + 1).min(width) {
-                let inverse = self.inverse[y * width + x];
-                if inverse > 0.0 {
-                    (least, most) = (least.min(inverse), most.max(inverse));
-                }
-            }
-        }
-        least < most && self.is_step(least, most)
-    }
-
     /// Returns the first point in a direction, which is this number of steps away.
     fn rim(&self, (u, v): (usize, usize), direction: [isize; 2], steps: u8) -> Option<Rim> {
         let (steps, [x, y]) = (usize::from(steps), direction);
@@ -197,21 +170,21 @@ impl Holes<'_> {
             return None;
         }
         let moved = |at: usize, by: isize| at.wrapping_add_signed(by * steps as isize);
-        let pixel = moved(v, y) * self.shape.0 + moved(u, x);
-        Some(Rim { direction, steps, pixel, inverse: self.inverse[pixel] })
+        let pixel = moved(v, y) * self.image.shape.0 + moved(u, x);
+        Some(Rim { direction, steps, pixel, inverse: self.image.inverse[pixel] })
     }
 
     /// Adds a point at the rim, and those behind it on the same surface.
     fn add(&self, fit: &mut Fit, (u, v): (usize, usize), rim: &Rim, samples: usize, spacing_px: isize) {
         let [x, y] = rim.direction;
-        let (mut last, limit) = (rim.inverse, self.limit(rim.inverse, STEP_DEVIATIONS, STEP_SHARE));
+        let (mut last, limit) = (rim.inverse, self.image.step_limit(rim.inverse));
         for k in 0..samples as isize {
             let steps = rim.steps as isize + k * spacing_px;
             let (u, v) = (u.wrapping_add_signed(x * steps), v.wrapping_add_signed(y * steps));
-            if u >= self.shape.0 || v >= self.shape.1 {
+            if u >= self.image.shape.0 || v >= self.image.shape.1 {
                 return;
             }
-            let inverse = self.inverse[v * self.shape.0 + u];
+            let inverse = self.image.inverse[v * self.image.shape.0 + u];
             if inverse == 0.0 || (last - inverse).abs() > limit {
                 return;
             }
@@ -222,7 +195,7 @@ impl Holes<'_> {
 
     /// Returns the surface of a pixel of a hole, if the hole is to be filled there.
     pub(super) fn fill(&self, at @ (u, v): (usize, usize), labels: &Labels) -> Option<Patch> {
-        let steps = self.distances.at(v * self.shape.0 + u);
+        let steps = self.distances.at(v * self.image.shape.0 + u);
         let width_px = |axis: usize| match [steps[2 * axis], steps[2 * axis + 1]] {
             [NONE, _] | [_, NONE] => usize::MAX,
             [one, other] => {
@@ -252,7 +225,7 @@ impl Holes<'_> {
                 (least, most) = (least.min(inverse), most.max(inverse));
             }
         }
-        if least < most && self.is_step(least, most) {
+        if least < most && self.image.is_step(least, most) {
             return None;
         }
         let farthest_px = rims.iter().flatten().map(Rim::distance_px).fold(0.0, f64::max);
@@ -260,7 +233,7 @@ impl Holes<'_> {
         rims.iter().flatten().for_each(|rim| self.add(&mut fit, at, rim, SAMPLES, SPACING_PX));
         let surface = fit.solve()?;
         let is_other = |colour: [u8; 3]| {
-            let other = self.colour(at.1 * self.shape.0 + at.0);
+            let other = self.colour(at.1 * self.image.shape.0 + at.0);
             other.is_some_and(|other| difference(colour, other) > OTHER_COLOUR)
         };
         if rims.iter().flatten().all(|rim| self.colour(rim.pixel).is_some_and(is_other)) {
@@ -286,7 +259,7 @@ impl Holes<'_> {
         }
         // Towards the near surface the rim belongs to anything.
         let towards_near = near.direction[0];
-        let is_other = |rim: &Rim| self.is_step(rim.inverse, far.inverse);
+        let is_other = |rim: &Rim| self.image.is_step(rim.inverse, far.inverse);
         let rims = rims.map(|rim| rim.filter(|rim| rim.direction[0] != towards_near));
         // With a third surface farther away, either could continue behind the near one.
         if rims.iter().flatten().any(|rim| rim.inverse < far.inverse && is_other(rim)) {
@@ -298,7 +271,7 @@ impl Holes<'_> {
         let add = |rim: &Rim| self.add(&mut fit, at, rim, SHADOW_SAMPLES, SHADOW_SPACING_PX);
         of_far.iter().flatten().for_each(add);
         let surface = fit.solve()?;
-        let colours = [at.1 * self.shape.0 + at.0, near.pixel, far.pixel].map(|i| self.colour(i));
+        let colours = [at.1 * self.image.shape.0 + at.0, near.pixel, far.pixel].map(|i| self.colour(i));
         if let [Some(here), Some(of_near), Some(of_far)] = colours
             && difference(of_near, of_far) > OTHER_COLOUR
             && difference(here, of_near) < difference(here, of_far)
@@ -311,14 +284,14 @@ impl Holes<'_> {
             return None;
         }
         // Behind what casts the shadow.
-        (inverse < near.inverse && self.is_step(inverse, near.inverse))
+        (inverse < near.inverse && self.image.is_step(inverse, near.inverse))
             .then(|| Patch { sigma_m: fit.leverage().max(1.0).sqrt() * patch.sigma_m, ..patch })
     }
 
     fn is_shadow(&self, shift: f32, near: f32, far: f32, width_px: usize) -> bool {
         let explained_px = shift * (near - far);
         let [least, most] = [0, 1].map(|k| SHADOW_SHARES[k] * explained_px + SHADOW_PX[k]);
-        near > far && self.is_step(near, far) && (least..=most).contains(&(width_px as f32))
+        near > far && self.image.is_step(near, far) && (least..=most).contains(&(width_px as f32))
     }
 
     fn patch(&self, at: (usize, usize), surface: &Surface, rims: &[Option<Rim>; 8], samples: u32) -> Option<Patch> {
@@ -327,7 +300,7 @@ impl Holes<'_> {
         for rim in rims.iter().flatten() {
             let [dx, dy] = rim.direction.map(|d| d as f64 * rim.steps as f64);
             let off = surface.at([dx, dy]) - f64::from(rim.inverse);
-            if off.abs() > f64::from(self.limit(rim.inverse, RIM_DEVIATIONS, RIM_SHARE)) {
+            if off.abs() > f64::from(self.image.limit(rim.inverse, RIM_DEVIATIONS, RIM_SHARE)) {
                 return None;
             }
             let (weight, z_m) = (rim.distance_px().powi(-2), f64::from(rim.inverse).recip());
@@ -344,18 +317,18 @@ impl Holes<'_> {
             slopes: [x / surface.scale_px, y / surface.scale_px],
             sigma_m,
             samples,
-            rims: rims.map(|rim| rim.map(|rim| rim.pixel as u32)),
+            rims: rims.map(|rim| rim.map_or(NO_RIM, |rim| rim.pixel as u32)),
         })
     }
 
     /// Returns true if a value of 1/z is within the frame's extent and contradicts no measurement that was lost in
     /// smoothing.
     pub(super) fn is_possible(&self, (u, v): (usize, usize), inverse: f64) -> bool {
-        let lost = self.lost[v * self.shape.0 + u];
+        let lost = self.lost[v * self.image.shape.0 + u];
         let [least, most] = self.extent.map(f64::from);
         let is_within = ((1.0 - RIM_SHARE) * least..=(1.0 + RIM_SHARE) * most).contains(&inverse);
         // False for a NaN.
-        is_within && (lost == 0.0 || !self.is_step(lost, inverse as f32))
+        is_within && (lost == 0.0 || !self.image.is_step(lost, inverse as f32))
     }
 
     fn colour(&self, i: usize) -> Option<[u8; 3]> {
@@ -364,10 +337,10 @@ impl Holes<'_> {
 
     /// Returns on which side of near objects the shadows of this frame are; `None` if it has none.
     pub(super) fn find_shadow(&self, shift: f64) -> Option<Shadow> {
-        let (width, height) = self.shape;
+        let (width, height) = self.image.shape;
         let shift = shift as f32;
         let of_row = |v: usize| {
-            let row = &self.inverse[v * width..(v + 1) * width];
+            let row = &self.image.inverse[v * width..(v + 1) * width];
             let (mut votes, mut last) = ([0usize; 2], None);
             for u in (0..width).filter(|&u| row[u] > 0.0) {
                 if let Some(before) = last.replace(u).filter(|before| u - before > 2) {

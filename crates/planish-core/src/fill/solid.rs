@@ -1,7 +1,5 @@
 //! Makes the filled parts of holes solid: neighbouring rows and columns may have decided differently.
 
-use std::collections::HashMap;
-
 use rayon::prelude::*;
 
 use super::labels::Labels;
@@ -20,21 +18,17 @@ const LEAST_PX: usize = 4;
 /// Leaves holes as they are of which only parts could be filled, though their rim is one surface.
 pub(super) fn keep_whole_holes(rows: &mut [Vec<Patch>], labels: &Labels) {
     let hole_of = |u: usize, v: usize| Some(labels.hole((u, v))).filter(|&hole| !labels.has_step(hole));
-    let mut filled: HashMap<usize, usize> = HashMap::new();
-    for (v, row) in rows.iter().enumerate() {
-        for hole in row.iter().filter_map(|patch| hole_of(patch.u, v)) {
-            *filled.entry(hole).or_default() += 1;
-        }
-    }
     let sizes = labels.sizes();
-    filled.retain(|hole, filled| *filled as f64 >= LEAST_SHARE * sizes[*hole] as f64);
-    for (v, row) in rows.iter_mut().enumerate() {
-        row.retain(|patch| hole_of(patch.u, v).is_none_or(|hole| filled.contains_key(&hole)));
+    let mut filled = vec![0; sizes.len()];
+    for (v, row) in rows.iter().enumerate() {
+        row.iter().filter_map(|patch| hole_of(patch.u, v)).for_each(|hole| filled[hole] += 1);
     }
+    let is_kept = |hole: usize| filled[hole] as f64 >= LEAST_SHARE * sizes[hole] as f64;
+    rows.par_iter_mut().enumerate().for_each(|(v, row)| row.retain(|patch| hole_of(patch.u, v).is_none_or(is_kept)));
 }
 
 /// Removes narrow filled stripes, and closes gaps.
-pub(super) fn make_solid(holes: &Holes<'_>, rows: &mut Vec<Vec<Patch>>) {
+pub(super) fn make_solid(holes: &Holes<'_>, rows: &mut [Vec<Patch>]) {
     let run_px = |v: usize, patch: &Patch, [x, y]: [isize; 2]| {
         let is_there = |k: &isize| Neighbour::of(holes, rows, (patch.u, v), [k * x, k * y]).is_some();
         (1..LEAST_PX as isize).take_while(is_there).count()
@@ -44,10 +38,18 @@ pub(super) fn make_solid(holes: &Holes<'_>, rows: &mut Vec<Vec<Patch>>) {
             .iter()
             .all(|axis| 1 + axis.iter().map(|direction| run_px(v, patch, *direction)).sum::<usize>() >= LEAST_PX)
     };
-    let kept = |(v, row): (usize, &Vec<Patch>)| row.iter().filter(|patch| is_solid(v, patch)).cloned().collect();
-    *rows = rows.par_iter().enumerate().map(kept).collect();
+    let narrow = |v: usize| rows[v].iter().map(|patch| !is_solid(v, patch)).collect::<Vec<bool>>();
+    let narrow: Vec<Vec<bool>> = (0..rows.len()).into_par_iter().map(narrow).collect();
+    rows.par_iter_mut().zip(narrow).for_each(|(row, narrow)| {
+        let mut narrow = narrow.into_iter();
+        row.retain(|_| narrow.next() != Some(true));
+    });
     for _ in 0..ROUNDS {
-        *rows = (0..rows.len()).into_par_iter().map(|v| with_gaps_closed(holes, rows, v)).collect();
+        let gaps: Vec<Vec<Patch>> = (0..rows.len()).into_par_iter().map(|v| closed_gaps(holes, rows, v)).collect();
+        for (row, gaps) in rows.iter_mut().zip(gaps).filter(|(_, gaps)| !gaps.is_empty()) {
+            row.extend(gaps);
+            row.sort_unstable_by_key(|patch| patch.u);
+        }
     }
 }
 
@@ -60,30 +62,29 @@ enum Neighbour<'a> {
 impl<'a> Neighbour<'a> {
     fn of(holes: &Holes<'_>, rows: &'a [Vec<Patch>], (u, v): (usize, usize), [x, y]: [isize; 2]) -> Option<Self> {
         let (u, v) = (u.wrapping_add_signed(x), v.wrapping_add_signed(y));
-        if u >= holes.shape.0 || v >= holes.shape.1 {
+        if u >= holes.image.shape.0 || v >= holes.image.shape.1 {
             return None;
         }
-        match holes.inverse[v * holes.shape.0 + u] {
+        match holes.image.inverse[v * holes.image.shape.0 + u] {
             0.0 => Some(Self::Filled(&rows[v][rows[v].binary_search_by_key(&u, |patch| patch.u).ok()?])),
             inverse => Some(Self::Measured(inverse)),
         }
     }
 }
 
-/// Returns a row with pixels added that are between filled ones.
-fn with_gaps_closed(holes: &Holes<'_>, rows: &[Vec<Patch>], v: usize) -> Vec<Patch> {
+/// Returns the pixels of a row that can be filled because those around them are.
+fn closed_gaps(holes: &Holes<'_>, rows: &[Vec<Patch>], v: usize) -> Vec<Patch> {
     let beside = rows[v.saturating_sub(1)..(v + 2).min(rows.len())].iter().flatten();
     let mut candidates: Vec<usize> = beside.flat_map(|patch| [patch.u.wrapping_sub(1), patch.u, patch.u + 1]).collect();
     candidates.sort_unstable();
     candidates.dedup();
-    let width = holes.shape.0;
+    let width = holes.image.shape.0;
     let is_gap = |&u: &usize| {
-        u < width && holes.inverse[v * width + u] == 0.0 && rows[v].binary_search_by_key(&u, |patch| patch.u).is_err()
+        u < width
+            && holes.image.inverse[v * width + u] == 0.0
+            && rows[v].binary_search_by_key(&u, |patch| patch.u).is_err()
     };
-    let closed = candidates.into_iter().filter(is_gap).filter_map(|u| close(holes, rows, (u, v)));
-    let mut row: Vec<Patch> = rows[v].iter().cloned().chain(closed).collect();
-    row.sort_unstable_by_key(|patch| patch.u);
-    row
+    candidates.into_iter().filter(is_gap).filter_map(|u| close(holes, rows, (u, v))).collect()
 }
 
 /// Fills a pixel with the mean of its filled neighbours, if all of its neighbours are on one surface.
@@ -102,7 +103,7 @@ fn close(holes: &Holes<'_>, rows: &[Vec<Patch>], at: (usize, usize)) -> Option<P
         neighbours += 1;
         (least, most) = (least.min(inverse), most.max(inverse));
     }
-    if neighbours < LEAST_NEIGHBOURS || filled.len() < LEAST_FILLED || holes.is_step(least, most) {
+    if neighbours < LEAST_NEIGHBOURS || filled.len() < LEAST_FILLED || holes.image.is_step(least, most) {
         return None;
     }
     let mean = |value: &dyn Fn(&Patch, [f64; 2]) -> f64| {

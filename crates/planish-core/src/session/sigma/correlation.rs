@@ -1,0 +1,54 @@
+//! The correlation of the residuals of neighbouring pixels.
+
+use rayon::prelude::*;
+
+use super::{LEAST_CORRELATION, MOST_LAG_PX, STEP_PX};
+
+/// Sums are kept in this number of parts, so that they are the same for every instruction set.
+const PARTS: usize = 16;
+
+/// Products and mean squares of the residuals of pairs of pixels, for each lag along rows and columns.
+type Sums = [[[f64; 2]; MOST_LAG_PX]; 2];
+
+/// Returns the number of pixels whose noise counts as one: the sum of the correlations of the residuals over all lags.
+pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usize)) -> f64 {
+    let of_row = |v: usize| -> Sums {
+        let row = |v: usize| [&values[v * width..(v + 1) * width], &counts[v * width..(v + 1) * width]];
+        let here = row(v);
+        let along_row = |lag: usize| match width > MOST_LAG_PX {
+            true => {
+                sums(here.map(|row| &row[..width - MOST_LAG_PX]), here.map(|row| &row[lag..][..width - MOST_LAG_PX]))
+            }
+            false => [0.0; 2],
+        };
+        let along_column = |lag: usize| if v + MOST_LAG_PX < height { sums(here, row(v + lag)) } else { [0.0; 2] };
+        [std::array::from_fn(|k| along_row(k + 1)), std::array::from_fn(|k| along_column(k + 1))]
+    };
+    // Added in order, so that the result is the same for every number of threads.
+    let of_rows: Vec<Sums> = (0..height).into_par_iter().step_by(STEP_PX).map(of_row).collect();
+    let along = |axis: usize| {
+        let correlation = |lag: usize| {
+            let [product, square] = [0, 1].map(|k| of_rows.iter().map(|row| row[axis][lag][k]).sum::<f64>());
+            if square > 0.0 { product / square } else { 0.0 }
+        };
+        let correlations =
+            (0..MOST_LAG_PX).map(correlation).take_while(|correlation| *correlation >= LEAST_CORRELATION);
+        1.0 + 2.0 * correlations.sum::<f64>()
+    };
+    along(0) * along(1)
+}
+
+/// Returns the sum of the products of two rows, and of their mean squares where both count.
+fn sums([a, a_counts]: [&[f32]; 2], [b, b_counts]: [&[f32]; 2]) -> [f64; 2] {
+    let (mut products, mut squares) = ([0.0f32; PARTS], [0.0f32; PARTS]);
+    let rows = a.chunks_exact(PARTS).zip(b.chunks_exact(PARTS));
+    let rows = rows.zip(a_counts.chunks_exact(PARTS).zip(b_counts.chunks_exact(PARTS)));
+    for ((a, b), (a_counts, b_counts)) in rows {
+        for k in 0..PARTS {
+            // Values are 0 where they do not count.
+            products[k] += a[k] * b[k];
+            squares[k] += 0.5 * (a[k] * a[k] + b[k] * b[k]) * (a_counts[k] * b_counts[k]);
+        }
+    }
+    [products, squares].map(|parts| parts.iter().map(|part| f64::from(*part)).sum())
+}
