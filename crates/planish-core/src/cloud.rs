@@ -155,6 +155,22 @@ impl Default for PositionColumns {
     }
 }
 
+/// The coordinates that a file of integers can hold: an offset plus multiples of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CoordinateSteps {
+    /// The distance between two of them, in metres.
+    pub step_m: f64,
+    /// One of them, in metres.
+    pub offset_m: f64,
+}
+
+impl CoordinateSteps {
+    /// Returns the nearest of them.
+    fn nearest(&self, coordinate_m: f64) -> f64 {
+        ((coordinate_m - self.offset_m) / self.step_m).round() * self.step_m + self.offset_m
+    }
+}
+
 /// A general point cloud: points in any order, with all their fields.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -172,6 +188,9 @@ pub struct PointCloud {
     /// The file's coordinates x, y and z if f32 would lose digits (empty for axes where it does not). Unmoved points
     /// are written with these digits.
     pub exact_m: Option<[Vec<f64>; 3]>,
+    /// The steps between coordinates x, y and z that the file can hold. Unmoved points are written on them, without the
+    /// rounding of f32.
+    pub steps: Option<[CoordinateSteps; 3]>,
     /// Format-specific data of the cloud's file; written back to a file of the same format.
     pub provenance: Provenance,
     /// Positions of the scanners in metres, in the frame of the file, indexed by the field `scan`.
@@ -188,6 +207,7 @@ impl PointCloud {
             position_columns: PositionColumns::default(),
             pose: SensorPose::IDENTITY,
             exact_m: None,
+            steps: None,
             provenance: Provenance::default(),
             scanners_m: None,
         }
@@ -268,7 +288,8 @@ impl PointCloud {
     fn exact(&self, axis: usize, i: usize) -> Option<f64> {
         let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         let exact = self.exact_m.as_ref().and_then(|axes| axes[axis].get(i)).copied();
-        exact.filter(|exact| (exact - origin) as f32 == here)
+        let on_step = || self.steps.map(|steps| steps[axis].nearest(origin + f64::from(here)));
+        exact.or_else(on_step).filter(|exact| (exact - origin) as f32 == here)
     }
 
     /// Returns true if its coordinates are written in 8 bytes, where a format allows it.
@@ -317,6 +338,7 @@ impl PointCloud {
             position_columns: self.position_columns,
             pose: self.pose,
             exact_m: None,
+            steps: self.steps,
             provenance: self.provenance.clone(),
             scanners_m: self.scanners_m.clone(),
         }

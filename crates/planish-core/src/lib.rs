@@ -67,7 +67,7 @@ pub mod webgpu {
 }
 
 pub use camera::{Camera, Distortion, SATURATED_DEPTH};
-pub use cloud::{Attribute, AttributeValues, OrganizedCloud, PointCloud, PositionColumns, Precision};
+pub use cloud::{Attribute, AttributeValues, CoordinateSteps, OrganizedCloud, PointCloud, PositionColumns, Precision};
 pub use cpu::CloudEstimate;
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
 pub use doubts::{Doubt, doubts};

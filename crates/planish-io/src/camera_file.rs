@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use super::plain::text_in_utf_8;
 use super::{FormatResult, ReadOptions};
 use planish_core::{Camera, Distortion, FormatError, IoError};
 
@@ -29,7 +30,8 @@ pub fn read_text(path: &Path) -> FormatResult<String> {
         FormatError::TooLarge { .. } => malformed("larger than any camera file".into()),
         error => error,
     })?;
-    String::from_utf8(bytes).map_err(|_| malformed("not text".into()))
+    let text = text_in_utf_8(&bytes);
+    if text.contains(&0) { Err(malformed("not text".into())) } else { Ok(super::text_of(&text).into_owned()) }
 }
 
 /// [`read_camera`] of a file's text.

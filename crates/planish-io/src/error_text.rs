@@ -1,4 +1,6 @@
-//! Texts of files in error messages.
+//! Texts of files.
+
+use std::borrow::Cow;
 
 /// Returns the beginning of a text from a file, for error messages.
 pub fn quoted(text: &str) -> String {
@@ -16,5 +18,13 @@ pub fn brief(message: &str) -> String {
     match message.char_indices().nth(MOST) {
         Some((end, _)) => format!("{}...", &message[..end]),
         None => message,
+    }
+}
+
+/// Returns text as it is meant: UTF-8, or else Latin-1, in which every byte is a character.
+pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => text.into(),
+        Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
     }
 }

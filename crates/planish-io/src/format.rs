@@ -120,6 +120,12 @@ impl Format {
         }
     }
 
+    /// Returns the format of an input's extension, to which gzip may have added its own.
+    pub(super) fn of_input(path: &Path) -> Option<Self> {
+        let is_gzip = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
+        Self::of_extension(path).or_else(|| if is_gzip { Self::of_extension(&path.with_extension("")) } else { None })
+    }
+
     /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj and .stl are ambiguous and
     /// excluded.
     pub fn is_of_frames(path: &Path) -> bool {

@@ -40,6 +40,7 @@ mod npy;
 #[cfg(feature = "npz")]
 mod npz;
 mod pcd;
+mod plain;
 mod ply;
 mod read;
 #[cfg(feature = "scans")]
@@ -61,7 +62,7 @@ pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_
 pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
-pub(crate) use error_text::{brief, quoted};
+pub(crate) use error_text::{brief, quoted, text_of};
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
 pub use format::{Encoding, Format, WRITTEN};

@@ -4,12 +4,12 @@
 use std::collections::HashMap;
 
 use super::columns::cloud_from_columns;
-use super::{FormatResult, ReadOptions, quoted};
+use super::{FormatResult, ReadOptions, quoted, text_of};
 use planish_core::{Attribute, FormatError, PointCloud, Precision};
 
 /// Reads the lines `v x y z` of a Wavefront OBJ, with optional colours.
-pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let text = text_of(bytes, "OBJ")?;
+pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+    let text = text_of(bytes);
     let lines = (1..).zip(text.lines()).filter_map(|(number, line)| {
         let line = line.trim();
         line.strip_prefix("v").filter(|rest| rest.starts_with([' ', '\t'])).map(|rest| (number, rest))
@@ -35,8 +35,13 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let [x, y, z, red, green, blue] = columns;
     let mut all = vec![column("x", x), column("y", y), column("z", z)];
     if width.is_some_and(|width| width >= 6) {
-        let is_share = [&red, &green, &blue].into_iter().flatten().all(|value| (0.0..=1.0).contains(value));
+        let channels = || [&red, &green, &blue].into_iter().flatten();
+        let is_share = channels().all(|value| value.is_nan() || (0.0..=1.0).contains(value));
         let scale = if is_share { 255.0 } else { 1.0 };
+        match channels().filter(|value| value.is_nan()).count() {
+            0 => {}
+            missing => notes.push(format!("{missing} values of colours are no numbers; they become 0")),
+        }
         for (name, values) in [("red", red), ("green", green), ("blue", blue)] {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
             all.push(Attribute { name: name.into(), count: 1, values: values.into() });
@@ -60,7 +65,7 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         };
         bytes[HEADER..].chunks_exact(TRIANGLE).flat_map(|triangle| (0..3).map(move |k| corner(triangle, k))).collect()
     } else if bytes.starts_with(b"solid") {
-        let text = text_of(bytes, "STL")?;
+        let text = text_of(bytes);
         let lines =
             (1..).zip(text.lines().map(str::trim)).filter_map(|(n, line)| Some((n, line.strip_prefix("vertex")?)));
         options.check(lines.clone().count(), 40)?;
@@ -86,10 +91,6 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         return Err(FormatError::Malformed("an STL without triangles".into()));
     }
     Ok(PointCloud::new(distinct.into_iter().collect()))
-}
-
-fn text_of<'a>(bytes: &'a [u8], name: &str) -> FormatResult<&'a str> {
-    std::str::from_utf8(bytes).map_err(|_| FormatError::Malformed(format!("the {name} is not text in UTF-8")))
 }
 
 /// Small coordinates as f32, far ones as f64.

@@ -21,6 +21,7 @@ use super::input::{FormatResult, ReadOptions, read_bytes};
 use super::las::{self, LasReader};
 #[cfg(feature = "npz")]
 use super::npz;
+use super::plain::plain;
 #[cfg(feature = "scans")]
 use super::ply::PlyReader;
 #[cfg(feature = "scans")]
@@ -61,18 +62,18 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
 }
 
 /// Reads a LAS, LAZ or PLY file in parts, each a cloud with all fields and a separate origin; a file without points is
-/// one empty cloud.
+/// one empty cloud. Returns its format and [`FileRead::notes`].
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
     points_at_once: usize,
     mut visit: impl FnMut(&PointCloud),
-) -> Result<Format, IoError> {
+) -> Result<(Format, Vec<String>), IoError> {
     fn read<R: RecordReader>(
         path: &Path,
         at_once: usize,
         visit: &mut dyn FnMut(&PointCloud),
-    ) -> FormatResult<R::Header> {
+    ) -> FormatResult<(R::Header, Vec<String>)> {
         let mut reader = R::open(path)?;
         let header = reader.header().clone();
         let is_empty = reader.points() == 0;
@@ -83,14 +84,16 @@ pub fn read_in_parts(
                 visit(&R::cloud_of(&header, records)?);
             }
             if is_last {
-                return Ok(header);
+                return Ok((header, reader.notes()));
             }
         }
     }
     let read = match Format::of_extension(path) {
-        Some(Format::Ply) => read::<PlyReader>(path, points_at_once, &mut visit).map(|_| Format::Ply),
-        _ => read::<LasReader>(path, points_at_once, &mut visit)
-            .map(|header| if header.point_format().is_compressed { Format::Laz } else { Format::Las }),
+        Some(Format::Ply) => read::<PlyReader>(path, points_at_once, &mut visit).map(|(_, notes)| (Format::Ply, notes)),
+        _ => read::<LasReader>(path, points_at_once, &mut visit).map(|(header, notes)| {
+            let is_compressed = header.header.point_format().is_compressed;
+            (if is_compressed { Format::Laz } else { Format::Las }, notes)
+        }),
     };
     read.map_err(IoError::at(path))
 }
@@ -113,13 +116,12 @@ pub struct FileRead {
 pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError> {
     let read = || {
         let bytes = read_bytes(path, options)?;
-        if let (None, None, Some(what)) =
-            (Format::of_contents(&bytes), Format::of_extension(path), format::what_converts(path))
-        {
+        let (bytes, announced) = (plain(&bytes, options)?, Format::of_input(path));
+        if let (None, None, Some(what)) = (Format::of_contents(&bytes), announced, format::what_converts(path)) {
             return Err(FormatError::Unsupported(what.into()));
         }
         let mut notes = Vec::new();
-        let (format, contents) = decode_noting(&bytes, Format::of_extension(path), options, &mut notes)?;
+        let (format, contents) = decode_plain(&bytes, announced, options, &mut notes)?;
         let encoding = match format {
             Format::Pcd => pcd::encoding(&bytes),
             Format::Ply => ply::encoding(&bytes),
@@ -137,11 +139,11 @@ pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, 
 
 /// [`decode`] with other options than the default.
 pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
-    decode_noting(bytes, announced, options, &mut Vec::new())
+    decode_plain(&plain(bytes, options)?, announced, options, &mut Vec::new())
 }
 
-/// Decodes a file and collects [`FileRead::notes`].
-fn decode_noting(
+/// Decodes a file that nothing wraps, and collects [`FileRead::notes`].
+fn decode_plain(
     bytes: &[u8],
     announced: Option<Format>,
     options: &ReadOptions,
@@ -166,7 +168,7 @@ fn decode_noting(
         Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
         Format::Npy => npy::decode(bytes, options),
         #[cfg(feature = "scans")]
-        Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options)?)),
+        Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options, notes)?)),
         Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options, notes)?)),
         #[cfg(feature = "npz")]
         Format::Npz => npz::decode(bytes, options, notes),
@@ -174,7 +176,7 @@ fn decode_noting(
         Format::E57 => Ok(Contents::General(e57::decode(bytes, options, notes)?)),
         Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
-        Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options)?)),
+        Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),

@@ -35,6 +35,21 @@ impl<'a> Body<'a> {
                 self.bytes
             )));
         }
+        let (before, lengths) = (self.lines.clone(), lengths(columns));
+        let read = self.read_lines(columns, points, values);
+        if read.is_err() {
+            let after = std::mem::replace(&mut self.lines, before);
+            truncate(columns, &lengths);
+            // librealsense writes the values of a point on several lines.
+            if self.read_words(columns, points, values).is_none() {
+                self.lines = after;
+                return read;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_lines(&mut self, columns: &mut [Attribute], points: usize, values: usize) -> Result<(), FormatError> {
         for point in 0..points {
             let Some((number, line)) = self.line() else {
                 return Err(FormatError::Malformed(format!(
@@ -45,6 +60,39 @@ impl<'a> Body<'a> {
                 .map_err(|problem| FormatError::Malformed(format!("line {number} of the points: {problem}")))?;
         }
         Ok(())
+    }
+
+    /// Reads points that are on several lines each, or several on a line; `None` if a value is missing or unreadable.
+    fn read_words(&mut self, columns: &mut [Attribute], points: usize, values: usize) -> Option<()> {
+        let slots: Vec<usize> = columns.iter().enumerate().flat_map(|(k, column)| vec![k; column.count]).collect();
+        let mut words = 0;
+        while words < points * values {
+            let (_, line) = self.line()?;
+            let (before, left) = (words, values - words % values);
+            for word in line.split_ascii_whitespace() {
+                push(&mut columns.get_mut(*slots.get(words % values)?)?.values, word)?;
+                words += 1;
+            }
+            // Several lines make a point, or several points a line: otherwise a value is missing or superfluous.
+            let found = words - before;
+            let is_regular =
+                if left == values { found < values || found.is_multiple_of(values) } else { found <= left };
+            if !is_regular {
+                return None;
+            }
+        }
+        (words == points * values).then_some(())
+    }
+}
+
+/// Returns the number of values of each column.
+fn lengths(columns: &[Attribute]) -> Vec<usize> {
+    columns.iter().map(|column| with_values!(&column.values, values => values.len())).collect()
+}
+
+fn truncate(columns: &mut [Attribute], lengths: &[usize]) {
+    for (column, length) in columns.iter_mut().zip(lengths) {
+        with_values!(&mut column.values, values => values.truncate(*length));
     }
 }
 

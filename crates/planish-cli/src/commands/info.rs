@@ -7,7 +7,7 @@ use crate::exit::ExitCode;
 use std::path::Path;
 
 use anyhow::Result;
-use planish::io::{self, Contents, DepthSummary, Format, LengthUnit};
+use planish::io::{self, Contents, DepthSummary, FileRead, Format, LengthUnit};
 use planish::{
     Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, IoError, OrganizedCloud, PointCloud,
     PointsView, RangeRule, SensorModel,
@@ -43,6 +43,9 @@ struct Info {
     sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
+    /// What was dropped, guessed or repaired.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
 }
 
 /// Coefficients of 1, z and z², in metres.
@@ -70,18 +73,19 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     {
         return show(args, &describe_depth(format, &summary), true);
     }
-    let read = io::read_with(&args.file, &options);
+    let read = io::read_file(&args.file, &options);
     let has_parts = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz | Format::Ply));
     if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, has_parts) {
         return show(args, &describe_in_parts(args)?, false);
     }
-    let (format, mut contents) = read?;
+    let FileRead { format, mut contents, notes, .. } = read?;
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)
     {
         points.pose = pose;
     }
-    show(args, &describe(args, format, &contents)?, contents.is_depth())
+    let info = Info { notes, ..describe(args, format, &contents)? };
+    show(args, &info, contents.is_depth())
 }
 
 fn show(args: &InfoArgs, info: &Info, is_depth: bool) -> Result<ExitCode> {
@@ -112,6 +116,7 @@ impl Info {
             sensor_pose: None,
             sensor: None,
             raw_depth: None,
+            notes: Vec::new(),
         }
     }
 }
@@ -122,7 +127,7 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
     const SAMPLE_STEP: usize = 97;
     let mut info = Info::new(Format::Las, (0, 1), false);
     let mut sample = Vec::new();
-    let format = io::read_in_parts(&args.file, POINTS_AT_ONCE, |cloud| {
+    let (format, notes) = io::read_in_parts(&args.file, POINTS_AT_ONCE, |cloud| {
         let mut part = Info::new(Format::Las, (cloud.len(), 1), false);
         describe_points(cloud, &mut part);
         info.width += cloud.len();
@@ -134,7 +139,7 @@ fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
         let finite = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i));
         sample.extend(finite.step_by(SAMPLE_STEP).map(|i| cloud.origin_m[2] + f64::from(cloud.positions.z()[i])));
     })?;
-    info.format = format.name();
+    (info.format, info.notes) = (format.name(), notes);
     info.median_z_m = median(&mut sample);
     Ok(info)
 }
@@ -292,5 +297,8 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
             at(sigma, 3.0)
         );
         outln!("                (a Kinect v1: 2.85 and 1.80, 25.65 and 16.20)");
+    }
+    for note in &info.notes {
+        outln!("  note          {note}");
     }
 }

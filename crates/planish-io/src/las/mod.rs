@@ -3,6 +3,7 @@
 
 mod errors;
 mod fields;
+mod repair;
 mod stream;
 mod validate;
 mod writer;
@@ -16,12 +17,14 @@ use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 use super::format::las_or_laz;
 use super::length_unit::{LengthUnit, unit_of_geo_keys, unit_of_wkt};
 use super::{Format, FormatResult, ReadOptions};
-use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Precision, Provenance, Xyz, internal::middle};
+use planish_core::internal::middle;
+use planish_core::{Attribute, AttributeValues, CoordinateSteps, FormatError, PointCloud, Precision, Provenance, Xyz};
 pub(crate) use stream::LasReader;
 use writer::LasWriter;
 
 use errors::{cannot, damaged, unreadable};
 use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, extra_fields, fields_of};
+use repair::{Overlaid, Repaired, WithHead};
 use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
 /// Resolution of coordinates in new files, if it fits: finer than any scanner measures.
@@ -29,13 +32,14 @@ const SCALE_M: f64 = 1e-5;
 /// The most that 32 bits hold, with room to move points.
 const LARGEST_INTEGER: f64 = 2e9;
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
-    let Checked { points, record, extended } = Checked::of(bytes, las_or_laz(bytes))?;
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+    let Checked { points, record, extended, repaired } = Checked::of(bytes, las_or_laz(bytes))?;
     // The records, and positions and columns.
     options.check(points, 2 * record + 12)?;
+    let identity = identity_of(&repaired.head);
     // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
-        let mut reader = Reader::new(Cursor::new(bytes.to_vec()))?;
+        let mut reader = Reader::new(WithHead::new(repaired.head, Cursor::new(bytes.to_vec()))?)?;
         let mut builder = Builder::from(reader.header().clone());
         builder.evlrs = extended;
         Ok((builder.into_header()?, reader.read_all()?))
@@ -47,7 +51,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointC
             found.len()
         )));
     }
-    cloud_of(Arc::new(header), found.raw_bytes())
+    notes.extend(repaired.notes);
+    cloud_of(Arc::new(FileHeader { header, identity }), found.raw_bytes())
 }
 
 /// Contents of a header after checks against the file.
@@ -56,6 +61,7 @@ struct Checked {
     /// Bytes of a point.
     record: usize,
     extended: Vec<Vlr>,
+    repaired: Repaired,
 }
 
 impl Checked {
@@ -67,6 +73,8 @@ impl Checked {
         let short_header =
             || FormatError::Malformed(format!("the file is truncated: {size} bytes are less than a LAS header"));
         check_header(bytes).ok_or_else(short_header)??;
+        let repaired = Repaired::read(bytes).ok_or_else(short_header)??;
+        let bytes = &Overlaid { head: &repaired.head, file: bytes };
         let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
         let count = usize::try_from(points).unwrap_or(usize::MAX);
         let cut_off = || {
@@ -78,8 +86,8 @@ impl Checked {
             _ if count.saturating_mul(record) > size => return Err(cut_off()),
             _ => {}
         }
-        let extended = extended.map_or(Some(Vec::new()), |extended| extended_records(bytes, extended));
-        Ok(Self { points: count, record, extended: extended.ok_or_else(cut_off)? })
+        let extended = extended.map_or(Vec::new(), |extended| extended_records(bytes, extended));
+        Ok(Self { points: count, record, extended, repaired })
     }
 }
 
@@ -96,8 +104,9 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
 }
 
 /// Returns the cloud of some records of a file with this header.
-fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
-    check_transforms(&header)?;
+fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
+    let header = &of_file.header;
+    check_transforms(header)?;
     let record = usize::from(header.point_format().len());
     let transforms = *header.transforms();
     let axis = |at: usize, transform: Transform| -> (Vec<f32>, f64, Vec<f64>) {
@@ -128,23 +137,40 @@ fn cloud_of(header: Arc<Header>, raw: &[u8]) -> FormatResult<PointCloud> {
     let mut cloud = PointCloud::new(Xyz::from_arrays([x, y, z])?);
     cloud.origin_m = [origin_x, origin_y, origin_z];
     cloud.keep_exact([exact_x, exact_y, exact_z]);
+    let steps = |transform: Transform| CoordinateSteps { step_m: transform.scale, offset_m: transform.offset };
+    cloud.steps = Some([steps(transforms.x), steps(transforms.y), steps(transforms.z)]);
     cloud.position_columns.precision = Precision::F64;
-    let all = fields_of(header.point_format()).into_iter().chain(extra_fields(&header));
+    let all = fields_of(header.point_format()).into_iter().chain(extra_fields(header));
     cloud.attributes = all.map(|field| decode_field(&field, raw, record)).collect();
-    cloud.provenance = Provenance::new(LasHeader(header));
+    cloud.provenance = Provenance::new(LasHeader(of_file));
     Ok(cloud)
 }
 
-/// The header of the cloud's LAS file: coordinate system, scales, offsets and extra bytes.
+/// The header of a file: coordinate system, scales, offsets and extra bytes.
 #[derive(Debug, PartialEq)]
-struct LasHeader(Arc<Header>);
+pub(crate) struct FileHeader {
+    pub(crate) header: Header,
+    /// The system and the program that wrote it, the day and the year, as their bytes: the library keeps neither text
+    /// in other encodings than UTF-8 nor a year without a day.
+    identity: Identity,
+}
+
+type Identity = [u8; repair::IDENTITY.end - repair::IDENTITY.start];
+
+fn identity_of(head: &[u8]) -> Identity {
+    head.get(repair::IDENTITY).and_then(|bytes| bytes.try_into().ok()).unwrap_or([0; _])
+}
+
+/// The header of the cloud's LAS file.
+#[derive(Debug, PartialEq)]
+struct LasHeader(Arc<FileHeader>);
 
 /// Encodes a cloud without its holes, which LAS cannot represent.
 pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u8>> {
     let kept: Vec<usize> = (0..cloud.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
     let records = Records::new(cloud, &kept, compressed)?;
     let raw = records.encode(cloud, &kept)?;
-    let mut writer = LasWriter::new(Cursor::new(Vec::new()), records.header)?;
+    let mut writer = LasWriter::new(Cursor::new(Vec::new()), records.header, records.identity)?;
     writer.write(raw)?;
     Ok(writer.finish()?.into_inner())
 }
@@ -154,7 +180,8 @@ pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
     const PROJECTION: &str = "LASF_Projection";
     const WKT: u16 = 2112;
     const GEO_KEYS: u16 = 34735;
-    let LasHeader(header) = cloud.provenance.get()?;
+    let LasHeader(of_file) = cloud.provenance.get()?;
+    let header = &of_file.header;
     let record = |id: u16| header.all_vlrs().find(|vlr| vlr.user_id == PROJECTION && vlr.record_id == id);
     let of_wkt = || unit_of_wkt(&String::from_utf8_lossy(&record(WKT)?.data));
     of_wkt().or_else(|| unit_of_geo_keys(&record(GEO_KEYS)?.data))
@@ -170,14 +197,17 @@ const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 pub(crate) struct Records {
     header: Header,
     fields: Vec<Field>,
+    /// That of the file from which the cloud was read.
+    identity: Option<Identity>,
 }
 
 impl Records {
     /// Prepares for clouds with the columns of this one, of which some points are kept.
     fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
         let has_colour = cloud.rgb().is_some();
-        let mut builder = match cloud.provenance.get::<LasHeader>() {
-            Some(LasHeader(header)) => Builder::from((**header).clone()),
+        let of_file = cloud.provenance.get::<LasHeader>().map(|LasHeader(of_file)| of_file);
+        let mut builder = match of_file {
+            Some(of_file) => Builder::from(of_file.header.clone()),
             None => new_builder(cloud, kept, has_colour).map_err(cannot)?,
         };
         // Records that describe the old compression, and COPC's index.
@@ -202,7 +232,8 @@ impl Records {
                 add_extra_field(&mut builder, &mut fields, attribute)?;
             }
         }
-        Ok(Self { header: builder.into_header().map_err(cannot)?, fields })
+        let identity = of_file.map(|of_file| of_file.identity);
+        Ok(Self { header: builder.into_header().map_err(cannot)?, fields, identity })
     }
 
     /// Makes it the version whose headers count points of every return.
@@ -214,9 +245,9 @@ impl Records {
 
     /// Selects the format for files that have points of a return beyond the fifth.
     fn with_all_returns(self) -> FormatResult<Self> {
-        let mut builder = Builder::from(self.header);
+        let mut builder = Builder::from(self.header.clone());
         Self::count_all_returns(&mut builder);
-        Ok(Self { header: builder.into_header().map_err(cannot)?, fields: self.fields })
+        Ok(Self { header: builder.into_header().map_err(cannot)?, ..self })
     }
 
     /// Bytes of a record.

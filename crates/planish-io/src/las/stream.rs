@@ -6,14 +6,15 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 
-use las::{Builder, Header, PointData, PointDataBuilder, Reader};
+use las::{Builder, PointData, PointDataBuilder, Reader};
 
 use super::super::format::las_or_laz;
 use super::super::records::{RecordEncoder, RecordReader};
 use super::super::{Encoding, Format, FormatResult};
 use super::errors::{damaged, unreadable};
+use super::repair::WithHead;
 use super::writer::LasWriter;
-use super::{Checked, MOST_RETURNS, Records};
+use super::{Checked, FileHeader, MOST_RETURNS, Records, identity_of};
 use planish_core::{FormatError, PointCloud};
 
 /// Offset of the return number in records before LAS 1.4, in the lowest three bits.
@@ -22,7 +23,8 @@ const RETURNS_AT: usize = 14;
 /// Reads records in their order.
 pub(crate) struct LasReader {
     reader: Reader,
-    header: Arc<Header>,
+    header: Arc<FileHeader>,
+    notes: Vec<String>,
     points: usize,
     read: usize,
     has_late_returns: bool,
@@ -30,16 +32,18 @@ pub(crate) struct LasReader {
 }
 
 impl RecordReader for LasReader {
-    type Header = Arc<Header>;
+    type Header = Arc<FileHeader>;
     type Encoder = Records;
 
     fn open(path: &Path) -> FormatResult<Self> {
         let file = File::open(path)?;
         // A shorter file is refused in any case.
         let head = super::validate::FileBytes::read(&file, 0, 107).unwrap_or_default();
-        let Checked { points, extended, .. } = Checked::of(&file, las_or_laz(&head))?;
+        let Checked { points, extended, repaired, .. } = Checked::of(&file, las_or_laz(&head))?;
+        let identity = identity_of(&repaired.head);
         let opened = catch_unwind(AssertUnwindSafe(|| {
-            let reader = Reader::new(BufReader::with_capacity(1 << 20, File::open(path)?))?;
+            let file = BufReader::with_capacity(1 << 20, File::open(path)?);
+            let reader = Reader::new(WithHead::new(repaired.head, file)?)?;
             let mut builder = Builder::from(reader.header().clone());
             builder.evlrs = extended;
             Ok((builder.into_header()?, reader))
@@ -47,11 +51,17 @@ impl RecordReader for LasReader {
         let (header, reader) = opened.map_err(|_| unreadable())?.map_err(damaged)?;
         super::check_transforms(&header)?;
         let buffer = PointDataBuilder::new().for_header(&header).build();
-        Ok(Self { reader, header: Arc::new(header), points, read: 0, has_late_returns: false, buffer })
+        let header = Arc::new(FileHeader { header, identity });
+        let notes = repaired.notes;
+        Ok(Self { reader, header, notes, points, read: 0, has_late_returns: false, buffer })
     }
 
-    fn header(&self) -> &Arc<Header> {
+    fn header(&self) -> &Self::Header {
         &self.header
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.notes.clone()
     }
 
     fn points(&self) -> usize {
@@ -59,7 +69,7 @@ impl RecordReader for LasReader {
     }
 
     fn record(&self) -> usize {
-        usize::from(self.header.point_format().len())
+        usize::from(self.header.header.point_format().len())
     }
 
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]> {
@@ -77,7 +87,8 @@ impl RecordReader for LasReader {
         let record = self.record();
         let records = &self.buffer.raw_bytes()[..found * record];
         let is_late = |point: &[u8]| point.get(RETURNS_AT).is_some_and(|returns| returns & 7 > MOST_RETURNS);
-        self.has_late_returns |= !self.header.point_format().is_extended && records.chunks_exact(record).any(is_late);
+        self.has_late_returns |=
+            !self.header.header.point_format().is_extended && records.chunks_exact(record).any(is_late);
         Ok(records)
     }
 
@@ -87,7 +98,7 @@ impl RecordReader for LasReader {
     }
 
     fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3] {
-        let las::Vector { x, y, z } = header.transforms();
+        let las::Vector { x, y, z } = header.header.transforms();
         [(x, 0), (y, 4), (z, 8)].map(|(transform, at)| {
             transform.direct(i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]))
         })
@@ -99,7 +110,7 @@ impl RecordReader for LasReader {
 }
 
 impl RecordEncoder for Records {
-    type Header = Arc<Header>;
+    type Header = Arc<FileHeader>;
     const KEEPS_HOLES: bool = false;
 
     fn new(
@@ -130,7 +141,7 @@ impl RecordEncoder for Records {
         _points: usize,
         mut next: impl FnMut() -> FormatResult<Vec<u8>>,
     ) -> FormatResult<()> {
-        let mut writer = LasWriter::new(to, self.header)?;
+        let mut writer = LasWriter::new(to, self.header, self.identity)?;
         loop {
             let records = next()?;
             if records.is_empty() {

@@ -183,18 +183,17 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     Some(Ok(()))
 }
 
-/// Returns the extended records after the points. The library reads only the first.
-pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (mut at, count): (usize, u32)) -> Option<Vec<Vlr>> {
-    let mut records = Vec::new();
-    // Without records their offset is meaningless.
-    for _ in 0..count {
+/// Returns the extended records from a place on, up to the first that is not in the file. The library reads only one.
+pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (at, count): (usize, u32)) -> Vec<Vlr> {
+    let record = |at: &mut usize| {
         let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;
-        records.push(Vlr::new(las::raw::Vlr::read_from(&bytes.read(at, length)?[..], true).ok()?));
-        at = at.checked_add(length)?;
-    }
-    Some(records)
+        let record = Vlr::new(las::raw::Vlr::read_from(&bytes.read(*at, length)?[..], true).ok()?);
+        *at = at.checked_add(length)?;
+        Some(record)
+    };
+    (0..count).scan(at, |at, _| record(at)).collect()
 }
 
-fn read_at<const N: usize>(bytes: &(impl FileBytes + ?Sized), at: usize) -> Option<[u8; N]> {
+pub(super) fn read_at<const N: usize>(bytes: &(impl FileBytes + ?Sized), at: usize) -> Option<[u8; N]> {
     bytes.read(at, N)?.try_into().ok()
 }

@@ -1,11 +1,13 @@
 //! Writing LAS records.
 
 use std::fmt;
-use std::io::{Seek, Write};
+use std::io::{Seek, SeekFrom, Write};
 
 use las::{Header, PointDataBuilder, Writer};
 
+use super::Identity;
 use super::errors::cannot;
+use super::repair::IDENTITY;
 use crate::FormatResult;
 use planish_core::FormatError;
 
@@ -14,13 +16,14 @@ pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static
     /// `None` after an error: the library panics if a writer is dropped that it cannot close.
     writer: Option<Writer<W>>,
     header: Header,
+    identity: Option<Identity>,
 }
 
 impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
     /// Begins a file with this header; count and bounds are updated from the written points.
-    pub(super) fn new(to: W, header: Header) -> FormatResult<Self> {
+    pub(super) fn new(to: W, header: Header, identity: Option<Identity>) -> FormatResult<Self> {
         let writer = Writer::new(to, header.clone()).map_err(written)?;
-        Ok(Self { writer: Some(writer), header })
+        Ok(Self { writer: Some(writer), header, identity })
     }
 
     fn with_writer(&mut self, work: impl FnOnce(&mut Writer<W>) -> las::Result<()>) -> FormatResult<()> {
@@ -41,7 +44,13 @@ impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
     pub(super) fn finish(mut self) -> FormatResult<W> {
         self.with_writer(Writer::close)?;
         let writer = self.writer.take().ok_or_else(|| FormatError::Malformed("nothing was written".into()))?;
-        writer.into_inner().map_err(cannot)
+        let mut to = writer.into_inner().map_err(cannot)?;
+        if let Some(identity) = self.identity {
+            to.seek(SeekFrom::Start(IDENTITY.start as u64))?;
+            to.write_all(&identity)?;
+            to.seek(SeekFrom::End(0))?;
+        }
+        Ok(to)
     }
 }
 

@@ -4,8 +4,7 @@
 //! viewport. It does not use the other properties and writes 0. MeshLab has an element of the same name with different
 //! axes; its focal length identifies it, and its pose is ignored.
 
-use ply_rs_bw::ply::{ElementDef, Property};
-
+use super::header::{Element, Property};
 use planish_core::{Attribute, AttributeValues, SensorPose};
 
 /// The properties in PCL's order: position and rotation, unused ones, width and height, unused ones.
@@ -51,11 +50,14 @@ pub(super) struct PlyCamera {
 
 impl PlyCamera {
     /// Decodes the element's properties from their values, in order. Nothing if they are not PCL's.
-    pub(super) fn of(element: &ElementDef, values: &[f64]) -> Self {
+    pub(super) fn of(element: &Element, values: &[f64]) -> Self {
         if values.len() != element.properties.len() {
             return Self::default();
         }
-        let value = |k: usize| values.get(element.properties.get_index_of(PROPERTIES[k])?).copied();
+        let value = |k: usize| {
+            let is_it = |property: &Property| property.name == PROPERTIES[k];
+            values.get(element.properties.iter().position(is_it)?).copied()
+        };
         let is_pcl = FOCAL_AND_SCALES.into_iter().all(|k| value(k).is_none_or(|value| value == 0.0));
         let numbers: Option<Vec<f64>> = (0..POSE).map(value).collect();
         let pose = numbers.filter(|_| is_pcl).and_then(|numbers| {
@@ -82,20 +84,5 @@ impl PlyCamera {
             Attribute { name: name.into(), count: 1, values }
         };
         PROPERTIES.into_iter().enumerate().map(column).collect()
-    }
-}
-
-/// Returns a scalar as a number; NaN for a list.
-pub(super) fn number(property: &Property) -> f64 {
-    match *property {
-        Property::Char(value) => value.into(),
-        Property::UChar(value) => value.into(),
-        Property::Short(value) => value.into(),
-        Property::UShort(value) => value.into(),
-        Property::Int(value) => value.into(),
-        Property::UInt(value) => value.into(),
-        Property::Float(value) => value.into(),
-        Property::Double(value) => value,
-        _ => f64::NAN,
     }
 }

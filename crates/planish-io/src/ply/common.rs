@@ -1,23 +1,6 @@
 //! Shared by reading and writing PLY.
 
-use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
-
 use planish_core::{Attribute, FormatError};
-
-/// A vertex or grid cell as it is read: its values in the order of the properties.
-#[derive(Default)]
-pub(super) struct Record(pub(super) Vec<Property>);
-
-impl PropertyAccess for Record {
-    fn new() -> Self {
-        Self::default()
-    }
-
-    fn set_property(&mut self, _name: &str, property: Property) -> PropertyAccessResult {
-        self.0.push(property);
-        PropertyAccessResult::Set
-    }
-}
 
 pub(super) fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
     Err(FormatError::Malformed(text.into()))

@@ -1,14 +1,13 @@
 //! PLY as it is written.
 
 use super::camera::PlyCamera;
-use super::common::{NORMALS, Record, malformed};
+use super::common::{NORMALS, malformed};
+use super::header::{Element, Header, Kind, Property, Scalar, Storage};
 use super::records::Layout;
 use super::remarks::{GRID_INFOS, Remarks};
 use crate::columns::{EXACT_INTEGERS, columns_from_cloud, with_values};
 use crate::{CloudRef, Encoding, quoted, text};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, SensorPose};
-use ply_rs_bw::ply::{Addable, ElementDef, Encoding as PlyEncoding, Header, PropertyDef, PropertyType, ScalarType};
-use ply_rs_bw::writer::Writer;
 
 pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     let columns = columns_of(cloud.points())?;
@@ -35,7 +34,8 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
     }
     let parts = columns.into_iter().map(ply_columns);
     let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
-    if element_of("vertex", 0, &columns).properties.len() != columns.len() {
+    let is_repeated = |(k, column): (usize, &Attribute)| columns[..k].iter().any(|other| other.name == column.name);
+    if columns.iter().enumerate().any(is_repeated) {
         return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
     }
     Ok(columns)
@@ -55,25 +55,20 @@ impl Around<'_> {
         let &Self { grid, pose, remarks, encoding } = self;
         let camera =
             if pose.is_identity() { Vec::new() } else { PlyCamera::columns(pose, grid.unwrap_or((points, 1))) };
-        let mut header = Header::new();
-        header.encoding = match encoding {
-            Encoding::Ascii => PlyEncoding::Ascii,
-            Encoding::Binary | Encoding::BinaryCompressed => PlyEncoding::BinaryLittleEndian,
+        let storage = match encoding {
+            Encoding::Ascii => Storage::Ascii,
+            Encoding::Binary | Encoding::BinaryCompressed => Storage::LittleEndian,
         };
-        if let Some(remarks) = remarks {
-            header.comments = remarks.comments.clone();
-            header.obj_infos = remarks.obj_infos.clone();
-        }
+        let Remarks { comments, mut obj_infos } = remarks.cloned().unwrap_or_default();
         if let Some((width, height)) = grid {
             let stated = GRID_INFOS.iter().zip([width, height]).map(|(key, number)| format!("{key} {number}"));
-            header.obj_infos.extend(stated);
+            obj_infos.extend(stated);
         }
-        header.elements.add(element_of("vertex", points, columns));
+        let mut elements = vec![element_of("vertex", points, columns)];
         if !camera.is_empty() {
-            header.elements.add(element_of("camera", 1, &camera));
+            elements.push(element_of("camera", 1, &camera));
         }
-        let mut before = Vec::new();
-        Writer::<Record>::new().write_header(&mut before, &header)?;
+        let before = Header { storage, elements, comments, obj_infos }.to_text().into_bytes();
         let behind = if camera.is_empty() { Vec::new() } else { encode_rows(&camera, 1, encoding)? };
         Ok([before, behind])
     }
@@ -93,23 +88,12 @@ fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result
 }
 
 /// Returns the definition of an element with these columns.
-pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> ElementDef {
-    let mut element = ElementDef::new(name.into());
-    element.count = count;
-    for column in columns {
-        let scalar = match column.values {
-            AttributeValues::I8(_) => ScalarType::Char,
-            AttributeValues::U8(_) => ScalarType::UChar,
-            AttributeValues::I16(_) => ScalarType::Short,
-            AttributeValues::U16(_) => ScalarType::UShort,
-            AttributeValues::I32(_) => ScalarType::Int,
-            AttributeValues::U32(_) => ScalarType::UInt,
-            AttributeValues::F32(_) => ScalarType::Float,
-            AttributeValues::F64(_) | AttributeValues::I64(_) | AttributeValues::U64(_) => ScalarType::Double,
-        };
-        element.properties.add(PropertyDef::new(column.name.clone(), PropertyType::Scalar(scalar)));
-    }
-    element
+pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> Element {
+    // White space would end the name.
+    let name_of = |column: &Attribute| column.name.split_whitespace().collect::<Vec<_>>().join("_");
+    let property =
+        |column: &Attribute| Property { name: name_of(column), kind: Kind::Scalar(Scalar::of_values(&column.values)) };
+    Element { name: name.into(), count, properties: columns.iter().map(property).collect() }
 }
 
 /// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.

@@ -7,50 +7,36 @@
 mod camera;
 mod common;
 mod encode;
+mod header;
 #[cfg(feature = "scans")]
 mod parts;
 mod records;
 mod remarks;
 
-use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{ElementDef, Encoding as PlyEncoding, Header, Property, PropertyDef, PropertyType, ScalarType};
-
 use camera::PlyCamera;
-use common::{Record, malformed, rename_normals};
+use common::{malformed, rename_normals};
 pub(super) use encode::encode;
+use header::{Element, Header, Kind, Storage};
 #[cfg(feature = "scans")]
 pub(crate) use parts::PlyReader;
-use records::{Layout, take_records};
+use records::{Layout, take_records, take_values};
 use remarks::{GRID_INFOS, left_out, remarks_of};
 
 use super::columns::{cloud_from_columns, with_values};
-use super::{Encoding, Gridded, ReadOptions, brief, quoted, text};
+use super::{Encoding, Gridded, ReadOptions, quoted, text};
 use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Gridded, FormatError> {
-    let Some(lines) = header_lines(bytes) else {
-        return malformed("the PLY header has no end: a line \"end_header\" is missing in its first 64 KiB");
-    };
-    let stated = stated_properties(&lines);
-    let mut reader = Reader::new(bytes);
-    let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
-    let Some(vertex) = header.elements.get("vertex") else { return malformed("the PLY has no element vertex") };
-    if stated.len() != header.elements.len() {
-        return malformed("two elements of the PLY have the same name");
-    }
-    for (element, stated) in header.elements.values().zip(stated) {
+    let (header, at) = Header::read(bytes)?;
+    let Some(vertex) = header.element("vertex") else { return malformed("the PLY has no element vertex") };
+    for element in &header.elements {
         check_size(element, bytes.len())?;
-        check_properties(element, stated)?;
-        let is_read_by_the_library = header.encoding != PlyEncoding::Ascii && element.name != "vertex";
-        // The library stores every value of an element as an enum, in one vector per line.
-        let [value_bytes, line_bytes] =
-            if is_read_by_the_library { [size_of::<Property>() + 8, size_of::<Record>()] } else { [8, 0] };
-        options.check(element.count, line_bytes + element.properties.len() * value_bytes)?;
+        options.check(element.count, 8 * element.properties.len())?;
     }
     let mut columns = empty_columns(vertex)?;
-    let Body { cells, camera } = match header.encoding {
-        PlyEncoding::Ascii => read_text(&header, reader.into_inner(), &mut columns)?,
-        _ => read_binary(&header, reader.into_inner(), &mut columns)?,
+    let Body { cells, camera } = match header.storage {
+        Storage::Ascii => read_text(&header, &bytes[at..], &mut columns)?,
+        _ => read_binary(&header, &bytes[at..], &mut columns)?,
     };
     let (width, height) = match (info(&header, GRID_INFOS[0]), info(&header, GRID_INFOS[1]), cells) {
         (Some(width), Some(height), _) if width.checked_mul(height) == Some(vertex.count) => (width, height),
@@ -80,14 +66,6 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(Gridded { width, height, points })
 }
 
-fn damaged(error: impl Into<std::io::Error>) -> FormatError {
-    // After this text the library prints its parser's state.
-    const STATE: &str = " Error: ";
-    let message = error.into().to_string();
-    let message = message.split_once(STATE).map_or(message.as_str(), |(message, _)| message);
-    FormatError::Malformed(format!("damaged PLY: {}", brief(message.trim())))
-}
-
 /// The vertex of each pixel, if there is an element `range_grid`.
 type Cells = Option<Vec<Option<usize>>>;
 
@@ -100,19 +78,20 @@ struct Body {
 
 /// Iterates over the elements up to the last one of interest, each with a flag that it must be complete. Elements after
 /// the vertices and their grid may be truncated, since a camera is only a hint.
-fn elements_to_read(header: &Header) -> impl Iterator<Item = (&str, &ElementDef, bool)> {
-    let last = |names: &[&str]| header.elements.keys().rposition(|name| names.contains(&name.as_str())).unwrap_or(0);
+fn elements_to_read(header: &Header) -> impl Iterator<Item = (&Element, bool)> {
+    let last = |names: &[&str]| {
+        header.elements.iter().rposition(|element| names.contains(&element.name.as_str())).unwrap_or(0)
+    };
     let (needed, last) = (last(&["vertex", "range_grid"]), last(&["vertex", "range_grid", "camera"]));
-    let elements = header.elements.iter().enumerate().take(last + 1);
-    elements.map(move |(i, (name, element))| (name.as_str(), element, i <= needed))
+    header.elements.iter().enumerate().take(last + 1).map(move |(i, element)| (element, i <= needed))
 }
 
-/// Reads a text body without the library, whose grammar lacks `nan` and `inf`, as holes are written.
+/// Reads a text body.
 fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut body = text::Body::new(body)?;
     let mut found = Body::default();
-    for (name, element, is_needed) in elements_to_read(header) {
-        match read_text_element(name, element, &mut body, columns, &mut found) {
+    for (element, is_needed) in elements_to_read(header) {
+        match read_text_element(element, &mut body, columns, &mut found) {
             Err(error) if is_needed => return Err(error),
             Err(_) => break,
             Ok(()) => {}
@@ -122,12 +101,12 @@ fn read_text(header: &Header, body: &[u8], columns: &mut [Attribute]) -> Result<
 }
 
 fn read_text_element(
-    name: &str,
-    element: &ElementDef,
+    element: &Element,
     body: &mut text::Body<'_>,
     columns: &mut [Attribute],
     found: &mut Body,
 ) -> Result<(), FormatError> {
+    let name = element.name.as_str();
     if name == "vertex" {
         return body.read(columns, element.count);
     }
@@ -150,18 +129,18 @@ fn read_text_element(
     Ok(())
 }
 
-/// Reads a binary body. The vertices bypass the library, which needs about ten times their memory.
+/// Reads a binary body.
 fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> Result<Body, FormatError> {
     let mut found = Body::default();
-    for (name, element, is_needed) in elements_to_read(header) {
-        if name == "vertex" {
+    for (element, is_needed) in elements_to_read(header) {
+        if element.name == "vertex" {
             // `empty_columns` has refused lists.
             let Some(layout) = Layout::of(element) else { return malformed("a vertex property is a list") };
-            let records = take_records(&layout, element.count, header.encoding, &mut body)?;
+            let records = take_records(&layout, element.count, header.storage, &mut body)?;
             layout.append(columns, &records)?;
             continue;
         }
-        match read_binary_element(name, element, header, &mut body, &mut found) {
+        match read_binary_element(element, header.storage, &mut body, &mut found) {
             Err(error) if is_needed => return Err(error),
             Err(_) => break,
             Ok(()) => {}
@@ -171,26 +150,29 @@ fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> R
 }
 
 fn read_binary_element(
-    name: &str,
-    element: &ElementDef,
-    header: &Header,
+    element: &Element,
+    storage: Storage,
     body: &mut &[u8],
     found: &mut Body,
 ) -> Result<(), FormatError> {
-    let mut reader = Reader::new(*body);
-    let records = Parser::<Record>::new().read_payload_for_element(&mut reader, element, header).map_err(damaged)?;
-    *body = reader.into_inner();
-    if name == "range_grid" {
-        let cell = |record: &Record| {
-            let indices = record.0.first().and_then(Property::to_u32_list);
-            let indices: Option<Vec<usize>> = indices.map(|list| list.iter().map(|&i| i as usize).collect());
-            cell_of(indices.as_deref())
-        };
-        found.cells = Some(records.iter().map(cell).collect::<Result<_, _>>()?);
-    } else if name == "camera" {
-        let values: Vec<f64> =
-            records.first().into_iter().flat_map(|record| record.0.iter().map(camera::number)).collect();
-        found.camera = PlyCamera::of(element, &values);
+    let (mut cells, mut numbers) = (Vec::new(), Vec::new());
+    for _ in 0..element.count {
+        let mut cell = None;
+        take_values(element, storage, body, |property, values| match element.name.as_str() {
+            "range_grid" if property == 0 => {
+                cell = Some(values.iter().map(|index| *index as usize).collect::<Vec<_>>())
+            }
+            "camera" => numbers.push(if let [value] = values { *value } else { f64::NAN }),
+            _ => {}
+        })?;
+        if let Some(indices) = cell {
+            cells.push(cell_of(Some(&indices))?);
+        }
+    }
+    match element.name.as_str() {
+        "range_grid" => found.cells = Some(cells),
+        "camera" => found.camera = PlyCamera::of(element, &numbers),
+        _ => {}
     }
     Ok(())
 }
@@ -199,11 +181,10 @@ fn read_binary_element(
 #[cfg(feature = "scans")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
-    let Some(element) = header.elements.get("camera") else { return Ok(PlyCamera::default()) };
-    if header.encoding == PlyEncoding::Ascii {
-        read_text_element("camera", element, &mut text::Body::new(bytes)?, &mut [], &mut found)?;
-    } else {
-        read_binary_element("camera", element, header, &mut bytes, &mut found)?;
+    let Some(element) = header.element("camera") else { return Ok(PlyCamera::default()) };
+    match header.storage {
+        Storage::Ascii => read_text_element(element, &mut text::Body::new(bytes)?, &mut [], &mut found)?,
+        storage => read_binary_element(element, storage, &mut bytes, &mut found)?,
     }
     Ok(found.camera)
 }
@@ -223,55 +204,16 @@ fn info(header: &Header, key: &str) -> Option<usize> {
     header.obj_infos.iter().find_map(number)
 }
 
-/// The largest header accepted, in bytes; real ones have a few hundred.
-const MAX_HEADER_BYTES: usize = 64 * 1024;
-
-/// Returns the lines of the header, up to `end_header`; `None` if that is missing.
-fn header_lines(bytes: &[u8]) -> Option<Vec<&str>> {
-    let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
-    let mut lines = Vec::new();
-    for line in bytes.split(|&byte| byte == b'\n') {
-        match std::str::from_utf8(line).unwrap_or_default().trim() {
-            "end_header" => return Some(lines),
-            line => lines.push(line),
-        }
-    }
-    None
-}
-
 /// Returns the encoding that a header states; big-endian files are binary, and written as little-endian.
 pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
-    let stated = header_lines(bytes)?.into_iter().find_map(|line| line.strip_prefix("format "))?;
-    Some(if stated.trim_start().starts_with("ascii") { Encoding::Ascii } else { Encoding::Binary })
-}
-
-/// Returns the number of properties of each element, in order.
-fn stated_properties(header_lines: &[&str]) -> Vec<usize> {
-    let mut counts = Vec::new();
-    for line in header_lines {
-        match line.split_ascii_whitespace().next() {
-            Some("element") => counts.push(0),
-            Some("property") => counts.iter_mut().last().into_iter().for_each(|count| *count += 1),
-            _ => {}
-        }
+    match header::stated_storage(bytes)? {
+        Storage::Ascii => Some(Encoding::Ascii),
+        _ => Some(Encoding::Binary),
     }
-    counts
-}
-
-/// Refuses elements that the library would read wrongly. Of several properties with the same name it keeps one and
-/// misreads the bytes of the others; an element without properties has no bytes, whatever its count.
-fn check_properties(element: &ElementDef, stated: usize) -> Result<(), FormatError> {
-    if stated != element.properties.len() {
-        return malformed(format!("two properties of element {} have the same name", quoted(&element.name)));
-    }
-    if stated == 0 && (element.count > 0 || element.name == "vertex") {
-        return malformed(format!("element {} has no properties", quoted(&element.name)));
-    }
-    Ok(())
 }
 
 /// Refuses counts that the file cannot hold, before anything is allocated for them.
-fn check_size(element: &ElementDef, file_bytes: usize) -> Result<(), FormatError> {
+fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(
             "the file is truncated: its header states {} of element {} in {file_bytes} bytes",
@@ -282,25 +224,13 @@ fn check_size(element: &ElementDef, file_bytes: usize) -> Result<(), FormatError
     Ok(())
 }
 
-fn empty_columns(vertex: &ElementDef) -> Result<Vec<Attribute>, FormatError> {
-    let column = |(name, property): (&String, &PropertyDef)| {
-        let values = match property.data_type {
-            PropertyType::Scalar(ScalarType::Char) => AttributeValues::I8(Vec::new()),
-            PropertyType::Scalar(ScalarType::UChar) => AttributeValues::U8(Vec::new()),
-            PropertyType::Scalar(ScalarType::Short) => AttributeValues::I16(Vec::new()),
-            PropertyType::Scalar(ScalarType::UShort) => AttributeValues::U16(Vec::new()),
-            PropertyType::Scalar(ScalarType::Int) => AttributeValues::I32(Vec::new()),
-            PropertyType::Scalar(ScalarType::UInt) => AttributeValues::U32(Vec::new()),
-            PropertyType::Scalar(ScalarType::Float) => AttributeValues::F32(Vec::new()),
-            PropertyType::Scalar(ScalarType::Double) => AttributeValues::F64(Vec::new()),
-            PropertyType::List(..) => {
-                return Err(FormatError::Unsupported(format!(
-                    "the vertex property {} is a list; only scalars are supported",
-                    quoted(name)
-                )));
-            }
-        };
-        Ok(Attribute { name: name.clone(), count: 1, values })
+fn empty_columns(vertex: &Element) -> Result<Vec<Attribute>, FormatError> {
+    let column = |property: &header::Property| match property.kind {
+        Kind::Scalar(scalar) => Ok(Attribute { name: property.name.clone(), count: 1, values: scalar.empty() }),
+        Kind::List { .. } => Err(FormatError::Unsupported(format!(
+            "the vertex property {} is a list; only scalars are supported",
+            quoted(&property.name)
+        ))),
     };
     vertex.properties.iter().map(column).collect()
 }

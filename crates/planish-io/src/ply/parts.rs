@@ -5,26 +5,21 @@ use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::Encoding as PlyEncoding;
-
 use super::super::columns::{cloud_from_columns, with_values};
 use super::super::records::{RecordEncoder, RecordReader};
 use super::super::{Encoding, FormatResult, text};
 use super::camera::PlyCamera;
-use super::common::{Record, malformed, rename_normals};
+use super::common::{malformed, rename_normals};
 use super::encode::{Around, columns_of, element_of};
+use super::header::{Header, MAX_BYTES, Storage};
 use super::records::Layout;
 use super::remarks::Remarks;
-use super::{
-    GRID_INFOS, MAX_HEADER_BYTES, check_properties, check_size, damaged, empty_columns, info, left_out, read_camera,
-    remarks_of, stated_properties,
-};
+use super::{GRID_INFOS, check_size, empty_columns, info, left_out, read_camera, remarks_of};
 use planish_core::{Attribute, FormatError, PointCloud, SensorPose};
 
 /// Description of the vertices in the header.
 pub(crate) struct VertexHeader {
-    encoding: PlyEncoding,
+    storage: Storage,
     layout: Layout,
     /// Columns without values.
     columns: Vec<Attribute>,
@@ -49,29 +44,21 @@ const MAX_LINE_BYTES: u64 = 64 * 1024;
 
 impl PlyReader {
     fn next_text(&mut self, wanted: usize) -> FormatResult<()> {
-        let mut lines = Vec::new();
-        let mut found = 0;
-        while found < wanted {
-            let before = lines.len();
+        let values = self.header.columns.len();
+        let (mut lines, mut words) = (Vec::new(), 0);
+        while words < wanted * values {
+            let (before, found) = (lines.len(), self.read + words / values);
             let length = (&mut self.body).take(MAX_LINE_BYTES).read_until(b'\n', &mut lines)?;
             if length as u64 == MAX_LINE_BYTES {
-                return malformed(format!(
-                    "vertex {}: its line has more than {MAX_LINE_BYTES} bytes",
-                    self.read + found
-                ));
+                return malformed(format!("vertex {found}: its line has more than {MAX_LINE_BYTES} bytes"));
             }
             if length == 0 {
                 return malformed(format!(
-                    "the file is truncated: its header states {} vertices, but {} follow",
-                    self.points,
-                    self.read + found
+                    "the file is truncated: its header states {} vertices, but {found} follow",
+                    self.points
                 ));
             }
-            if lines[before..].trim_ascii().is_empty() {
-                lines.truncate(before);
-            } else {
-                found += 1;
-            }
+            words += words_of(&lines[before..]);
         }
         let mut columns = self.header.columns.clone();
         let numbered_from_here = |problem| match problem {
@@ -89,11 +76,16 @@ impl PlyReader {
     fn next_binary(&mut self, wanted: usize) -> FormatResult<()> {
         self.buffer.resize(wanted * self.header.layout.record, 0);
         self.body.read_exact(&mut self.buffer)?;
-        if self.header.encoding == PlyEncoding::BinaryBigEndian {
+        if self.header.storage == Storage::BigEndian {
             self.header.layout.swap(&mut self.buffer);
         }
         Ok(())
     }
+}
+
+/// Returns the number of words in a line.
+fn words_of(line: &[u8]) -> usize {
+    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count()
 }
 
 impl RecordReader for PlyReader {
@@ -105,21 +97,13 @@ impl RecordReader for PlyReader {
         let mut file = File::open(path)?;
         let bytes = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
         let mut head = Vec::new();
-        (&mut file).take(MAX_HEADER_BYTES as u64).read_to_end(&mut head)?;
-        let Some(lines) = super::header_lines(&head) else { return malformed("the PLY header has no end") };
-        let stated = stated_properties(&lines);
-        let mut reader = Reader::new(&head[..]);
-        let header = Parser::<Record>::new().read_header(&mut reader).map_err(damaged)?;
-        let at = head.len() - reader.into_inner().len();
-        let Some((name, vertex)) = header.elements.first() else { return malformed("the PLY has no elements") };
-        if name != "vertex" {
+        (&mut file).take(MAX_BYTES as u64).read_to_end(&mut head)?;
+        let (header, at) = Header::read(&head)?;
+        let Some(vertex) = header.elements.first() else { return malformed("the PLY has no elements") };
+        if vertex.name != "vertex" {
             return unsupported("a PLY whose vertices do not come first");
         }
-        if stated.len() != header.elements.len() {
-            return malformed("two elements of the PLY have the same name");
-        }
         check_size(vertex, bytes)?;
-        check_properties(vertex, stated[0])?;
         let mut columns = empty_columns(vertex)?;
         rename_normals(&mut columns);
         let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with lists in its vertices") };
@@ -130,7 +114,7 @@ impl RecordReader for PlyReader {
         // Refuses coordinates of other types than floats.
         cloud_from_columns(columns.clone())?;
         let points = vertex.count;
-        let pose = match header.elements.get_index_of("camera") {
+        let pose = match header.elements.iter().position(|element| element.name == "camera") {
             None => SensorPose::default(),
             Some(1) => {
                 let camera = camera_behind(path, at, &layout, points, &header)?;
@@ -141,15 +125,15 @@ impl RecordReader for PlyReader {
             }
             Some(_) => return unsupported("a PLY with other elements before its camera"),
         };
-        if info(&header, GRID_INFOS[0]).is_some() || header.elements.contains_key("range_grid") {
+        if info(&header, GRID_INFOS[0]).is_some() || header.element("range_grid").is_some() {
             return unsupported("an organized cloud");
         }
-        if header.encoding != PlyEncoding::Ascii && points.saturating_mul(layout.record) > bytes - at {
+        if header.storage != Storage::Ascii && points.saturating_mul(layout.record) > bytes - at {
             return malformed(format!("the file is truncated: its header states {points} vertices in {bytes} bytes"));
         }
         let (remarks, left_out) = (remarks_of(&header), left_out(&header));
         let header =
-            VertexHeader { encoding: header.encoding, layout, columns, axes: [x, y, z], pose, remarks, left_out };
+            VertexHeader { storage: header.storage, layout, columns, axes: [x, y, z], pose, remarks, left_out };
         let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
         body.seek(SeekFrom::Start(at as u64))?;
         Ok(Self { header: Arc::new(header), body, points, read: 0, buffer: Vec::new() })
@@ -173,8 +157,8 @@ impl RecordReader for PlyReader {
 
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]> {
         let wanted = most.min(self.points - self.read);
-        match self.header.encoding {
-            PlyEncoding::Ascii => self.next_text(wanted)?,
+        match self.header.storage {
+            Storage::Ascii => self.next_text(wanted)?,
             _ => self.next_binary(wanted)?,
         }
         self.read += wanted;
@@ -204,25 +188,25 @@ fn camera_behind(
     vertices_at: usize,
     layout: &Layout,
     points: usize,
-    header: &ply_rs_bw::ply::Header,
+    header: &Header,
 ) -> FormatResult<PlyCamera> {
     let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
-    if header.encoding == PlyEncoding::Ascii {
+    if header.storage == Storage::Ascii {
         body.seek(SeekFrom::Start(vertices_at as u64))?;
-        let (mut line, mut found) = (Vec::new(), 0);
-        while found < points {
+        let (mut line, mut words) = (Vec::new(), 0);
+        while words < points.saturating_mul(layout.values()) {
             line.clear();
             if body.read_until(b'\n', &mut line)? == 0 {
                 break;
             }
-            found += usize::from(!line.trim_ascii().is_empty());
+            words += words_of(&line);
         }
     } else {
         let at = vertices_at as u64 + points as u64 * layout.record as u64;
         body.seek(SeekFrom::Start(at))?;
     }
     let mut behind = Vec::new();
-    body.take(MAX_HEADER_BYTES as u64).read_to_end(&mut behind)?;
+    body.take(MAX_BYTES as u64).read_to_end(&mut behind)?;
     // As for a file that is read at once, the camera is only a hint.
     Ok(read_camera(header, &behind).unwrap_or_default())
 }
@@ -248,7 +232,7 @@ impl RecordEncoder for PlyEncoder {
         _output: &Path,
         encoding: Option<Encoding>,
     ) -> FormatResult<Self> {
-        let own = if header.encoding == PlyEncoding::Ascii { Encoding::Ascii } else { Encoding::Binary };
+        let own = if header.storage == Storage::Ascii { Encoding::Ascii } else { Encoding::Binary };
         let mut columns = columns_of(cloud)?;
         for column in &mut columns {
             with_values!(&mut column.values, values => values.clear());

@@ -1,18 +1,17 @@
 //! Vertices as consecutive little-endian records of scalars, as in binary files.
 
-use ply_rs_bw::ply::{ElementDef, Encoding as PlyEncoding, PropertyType, ScalarType};
-
-use super::super::FormatResult;
 use super::super::columns::with_values;
+use super::super::{FormatResult, quoted};
 use super::common::malformed;
-use planish_core::{Attribute, AttributeValues};
+use super::header::{Element, Kind, Scalar, Storage};
+use planish_core::{Attribute, AttributeValues, FormatError};
 
 /// A value of a record.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 struct Field {
     /// Bytes before it.
     at: usize,
-    scalar: ScalarType,
+    scalar: Scalar,
 }
 
 /// The values of a record, in order.
@@ -23,32 +22,29 @@ pub(super) struct Layout {
     pub(super) record: usize,
 }
 
-fn size_of_scalar(scalar: &ScalarType) -> usize {
-    match scalar {
-        ScalarType::Char | ScalarType::UChar => 1,
-        ScalarType::Short | ScalarType::UShort => 2,
-        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
-        ScalarType::Double => 8,
-    }
-}
-
 impl Layout {
     /// Of an element; `None` if it has a list.
-    pub(super) fn of(element: &ElementDef) -> Option<Self> {
+    pub(super) fn of(element: &Element) -> Option<Self> {
         let mut layout = Self { fields: Vec::new(), record: 0 };
-        for property in element.properties.values() {
-            let PropertyType::Scalar(scalar) = &property.data_type else { return None };
-            layout.fields.push(Field { at: layout.record, scalar: scalar.clone() });
-            layout.record += size_of_scalar(scalar);
+        for property in &element.properties {
+            let Kind::Scalar(scalar) = property.kind else { return None };
+            layout.fields.push(Field { at: layout.record, scalar });
+            layout.record += scalar.bytes();
         }
         Some(layout)
+    }
+
+    /// Returns the number of values of a record.
+    #[cfg(feature = "scans")]
+    pub(super) fn values(&self) -> usize {
+        self.fields.len()
     }
 
     /// Turns the bytes of every value around.
     pub(super) fn swap(&self, records: &mut [u8]) {
         for record in records.chunks_exact_mut(self.record) {
             for field in &self.fields {
-                record[field.at..field.at + size_of_scalar(&field.scalar)].reverse();
+                record[field.at..field.at + field.scalar.bytes()].reverse();
             }
         }
     }
@@ -95,18 +91,45 @@ impl Layout {
         records
     }
 
-    /// Returns a value of a record as a number.
+    /// Returns a value of a record as a number; NaN if the record is too short.
     #[cfg(feature = "scans")]
     pub(super) fn number(&self, record: &[u8], field: usize) -> f64 {
-        fn bytes<const N: usize>(record: &[u8], at: usize) -> [u8; N] {
-            record.get(at..at + N).and_then(|bytes| bytes.try_into().ok()).unwrap_or([0; N])
+        let Field { at, scalar } = self.fields[field];
+        record.get(at..at + scalar.bytes()).and_then(|bytes| scalar.number(bytes)).unwrap_or(f64::NAN)
+    }
+}
+
+/// Splits one record off the front of a binary body. Visits each property with its values: one, or those of a list.
+pub(super) fn take_values(
+    element: &Element,
+    storage: Storage,
+    body: &mut &[u8],
+    mut visit: impl FnMut(usize, &[f64]),
+) -> FormatResult<()> {
+    let mut values = Vec::new();
+    for (k, property) in element.properties.iter().enumerate() {
+        values.clear();
+        let (scalar, count) = match property.kind {
+            Kind::Scalar(scalar) => (scalar, Some(1)),
+            // A negative count becomes 0.
+            Kind::List { count, item } => (item, take_number(count, storage, body).map(|count| count as usize)),
+        };
+        let ended = || FormatError::Malformed(format!("the file ends within element {}", quoted(&element.name)));
+        for _ in 0..count.ok_or_else(ended)? {
+            values.push(take_number(scalar, storage, body).ok_or_else(ended)?);
         }
-        let Field { at, scalar } = &self.fields[field];
-        match scalar {
-            ScalarType::Float => f64::from(f32::from_le_bytes(bytes(record, *at))),
-            ScalarType::Double => f64::from_le_bytes(bytes(record, *at)),
-            _ => f64::NAN,
-        }
+        visit(k, &values);
+    }
+    Ok(())
+}
+
+/// Splits a number off the front of a binary body.
+fn take_number(scalar: Scalar, storage: Storage, body: &mut &[u8]) -> Option<f64> {
+    let (value, rest) = body.split_at_checked(scalar.bytes())?;
+    *body = rest;
+    match storage {
+        Storage::BigEndian => scalar.number(&value.iter().rev().copied().collect::<Vec<_>>()),
+        _ => scalar.number(value),
     }
 }
 
@@ -114,7 +137,7 @@ impl Layout {
 pub(super) fn take_records<'a>(
     layout: &Layout,
     count: usize,
-    encoding: PlyEncoding,
+    storage: Storage,
     body: &mut &'a [u8],
 ) -> FormatResult<std::borrow::Cow<'a, [u8]>> {
     let Some((records, rest)) = count.checked_mul(layout.record).and_then(|bytes| body.split_at_checked(bytes)) else {
@@ -125,7 +148,7 @@ pub(super) fn take_records<'a>(
         ));
     };
     *body = rest;
-    if encoding == PlyEncoding::BinaryBigEndian {
+    if storage == Storage::BigEndian {
         let mut records = records.to_vec();
         layout.swap(&mut records);
         return Ok(records.into());

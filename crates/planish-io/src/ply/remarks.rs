@@ -1,8 +1,7 @@
 //! Other contents of a PLY header: free text, which is kept, and elements, which are dropped.
 
-use ply_rs_bw::ply::Header;
-
 use super::super::brief;
+use super::header::Header;
 use planish_core::Provenance;
 
 /// Header lines of a PLY file, except lines that state a grid.
@@ -25,7 +24,7 @@ impl Remarks {
 
 /// Returns a note about dropped elements.
 pub(super) fn left_out(header: &Header) -> Option<String> {
-    let others = header.elements.values().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
+    let others = header.elements.iter().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
     let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
     (!others.is_empty()).then(|| format!("other elements than vertices are dropped: {}", others.join(", ")))
 }

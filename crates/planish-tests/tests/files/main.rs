@@ -7,5 +7,6 @@ mod hostile;
 mod las;
 mod lost_grid;
 mod ply;
+mod reported;
 mod scanners;
 mod tiles;

@@ -1,0 +1,176 @@
+//! Headers that other programs wrote wrongly, as the decoder needs them. What is wrong is reported, and the points are
+//! read.
+
+use std::io::{self, Read, Seek, SeekFrom};
+
+use super::validate::{FileBytes, extended_records, read_at};
+use crate::FormatResult;
+use planish_core::FormatError;
+
+/// Places in the header.
+const ENCODING: usize = 6;
+const VERSION: usize = 24;
+const SIZE: usize = 94;
+const POINTS_AT: usize = 96;
+const RECORDS: usize = 100;
+const LEGACY_POINTS: usize = 107;
+const EXTENDED_AT: usize = 235;
+const EXTENDED: usize = 243;
+const POINTS: usize = 247;
+/// The system and the program that wrote the file, the day and the year.
+pub(super) const IDENTITY: std::ops::Range<usize> = 26..94;
+
+/// Bytes of a record's header, ahead of its data.
+const RECORD_HEADER: usize = 54;
+/// Bits of the encoding: waveforms in the file, and in a file beside it.
+const WAVEFORMS: u16 = 1 << 1 | 1 << 2;
+/// The latest version that is read, LAS 1.4.
+const LATEST: [u8; 2] = [1, 4];
+
+/// The header of a file, repaired, and what was wrong with it.
+pub(super) struct Repaired {
+    pub(super) head: Vec<u8>,
+    pub(super) notes: Vec<String>,
+}
+
+impl Repaired {
+    /// Reads the header of a file; `None` if the file ends before its end.
+    pub(super) fn read(file: &(impl FileBytes + ?Sized)) -> Option<FormatResult<Self>> {
+        let size = usize::from(u16::from_le_bytes(read_at(file, SIZE)?));
+        let version: [u8; 2] = read_at(file, VERSION)?;
+        if version > LATEST {
+            let [major, minor] = version;
+            let text = format!("LAS {major}.{minor} is newer than what is read, LAS 1.0 to 1.4; save it as LAS 1.4");
+            return Some(Err(FormatError::Unsupported(text)));
+        }
+        let mut repaired = Self { head: file.read(0, size)?, notes: Vec::new() };
+        repaired.count_records(file)?;
+        if version >= LATEST {
+            repaired.count_points(file)?;
+            repaired.count_extended_records(file)?;
+        }
+        if u16::from_le_bytes(read_at(file, ENCODING)?) & WAVEFORMS != 0 {
+            repaired.notes.push("its waveforms are dropped; the points keep only where they were".into());
+        }
+        Some(Ok(repaired))
+    }
+
+    fn set(&mut self, at: usize, bytes: &[u8]) {
+        if let Some(place) = self.head.get_mut(at..at + bytes.len()) {
+            place.copy_from_slice(bytes);
+        }
+    }
+
+    /// Counts the records ahead of the points; some scanners announce one that is not there.
+    fn count_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
+        let stated = u32::from_le_bytes(read_at(file, RECORDS)?);
+        let points_at = u32::from_le_bytes(read_at(file, POINTS_AT)?) as usize;
+        let (mut at, mut found) = (self.head.len(), 0);
+        while found < stated && at + RECORD_HEADER <= points_at {
+            at += RECORD_HEADER + usize::from(u16::from_le_bytes(read_at(file, at + 20)?));
+            if at > points_at {
+                break;
+            }
+            found += 1;
+        }
+        if found < stated {
+            self.set(RECORDS, &found.to_le_bytes());
+            self.notes.push(format!("the header states {stated} records ahead of the points, but {found} are there"));
+        }
+        Some(())
+    }
+
+    /// Corrects the 32-bit number of points of LAS 1.4, which only older programs read: it may be left from an earlier
+    /// version of the file.
+    fn count_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
+        let legacy = u32::from_le_bytes(read_at(file, LEGACY_POINTS)?);
+        let points = u64::from_le_bytes(read_at(file, POINTS)?);
+        if legacy != 0 && points != 0 && u64::from(legacy) != points {
+            self.set(LEGACY_POINTS, &0u32.to_le_bytes());
+            self.notes
+                .push(format!("the header states {points} points, and {legacy} for older programs; the first counts"));
+        }
+        Some(())
+    }
+
+    /// Leaves out extended records that are not in the file.
+    fn count_extended_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
+        let stated = u32::from_le_bytes(read_at(file, EXTENDED)?);
+        let at = u64::from_le_bytes(read_at(file, EXTENDED_AT)?);
+        // A file has no more of them than bytes.
+        let most = stated.min(u32::try_from(file.size() / 60).unwrap_or(u32::MAX));
+        let found = usize::try_from(at).map_or(0, |at| extended_records(file, (at, most)).len() as u32);
+        if found < stated {
+            self.set(EXTENDED, &found.to_le_bytes());
+            if found == 0 {
+                self.set(EXTENDED_AT, &0u64.to_le_bytes());
+            }
+            self.notes.push(format!(
+                "the header states {stated} extended records from byte {at} on, of which {found} can be read"
+            ));
+        }
+        Some(())
+    }
+}
+
+/// A file with another header.
+#[derive(Debug)]
+pub(super) struct WithHead<R> {
+    pub(super) head: Vec<u8>,
+    pub(super) rest: R,
+    at: u64,
+}
+
+impl<R: Read + Seek> WithHead<R> {
+    pub(super) fn new(head: Vec<u8>, mut rest: R) -> io::Result<Self> {
+        rest.rewind()?;
+        Ok(Self { head, rest, at: 0 })
+    }
+}
+
+impl<R: Read + Seek> Read for WithHead<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = match usize::try_from(self.at).ok().and_then(|at| self.head.get(at..)) {
+            Some(head) if !head.is_empty() => {
+                let count = head.len().min(bytes.len());
+                bytes[..count].copy_from_slice(&head[..count]);
+                self.rest.seek_relative(count as i64)?;
+                count
+            }
+            _ => self.rest.read(bytes)?,
+        };
+        self.at += read as u64;
+        Ok(read)
+    }
+}
+
+impl<R: Read + Seek> Seek for WithHead<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.at = self.rest.seek(to)?;
+        Ok(self.at)
+    }
+}
+
+/// The bytes of a file with another header.
+pub(super) struct Overlaid<'a, B: ?Sized> {
+    pub(super) head: &'a [u8],
+    pub(super) file: &'a B,
+}
+
+impl<B: FileBytes + ?Sized> FileBytes for Overlaid<'_, B> {
+    fn size(&self) -> usize {
+        self.file.size()
+    }
+
+    fn read(&self, at: usize, len: usize) -> Option<Vec<u8>> {
+        let mut bytes = self.file.read(at, len)?;
+        if let Some(head) = self.head.get(at..) {
+            bytes.iter_mut().zip(head).for_each(|(byte, of_head)| *byte = *of_head);
+        }
+        Some(bytes)
+    }
+
+    fn reader(&self, at: u64) -> Option<impl Read + Seek> {
+        self.file.reader(at)
+    }
+}

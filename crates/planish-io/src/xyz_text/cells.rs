@@ -1,0 +1,73 @@
+//! The cells of a line, and their numbers.
+
+/// What begins a comment.
+const COMMENTS: [char; 3] = ['#', '/', '%'];
+/// Words for a missing number; `nan` is a number.
+const MISSING: [&str; 7] = ["", "NA", "N/A", "null", "NULL", "None", "-"];
+
+/// Separator of the cells of a line.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Separator {
+    /// Each occurrence ends a cell, which may be empty.
+    Mark(char),
+    /// Any number of spaces.
+    Space,
+}
+
+impl Separator {
+    pub(super) fn of(line: &str) -> Self {
+        let has_decimal_commas = || {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            words.len() >= 3 && words.iter().all(|word| number_of(word).is_some())
+        };
+        match (line.contains(';'), line.contains(',')) {
+            (true, _) => Self::Mark(';'),
+            (false, true) if !has_decimal_commas() => Self::Mark(','),
+            _ => Self::Space,
+        }
+    }
+
+    pub(super) fn cells(self, line: &str) -> Vec<&str> {
+        let mut cells: Vec<&str> = match self {
+            Self::Space => line.split_whitespace().collect(),
+            Self::Mark(mark) => line.split(mark).map(|cell| cell.trim().trim_matches('"').trim()).collect(),
+        };
+        // A comment may follow the last cell.
+        if let Some(end) = cells.iter().position(|cell| is_comment(cell)) {
+            cells.truncate(end);
+        }
+        cells
+    }
+
+    /// Returns true if a line ends with a comment.
+    pub(super) fn ends_in_comment(self, line: &str) -> bool {
+        line.contains(COMMENTS)
+            && match self {
+                Self::Space => line.split_whitespace().any(is_comment),
+                Self::Mark(mark) => line.split(mark).any(|cell| is_comment(cell.trim())),
+            }
+    }
+}
+
+/// Returns the cells without an empty one after the last separator.
+pub(super) fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
+    if cells.last().is_some_and(|last| last.is_empty()) {
+        cells.pop();
+    }
+    cells
+}
+
+pub(super) fn is_comment(line: &str) -> bool {
+    line.starts_with(COMMENTS)
+}
+
+/// Returns a comment without its mark.
+pub(super) fn without_mark(line: &str) -> &str {
+    line.trim_start_matches(COMMENTS)
+}
+
+/// Returns the number in a cell, which may have a decimal comma; NaN where it is missing, `None` for other words.
+pub(super) fn number_of(cell: &str) -> Option<f64> {
+    let number = cell.parse().ok();
+    number.or_else(|| cell.replacen(',', ".", 1).parse().ok()).or_else(|| MISSING.contains(&cell).then_some(f64::NAN))
+}

@@ -1,0 +1,150 @@
+//! Points as lines of numbers: XYZ, TXT, ASC, PTS and CSV, whose columns are named by a line above them or guessed.
+
+mod cells;
+mod names;
+mod title;
+mod write;
+
+use cells::{Separator, is_comment, number_of};
+use names::{guessed_names, is_byte};
+use title::Title;
+pub(super) use write::{Heading, encode};
+
+use super::columns::{EXACT_INTEGERS, cloud_from_columns};
+use super::{FormatResult, ReadOptions, brief, quoted, text_of};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
+
+/// Coordinates beyond this lose digits as f32.
+const FAR_M: f64 = 1000.0;
+
+/// Returns true if a file of no known ending is lines of numbers, by its beginning.
+pub(super) fn is_likely(bytes: &[u8]) -> bool {
+    const LOOKED_AT: usize = 4096;
+    let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
+    if bytes.len() > LOOKED_AT {
+        let is_end = |byte: &u8| *byte == b'\n';
+        // A line that is cut may have any number of cells.
+        head = &head[..head.iter().rposition(is_end).unwrap_or(0)];
+        // PTS states how many points there are in all.
+        let first = head.iter().position(is_end).unwrap_or(0);
+        if std::str::from_utf8(&head[..first]).is_ok_and(|line| line.trim().parse::<usize>().is_ok()) {
+            head = &head[first..];
+        }
+    }
+    decode(head, &ReadOptions::default(), &mut Vec::new()).is_ok_and(|cloud| !cloud.is_empty())
+}
+
+/// The values of a column.
+#[derive(Default)]
+struct Column {
+    values: Vec<f64>,
+    /// Whether an integer was rounded.
+    is_rounded: bool,
+    /// Whether it has words instead of numbers.
+    is_text: bool,
+}
+
+impl Column {
+    fn push(&mut self, cell: &str, number: usize) -> FormatResult<()> {
+        if self.is_text {
+            return Ok(());
+        }
+        let Some(value) = number_of(cell) else {
+            return Err(FormatError::Malformed(format!("line {number}: {} is not a number", quoted(cell))));
+        };
+        // Numbers with a point or an exponent are rounded by nature.
+        self.is_rounded |= value.abs() >= EXACT_INTEGERS as f64
+            && cell.trim_start_matches(['-', '+']).bytes().all(|byte| byte.is_ascii_digit());
+        self.values.push(value);
+        Ok(())
+    }
+
+    /// Returns the values in the narrowest type that keeps them.
+    fn typed(self, name: &str, is_far: bool) -> AttributeValues {
+        let Self { values, .. } = self;
+        let is_colour = is_colour(name) && values.iter().all(|value| is_byte(*value));
+        let is_exact = |value: &f64| f64::from(*value as f32) == *value || value.is_nan();
+        if is_colour {
+            values.iter().map(|&value| value as u8).collect::<Vec<u8>>().into()
+        } else if is_axis(name) && is_far || !is_axis(name) && !values.iter().all(is_exact) {
+            values.into()
+        } else {
+            values.iter().map(|&value| value as f32).collect::<Vec<f32>>().into()
+        }
+    }
+}
+
+fn is_axis(name: &str) -> bool {
+    ["x", "y", "z"].contains(&name)
+}
+
+fn is_colour(name: &str) -> bool {
+    ["red", "green", "blue"].contains(&name)
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+    if bytes.contains(&0) {
+        return Err(FormatError::Malformed("not lines of numbers: it is binary".into()));
+    }
+    let text = text_of(bytes);
+    let lines = (1..).zip(text.lines().map(str::trim));
+    let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();
+    let mut title = Title::read(&mut lines)?;
+    let first = lines.peek().map(|(_, line)| *line);
+    let separator = first.map_or(Separator::Space, Separator::of);
+    let count = title.columns(first, separator)?;
+    options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
+    let mut columns: Vec<Column> = (0..count).map(|_| Column::default()).collect();
+    if let Some(first) = first {
+        let is_text = |k: usize, cell: &str| !title.is_axis(k) && number_of(cell).is_none();
+        let cells = separator.cells(first);
+        columns.iter_mut().zip(cells).enumerate().for_each(|(k, (column, cell))| column.is_text = is_text(k, cell));
+    }
+    for (number, line) in lines {
+        if is_comment(line) {
+            title.comments += 1;
+            continue;
+        }
+        let cells = separator.cells(line);
+        title.comments += usize::from(separator.ends_in_comment(line));
+        let found = cells.len();
+        if !(found == count || found == count + 1 && cells[count].is_empty()) {
+            return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
+        }
+        for (column, cell) in columns.iter_mut().zip(cells) {
+            column.push(cell, number)?;
+        }
+    }
+    let Title { names, stated, comments } = title;
+    if comments > 0 {
+        notes.push(format!("{comments} {} dropped", if comments == 1 { "comment is" } else { "comments are" }));
+    }
+    let points = columns[0].values.len();
+    if let Some(stated) = stated.filter(|stated| *stated > points) {
+        return Err(FormatError::Malformed(format!("truncated: it states {stated} points, but has {points}")));
+    }
+    let words: Vec<String> = (0..count)
+        .filter(|&k| columns[k].is_text)
+        .map(|k| names.as_ref().map_or_else(|| format!("column {}", k + 1), |names| brief(&names[k])))
+        .collect();
+    if !words.is_empty() {
+        notes.push(format!("columns with words instead of numbers are dropped: {}", words.join(", ")));
+    }
+    let names = names.map(|names| names.into_iter().zip(&columns).filter(|(_, column)| !column.is_text));
+    let names: Option<Vec<String>> = names.map(|names| names.map(|(name, _)| name).collect());
+    columns.retain(|column| !column.is_text);
+    let names = names.unwrap_or_else(|| {
+        let values: Vec<&[f64]> = columns.iter().map(|column| &column.values[..]).collect();
+        guessed_names(&values, stated.is_some())
+    });
+    for (name, _) in names.iter().zip(&columns).filter(|(_, column)| column.is_rounded) {
+        notes.push(format!("the column {} has integers beyond 2^53, which are rounded", brief(name)));
+    }
+    let mut axes = names.iter().zip(&columns).filter(|(name, _)| is_axis(name));
+    let is_far = axes.any(|(_, column)| column.values.iter().any(|value| value.is_finite() && value.abs() > FAR_M));
+    let attributes = names.into_iter().zip(columns).map(|(name, column)| {
+        let values = column.typed(&name, is_far);
+        Attribute { name, count: 1, values }
+    });
+    cloud_from_columns(attributes.collect())
+}

@@ -1,0 +1,87 @@
+//! The lines before the points: comments, the names of the columns, the number of points.
+
+use std::iter::Peekable;
+
+use super::super::{FormatResult, quoted};
+use super::cells::{Separator, is_comment, number_of, without_empty_end, without_mark};
+use super::names::names_of;
+use planish_core::FormatError;
+
+/// More columns than that are named.
+const MOST_UNNAMED: usize = 64;
+
+/// What precedes the points.
+#[derive(Default)]
+pub(super) struct Title {
+    pub(super) names: Option<Vec<String>>,
+    /// The number of points, with which PTS begins; CloudCompare writes it under the names.
+    pub(super) stated: Option<usize>,
+    pub(super) comments: usize,
+}
+
+impl Title {
+    /// Reads the lines before the points.
+    pub(super) fn read<'a>(lines: &mut Peekable<impl Iterator<Item = (usize, &'a str)>>) -> FormatResult<Self> {
+        let mut title = Self::default();
+        while let Some(&(_, line)) = lines.peek() {
+            let heading = without_mark(line);
+            let cells = without_empty_end(Separator::of(heading).cells(heading));
+            let count = if let [count] = cells[..] { count.parse().ok() } else { None };
+            if count.is_some() && !is_comment(line) {
+                title.stated = count;
+            } else if title.names.is_some() && !is_comment(line) {
+                break;
+            } else if let Some(names) = names_of(&cells) {
+                check_names(&names)?;
+                title.names = Some(names);
+            } else if is_comment(line) {
+                title.comments += 1;
+            } else if cells.iter().take(3).all(|cell| number_of(cell).is_some()) {
+                break;
+            } else {
+                return Err(FormatError::Malformed(format!(
+                    "its first line, {}, is neither numbers nor names of columns with x, y and z",
+                    quoted(line)
+                )));
+            }
+            lines.next();
+        }
+        Ok(title)
+    }
+
+    /// Returns the number of columns, from the first line of points.
+    pub(super) fn columns(&self, first: Option<&str>, separator: Separator) -> FormatResult<usize> {
+        let first = first.map(|line| {
+            let cells = separator.cells(line);
+            // An empty last cell may have a name; otherwise each line ends with a separator.
+            let is_named = self.names.as_ref().is_some_and(|names| names.len() == cells.len());
+            if is_named { cells.len() } else { without_empty_end(cells).len() }
+        });
+        match (&self.names, first) {
+            (Some(names), Some(first)) if names.len() != first => {
+                Err(FormatError::Malformed(format!("{} names of columns above lines of {first} numbers", names.len())))
+            }
+            (Some(names), _) => Ok(names.len()),
+            (None, Some(first @ 3..=MOST_UNNAMED)) => Ok(first),
+            (None, None) if self.stated == Some(0) => Ok(3),
+            (None, Some(first)) if first > MOST_UNNAMED => Err(FormatError::Malformed(format!(
+                "a line of {first} numbers without names: are its line ends missing?"
+            ))),
+            _ => Err(FormatError::Malformed("no line of three numbers or more: x, y and z".into())),
+        }
+    }
+
+    /// Returns true if a column is x, y or z.
+    pub(super) fn is_axis(&self, column: usize) -> bool {
+        self.names.as_ref().map_or(column < 3, |names| super::is_axis(&names[column]))
+    }
+}
+
+/// Refuses names that are not unique.
+fn check_names(names: &[String]) -> FormatResult<()> {
+    let is_repeated = |(k, name): &(usize, &String)| names[..*k].contains(name);
+    match names.iter().enumerate().find(is_repeated) {
+        Some((_, name)) => Err(FormatError::Malformed(format!("two columns have the name {}", quoted(name)))),
+        None => Ok(()),
+    }
+}

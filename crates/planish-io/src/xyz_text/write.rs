@@ -1,0 +1,81 @@
+//! Points written as lines of numbers.
+
+use std::fmt::Write;
+
+use super::super::columns::{columns_from_cloud, with_values};
+use super::super::{CloudRef, FormatResult};
+use planish_core::{Attribute, AttributeValues};
+
+/// Decimals of coordinates far from the origin: a hundredth of a millimetre.
+const FAR_DIGITS: usize = 5;
+/// Significant digits for points that have not moved.
+const UNMOVED_DIGITS: usize = 9;
+
+/// Writes a coordinate far from the origin. An unmoved one keeps all digits, except for rounding noise of f64, as in a
+/// LAS file's integer times its scale.
+fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
+    if !is_unmoved {
+        return write!(text, "{value:.FAR_DIGITS$}");
+    }
+    let short = format!("{value:.UNMOVED_DIGITS$}");
+    let is_rounding = short.parse().is_ok_and(|short: f64| (short - value).abs() <= f64::EPSILON * value.abs());
+    let digits = short.trim_end_matches('0').trim_end_matches('.');
+    if is_rounding { text.write_str(digits) } else { write!(text, "{value}") }
+}
+
+/// Returns the axis of a coordinate column.
+fn axis_of(name: &str) -> Option<usize> {
+    ["x", "y", "z"].iter().position(|axis| *axis == name)
+}
+
+/// Lines before the points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Heading {
+    /// The names, in a comment, if there is more than x, y and z.
+    Comment,
+    /// The number of points, as in PTS.
+    Count,
+    /// The names, with commas between all cells.
+    Names,
+}
+
+/// One line a point.
+pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<u8>> {
+    let separator = if heading == Heading::Names { ',' } else { ' ' };
+    let points = cloud.points();
+    let columns = columns_from_cloud(points);
+    let mut names = Vec::new();
+    for Attribute { name, count, .. } in &columns {
+        names.extend((0..*count).map(|i| if *count == 1 { name.clone() } else { format!("{name}_{i}") }));
+    }
+    let mut text = String::new();
+    // Writing to a string does not fail.
+    let _ = match heading {
+        Heading::Names => writeln!(text, "{}", names.join(",")),
+        Heading::Count => writeln!(text, "{}", points.len()),
+        Heading::Comment if columns.len() > 3 => writeln!(text, "# {}", names.join(" ")),
+        Heading::Comment => Ok(()),
+    };
+    let is_far = points.origin_m != [0.0; 3];
+    for i in 0..points.len() {
+        let mut is_first = true;
+        for Attribute { name, count, values } in &columns {
+            for k in 0..*count {
+                if !std::mem::take(&mut is_first) {
+                    text.push(separator);
+                }
+                let at = i * count + k;
+                // Writing to a string does not fail.
+                let _ = match values {
+                    AttributeValues::F64(values) if is_far && axis_of(name).is_some() => {
+                        let is_unmoved = axis_of(name).is_some_and(|axis| points.is_unmoved(axis, i));
+                        write_far(&mut text, values[at], is_unmoved)
+                    }
+                    values => with_values!(values, values => write!(text, "{}", values[at])),
+                };
+            }
+        }
+        text.push('\n');
+    }
+    Ok(text.into_bytes())
+}

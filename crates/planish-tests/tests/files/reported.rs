@@ -1,0 +1,261 @@
+//! Files that other programs write, rebuilt from public reports of what was read wrongly or refused.
+
+use std::fs;
+
+use planish::PointCloud;
+use planish::io::{self, Contents, Encoding, FileRead, ReadOptions};
+
+/// Reads a file of this name with these bytes.
+fn read_as(name: &str, bytes: &[u8]) -> Result<FileRead, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    fs::write(&path, bytes).unwrap();
+    io::read_file(&path, &ReadOptions::default()).map_err(|error| error.to_string())
+}
+
+fn cloud_as(name: &str, bytes: &[u8]) -> (PointCloud, Vec<String>) {
+    match read_as(name, bytes) {
+        Ok(FileRead { contents: Contents::General(cloud), notes, .. }) => (cloud, notes),
+        other => panic!("{name}: {other:?}"),
+    }
+}
+
+fn names(cloud: &PointCloud) -> Vec<&str> {
+    cloud.attributes.iter().map(|attribute| attribute.name.as_str()).collect()
+}
+
+/// Two points in ASCII PLY with another property of this name.
+fn ply_with(property: &str) -> String {
+    format!(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+         property float {property}\nend_header\n1 2 3 4\n5 6 7 8\n"
+    )
+}
+
+#[test]
+fn names_of_ply_properties_are_any_text_without_spaces_and_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["scalar_Illuminance_(PCV)", "scalar_Coord._Z", "scalar_C2C_distances[<5]", "Intensität", "a-b/c%"] {
+        let (cloud, _) = cloud_as("a.ply", ply_with(name).as_bytes());
+        assert_eq!(names(&cloud), [name]);
+        for encoding in [Encoding::Ascii, Encoding::Binary] {
+            let path = folder.path().join("out.ply");
+            io::write_cloud(&path, &cloud, encoding).unwrap();
+            let Contents::General(again) = io::read(&path).unwrap().1 else { panic!("points") };
+            assert_eq!(again.attributes, cloud.attributes, "{name}");
+        }
+    }
+}
+
+#[test]
+fn points_of_an_ascii_ply_may_extend_over_lines() {
+    let header = ply_with("q").replace("1 2 3 4\n5 6 7 8\n", "");
+    for body in ["1 2 3\n4\n5 6 7\n8\n", "1 2 3 4 5 6 7 8\n", "1\n2\n3\n4\n5\n6\n7\n8"] {
+        let (cloud, _) = cloud_as("a.ply", format!("{header}{body}").as_bytes());
+        assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0], "{body:?}");
+    }
+    // A value is missing, or superfluous.
+    for body in ["1 2 3\n5 6 7 8\n4\n", "1 2 3 4\n5 6 7\n", "1 2 3 4 9\n5 6 7 8\n", "1 2 3 4\n5 6\n7 8 9\n"] {
+        assert!(read_as("a.ply", format!("{header}{body}").as_bytes()).is_err(), "{body:?}");
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_ply_header_is_said_in_a_sentence_with_its_line() {
+    let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    let body = "end_header\n1 2 3\n";
+    for (line, problem) in [
+        ("property int64 t\n", "line 7 of the PLY header, \"property int64 t\": \"int64\" is no type of PLY"),
+        ("Created by a modeller\n", "line 7 of the PLY header, \"Created by a modeller\": it begins with none of"),
+        ("property float a b\n", "without white space"),
+        ("property list float int a\n", "the count of a list is an integer"),
+        ("element face many\n", "\"many\" is not a number of elements"),
+        ("property float x\n", "two properties of element \"vertex\" have the same name, \"x\""),
+        ("format ascii 2.0\n", "its version 1.0"),
+    ] {
+        let error = read_as("a.ply", format!("{header}{line}{body}").as_bytes()).unwrap_err();
+        assert!(error.contains(problem) && !error.contains("ParseError"), "{line}: {error}");
+    }
+}
+
+#[test]
+fn text_in_other_encodings_is_read() {
+    let ply = ply_with("q").replace("element vertex", "comment M\u{fc}ller\nelement vertex");
+    let pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n\
+               DATA ascii\n1 2 3\n5 6 7\n";
+    let files = [
+        ("a.ply", ply.as_str()),
+        ("a.xyz", "# Gel\u{e4}nde\n1 2 3\n5 6 7\n"),
+        ("a.csv", "x,y,z,Intensit\u{e4}t\n1,2,3,4\n5,6,7,8\n"),
+        ("a.obj", "# M\u{fc}ller\nv 1 2 3\nv 5 6 7\n"),
+        ("a.pcd", pcd),
+    ];
+    for (name, text) in files {
+        let latin_1: Vec<u8> = text.chars().map(|c| c as u8).collect();
+        let marked = [b"\xef\xbb\xbf", text.as_bytes()].concat();
+        let utf_16: Vec<u8> = "\u{feff}".encode_utf16().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        for bytes in [latin_1, marked, utf_16] {
+            let (cloud, _) = cloud_as(name, &bytes);
+            assert_eq!((cloud.len(), cloud.positions.get(1)), (2, [5.0, 6.0, 7.0]), "{name}");
+        }
+    }
+    let camera = b"\xef\xbb\xbf{\"fx\":525,\"fy\":525,\"cx\":319.5,\"cy\":239.5}";
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("c.json"), camera).unwrap();
+    assert_eq!(io::read_camera(&folder.path().join("c.json"), None).unwrap().fx, 525.0);
+}
+
+#[test]
+fn columns_of_text_are_read_as_other_programs_write_them() {
+    // CloudCompare: the number of points under the titles.
+    let (cloud, _) = cloud_as("a.asc", b"//X Y Z R G B Intensity\n2\n1 2 3 10 20 30 0.5\n5 6 7 40 50 60 0.25\n");
+    assert_eq!(names(&cloud), ["red", "green", "blue", "intensity"]);
+    let cut = read_as("a.asc", b"//X Y Z\n3\n1 2 3\n5 6 7\n").unwrap_err();
+    assert!(cut.contains("states 3 points, but has 2"), "{cut}");
+    // Names that differ in brackets only.
+    let (cloud, _) = cloud_as("a.csv", b"x,y,z,d (mean),d (max)\n1,2,3,4,5\n5,6,7,8,9\n");
+    assert_eq!(names(&cloud), ["d_(mean)", "d_(max)"]);
+    // Maps and ParaView.
+    for header in ["Easting,Northing,Elevation", "Points:0,Points:1,Points:2", "X (m),Y (m),Z (m)"] {
+        let (cloud, _) = cloud_as("a.csv", format!("{header}\n1,2,3\n5,6,7\n").as_bytes());
+        assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0], "{header}");
+    }
+    // Decimal commas.
+    for text in ["1,5 2,5 3,5\n4,5 5,5 6,5\n", "x;y;z\n1,5;2,5;3,5\n4,5;5,5;6,5\n", "1,5\t2,5\t3,5\n4,5\t5,5\t6,5\n"] {
+        let (cloud, _) = cloud_as("a.txt", text.as_bytes());
+        assert_eq!(cloud.positions.get(1), [4.5, 5.5, 6.5], "{text:?}");
+    }
+    // Columns of words, missing values.
+    let (cloud, notes) = cloud_as("a.csv", b"x,y,z,class,q\n1,2,3,tree,NA\n5,6,7,car,2\n");
+    assert_eq!(names(&cloud), ["q"]);
+    assert_eq!(notes, ["columns with words instead of numbers are dropped: class"]);
+    let (cloud, notes) = cloud_as("a.xyz", b"1 2 3 tree\n5 6 7 car\n");
+    assert_eq!((names(&cloud).len(), notes.len()), (0, 1));
+}
+
+#[test]
+fn text_compressed_by_gzip_is_read() {
+    let gzip = |bytes: &[u8]| {
+        let mut to = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut to, bytes).unwrap();
+        to.finish().unwrap()
+    };
+    for (name, text) in [("a.xyz.gz", "1 2 3\n5 6 7\n"), ("a.ply.gz", &ply_with("q")), ("a.gz", "1 2 3\n5 6 7\n")] {
+        assert_eq!(cloud_as(name, &gzip(text.as_bytes())).0.len(), 2, "{name}");
+    }
+    let cut = gzip(b"1 2 3\n5 6 7\n");
+    assert!(read_as("a.xyz.gz", &cut[..cut.len() - 9]).unwrap_err().contains("damaged gzip"));
+}
+
+#[test]
+fn a_colour_without_a_number_leaves_the_others() {
+    let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3 1 0.5 0\nv 5 6 7 nan 0.5 1\n");
+    assert_eq!(cloud.rgb().unwrap(), [[255, 128, 0], [0, 128, 255]]);
+    assert_eq!(notes, ["1 values of colours are no numbers; they become 0"]);
+}
+
+/// Forty points in LAS of this version and format.
+fn las(minor: u8, format: u8) -> Vec<u8> {
+    let mut builder = las::Builder::from((1, minor));
+    builder.point_format = las::point::Format::new(format).unwrap();
+    builder.transforms = las::Vector {
+        x: las::Transform { scale: 0.01, offset: 600_000.0 },
+        y: las::Transform { scale: 0.01, offset: 800_000.0 },
+        z: las::Transform { scale: 0.01, offset: 0.0 },
+    };
+    let mut writer = las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
+    for i in 0..40 {
+        let has_time = format != 0 && format != 2;
+        let mut point =
+            las::Point { x: 637_012.24 + 117.31 * f64::from(i), y: 849_028.31, z: 431.66, ..Default::default() };
+        point.gps_time = has_time.then_some(0.0);
+        point.waveform = matches!(format, 4 | 5).then(Default::default);
+        writer.write_point(point).unwrap();
+    }
+    writer.close().unwrap();
+    writer.into_inner().unwrap().into_inner()
+}
+
+fn set<const N: usize>(bytes: &mut [u8], at: usize, value: [u8; N]) {
+    bytes[at..at + N].copy_from_slice(&value);
+}
+
+/// Writes a cloud in this format; returns the bytes.
+fn written(cloud: &PointCloud, name: &str) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    io::write_cloud(&path, cloud, Encoding::Binary).unwrap();
+    fs::read(path).unwrap()
+}
+
+#[test]
+fn las_headers_with_wrong_counts_are_read_with_a_note() {
+    let mut records = las(2, 1);
+    set(&mut records, 100, 1u32.to_le_bytes());
+    let (cloud, notes) = cloud_as("a.las", &records);
+    assert_eq!(cloud.len(), 40);
+    assert_eq!(notes, ["the header states 1 records ahead of the points, but 0 are there"]);
+
+    let mut legacy = las(4, 1);
+    set(&mut legacy, 107, 7u32.to_le_bytes());
+    let (cloud, notes) = cloud_as("a.las", &legacy);
+    assert_eq!(cloud.len(), 40);
+    assert!(notes[0].contains("40 points, and 7 for older programs"), "{notes:?}");
+
+    let mut extended = las(4, 6);
+    set(&mut extended, 235, 1_000_000_000_000u64.to_le_bytes());
+    set(&mut extended, 243, 1u32.to_le_bytes());
+    let (cloud, notes) = cloud_as("a.las", &extended);
+    assert_eq!(cloud.len(), 40);
+    assert!(notes[0].contains("1 extended records from byte 1000000000000 on, of which 0 can be read"), "{notes:?}");
+    // In parts, as clouds larger than memory.
+    let folder = tempfile::tempdir().unwrap();
+    for bytes in [&records, &legacy, &extended] {
+        let path = folder.path().join("a.las");
+        fs::write(&path, bytes).unwrap();
+        let mut points = 0;
+        let (_, notes) = io::read_in_parts(&path, 30, |part| points += part.len()).unwrap();
+        assert_eq!((points, notes.len()), (40, 1));
+    }
+
+    let mut newer = las(4, 6);
+    newer[25] = 5;
+    let error = read_as("a.las", &newer).unwrap_err();
+    assert!(error.contains("LAS 1.5 is newer than what is read, LAS 1.0 to 1.4"), "{error}");
+}
+
+#[test]
+fn las_headers_keep_their_bytes_and_waveforms_are_not_lost_in_silence() {
+    let mut bytes = las(2, 1);
+    set(&mut bytes, 26, *b"M\xfcller\0\0");
+    set(&mut bytes, 90, [0, 0]);
+    set(&mut bytes, 92, 2023u16.to_le_bytes());
+    let (cloud, _) = cloud_as("a.las", &bytes);
+    for name in ["out.las", "out.laz"] {
+        assert_eq!(written(&cloud, name)[26..94], bytes[26..94], "{name}");
+    }
+    let mut waves = las(3, 4);
+    waves[6] |= 2;
+    let (_, notes) = cloud_as("a.las", &waves);
+    assert_eq!(notes, ["its waveforms are dropped; the points keep only where they were"]);
+}
+
+#[test]
+fn coordinates_of_las_keep_their_digits_in_every_format() {
+    let (cloud, _) = cloud_as("a.las", &las(2, 1));
+    let text = String::from_utf8(written(&cloud, "out.csv")).unwrap();
+    let second = text.lines().nth(2).unwrap();
+    assert!(second.starts_with("637129.55,849028.31,431.66,"), "{second}");
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["out.ply", "out.pcd", "out.npz", "out.e57", "out.xyz", "out.laz"] {
+        let path = folder.path().join(name);
+        io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+        let Contents::General(again) = io::read(&path).unwrap().1 else { panic!("{name}") };
+        for i in 0..40 {
+            let expected = [637_012.24 + 117.31 * i as f64, 849_028.31, 431.66];
+            let found = [0, 1, 2].map(|axis| again.coordinate(axis, i));
+            let is_same = (0..3).all(|axis| (found[axis] - expected[axis]).abs() < 1e-8);
+            assert!(is_same, "{name}: {found:?} instead of {expected:?}");
+        }
+    }
+}
