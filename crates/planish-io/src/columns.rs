@@ -34,11 +34,13 @@ const FAR_M: f64 = 1000.0;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Extracts x, y and z from the columns of a file.
-pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
+/// Returns the indices of x, y and z among columns, in lower or upper case.
+pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> {
     let mut index = [0; 3];
     for (axis, name) in AXES.iter().enumerate() {
-        index[axis] = columns.iter().position(|column| column.name == *name).ok_or_else(|| {
+        let exact = columns.iter().position(|column| column.name == *name);
+        let any_case = || columns.iter().position(|column| column.name.eq_ignore_ascii_case(name));
+        index[axis] = exact.or_else(any_case).ok_or_else(|| {
             let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
             FormatError::Malformed(format!(
                 "no field {name}; a point cloud needs x, y and z, but this one has {}",
@@ -46,6 +48,12 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
             ))
         })?;
     }
+    Ok(index)
+}
+
+/// Extracts x, y and z from the columns of a file.
+pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
+    let index = axes_of(&columns)?;
     // From the last to the first, so that the remaining indices stay valid.
     let mut take_order = [0, 1, 2];
     take_order.sort_by_key(|&axis| std::cmp::Reverse(index[axis]));
@@ -53,37 +61,38 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     for axis in take_order {
         taken[axis] = Some(columns.remove(index[axis]));
     }
-    let [x, y, z] = taken.map(|column| column.map(|column| (column.count, column.values)));
-    let (positions, origin_m, exact) = match (x, y, z) {
-        (
-            Some((1, AttributeValues::F32(x))),
-            Some((1, AttributeValues::F32(y))),
-            Some((1, AttributeValues::F32(z))),
-        ) => (Xyz::from_arrays([x, y, z])?, [0.0; 3], None),
-        (
-            Some((1, AttributeValues::F64(x))),
-            Some((1, AttributeValues::F64(y))),
-            Some((1, AttributeValues::F64(z))),
-        ) => {
-            let origin = [origin_of(&x), origin_of(&y), origin_of(&z)];
-            let relative = |values: &[f64], origin: f64| values.iter().map(|v| (v - origin) as f32).collect();
-            let positions =
-                Xyz::from_arrays([relative(&x, origin[0]), relative(&y, origin[1]), relative(&z, origin[2])])?;
-            (positions, origin, Some([x, y, z]))
+    let axes: Vec<Attribute> = taken.into_iter().flatten().collect();
+    if let Some(axis) = axes.iter().find(|axis| axis.count != 1) {
+        return Err(FormatError::Unsupported(format!("{} has {} values for each point", axis.name, axis.count)));
+    }
+    let is_f64 = axes.iter().any(|axis| matches!(axis.values, AttributeValues::F64(_)));
+    let mut axes = axes.into_iter().map(|axis| axis.values);
+    let (positions, origin_m, exact) = match (axes.next(), axes.next(), axes.next()) {
+        (Some(AttributeValues::F32(x)), Some(AttributeValues::F32(y)), Some(AttributeValues::F32(z))) => {
+            (Xyz::from_arrays([x, y, z])?, [0.0; 3], None)
         }
-        _ => {
-            return Err(FormatError::Unsupported(
-                "x, y and z must all be 4-byte floats or all 8-byte floats, with one value each".into(),
-            ));
+        // Integers, and floats of both sizes.
+        (x, y, z) => {
+            let exact = [x, y, z].map(|values| values.map_or_else(Vec::new, to_f64));
+            let origin = [origin_of(&exact[0]), origin_of(&exact[1]), origin_of(&exact[2])];
+            let relative = |axis: usize| exact[axis].iter().map(|value| (value - origin[axis]) as f32).collect();
+            (Xyz::from_arrays([relative(0), relative(1), relative(2)])?, origin, Some(exact))
         }
     };
     let mut cloud = PointCloud::new(positions);
     cloud.origin_m = origin_m;
     cloud.attributes = columns;
-    let precision = if exact.is_some() { Precision::F64 } else { Precision::AsNeeded };
+    let precision = if is_f64 { Precision::F64 } else { Precision::AsNeeded };
     cloud.position_columns = PositionColumns { index, precision };
     exact.into_iter().for_each(|exact| cloud.keep_exact(exact));
     Ok(cloud)
+}
+
+fn to_f64(values: AttributeValues) -> Vec<f64> {
+    match values {
+        AttributeValues::F64(values) => values,
+        values => (0..values.len()).map(|i| values.get_f64(i)).collect(),
+    }
 }
 
 /// Returns 0, or for far coordinates the middle one of a sample, in whole metres: no stray point moves it.

@@ -1,6 +1,6 @@
 //! The contents of a file, of any format.
 
-use planish_core::{DepthImage, OrganizedCloud, PointCloud};
+use planish_core::{DepthImage, FormatError, OrganizedCloud, PointCloud};
 
 use super::input::FormatResult;
 
@@ -40,6 +40,25 @@ impl Contents {
     pub fn is_depth(&self) -> bool {
         matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
     }
+}
+
+/// Returns a depth image of integers that 16 bits can hold; negative ones become holes.
+pub(crate) fn depth_of_integers(
+    (width, height): (usize, usize),
+    values: impl Iterator<Item = i64> + Clone,
+    notes: &mut Vec<String>,
+) -> FormatResult<Contents> {
+    if let Some(largest) = values.clone().max().filter(|largest| *largest > i64::from(u16::MAX)) {
+        return Err(FormatError::Unsupported(format!(
+            "its largest value is {largest}, but 16 bits hold depth up to 65535; save it in metres, as floats"
+        )));
+    }
+    let negative = values.clone().filter(|value| *value < 0).count();
+    if negative > 0 {
+        notes.push(format!("{negative} negative values are holes"));
+    }
+    let raw = values.map(|value| value.max(0) as u16).collect();
+    Ok(Contents::Depth(DepthImage { width, height, raw }))
 }
 
 /// A summary of a 16-bit depth image.

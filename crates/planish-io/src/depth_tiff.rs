@@ -1,4 +1,4 @@
-//! 16-bit grayscale TIFF as a depth image.
+//! Grayscale TIFF as a depth image: 16-bit, 32-bit integers that fit 16, or floats in metres.
 
 use std::io::Cursor;
 
@@ -6,22 +6,39 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
 use tiff::{ColorType, TiffError};
 
-use super::{DepthSummary, ReadOptions};
+use super::{Contents, DepthSummary, ReadOptions, depth_of_integers};
 use planish_core::{DepthImage, FormatError, internal::validate_shape};
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
     // The image, and a strip or tile that may be all of it.
-    options.check(width * height, 4)?;
-    match decoder.read_image().map_err(malformed)? {
-        DecodingResult::U16(raw) if raw.len() == width * height => Ok(DepthImage { width, height, raw }),
-        _ => Err(not_unsigned()),
+    options.check(width * height, 8)?;
+    let contents = match decoder.read_image().map_err(malformed)? {
+        DecodingResult::U16(raw) => Contents::Depth(DepthImage { width, height, raw }),
+        DecodingResult::U32(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
+        DecodingResult::I16(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
+        DecodingResult::I32(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
+        DecodingResult::F32(depth_m) => Contents::DepthMetres { width, height, depth_m },
+        DecodingResult::F64(values) => {
+            Contents::DepthMetres { width, height, depth_m: values.into_iter().map(|value| value as f32).collect() }
+        }
+        _ => return Err(not_depth()),
+    };
+    let pages = std::iter::from_fn(|| (decoder.more_images() && decoder.next_image().is_ok()).then_some(())).count();
+    match pages {
+        0 => {}
+        1 => notes.push("its second page is dropped; only the first is read".into()),
+        _ => notes.push(format!("its other {pages} pages are dropped; only the first is read")),
     }
+    Ok(contents)
 }
 
-/// Counts the pixels, a strip or tile at a time, without keeping them.
-pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
+/// Counts the pixels, a strip or tile at a time, without keeping them; `None` for other images than one of 16 bits.
+pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
+    if decoder.more_images() {
+        return Ok(None);
+    }
     let (chunk_width, chunk_height) = decoder.chunk_dimensions();
     options.check(chunk_width as usize * chunk_height as usize, 4)?;
     let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
@@ -29,18 +46,18 @@ pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSumm
     for chunk in 0..u32::try_from(chunks).unwrap_or(u32::MAX) {
         match decoder.read_chunk(chunk).map_err(malformed)? {
             DecodingResult::U16(raw) => summary.add(raw.into_iter()),
-            _ => return Err(not_unsigned()),
+            _ => return Ok(None),
         }
     }
-    Ok(summary)
+    Ok(Some(summary))
 }
 
 fn malformed(error: TiffError) -> FormatError {
     FormatError::Malformed(format!("damaged TIFF: {error}"))
 }
 
-fn not_unsigned() -> FormatError {
-    FormatError::Unsupported("the TIFF's samples are not unsigned 16-bit integers".into())
+fn not_depth() -> FormatError {
+    FormatError::Unsupported("the TIFF's samples are neither integers of 16 or 32 bits nor floats".into())
 }
 
 /// The decoder of a depth image, and its shape.
@@ -55,9 +72,9 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let (width, height) = decoder.dimensions().map_err(malformed)?;
     let (width, height) = (width as usize, height as usize);
     let kind = decoder.colortype().map_err(malformed)?;
-    if kind != ColorType::Gray(16) {
+    if !matches!(kind, ColorType::Gray(16 | 32 | 64)) {
         return Err(FormatError::Unsupported(format!(
-            "unsupported TIFF type {kind:?}; a depth image must be 16-bit grayscale"
+            "unsupported TIFF type {kind:?}; a depth image is grayscale, of 16 or 32 bits or of floats"
         )));
     }
     validate_shape(width, height)?;

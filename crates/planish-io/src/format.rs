@@ -66,7 +66,7 @@ pub enum Format {
     Npz,
     /// ASTM E57: scans with their poses.
     E57,
-    /// KITTI's lidar scans: x, y, z, intensity as f32.
+    /// Lidar scans as f32 without a header, such as KITTI's: x, y, z, intensity.
     KittiBin,
     /// nuScenes' points, with a ring.
     NuScenesBin,
@@ -91,7 +91,7 @@ impl Format {
             Self::Csv => "CSV",
             Self::Npz => "NPZ",
             Self::E57 => "E57",
-            Self::KittiBin => "KITTI .bin",
+            Self::KittiBin => "lidar .bin",
             Self::NuScenesBin => "nuScenes .pcd.bin",
             Self::Obj => "OBJ",
             Self::Stl => "STL",

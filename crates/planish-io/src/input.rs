@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 
+use super::LengthUnit;
 use planish_core::FormatError;
 
 /// The name of standard input.
@@ -12,24 +13,39 @@ const STANDARD_INPUT: &str = "-";
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
 
 /// How to read files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ReadOptions {
     /// Memory limit in bytes, 2 GiB by default. A larger file is refused before it is read; a file whose decompressed
     /// contents and columns or pixels exceed it, before it is decoded.
     pub max_memory_bytes: u64,
+    /// The unit of points and of floating-point depth in files that state none; they become metres. The metre by
+    /// default.
+    pub unit: Option<LengthUnit>,
+    /// The number of columns of a lidar's `.bin`; found from its values by default.
+    pub columns: Option<usize>,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { max_memory_bytes: 2 << 30 }
+        Self { max_memory_bytes: 2 << 30, unit: None, columns: None }
     }
 }
 
 impl ReadOptions {
     /// Sets the limit in bytes.
     pub const fn with_max_memory_bytes(self, max_memory_bytes: u64) -> Self {
-        Self { max_memory_bytes }
+        Self { max_memory_bytes, ..self }
+    }
+
+    /// Sets the unit of lengths.
+    pub const fn with_unit(self, unit: Option<LengthUnit>) -> Self {
+        Self { unit, ..self }
+    }
+
+    /// Sets the number of columns of a lidar's `.bin`.
+    pub const fn with_columns(self, columns: Option<usize>) -> Self {
+        Self { columns, ..self }
     }
 
     /// Refuses `count` items of `bytes_each` bytes if they exceed the limit.

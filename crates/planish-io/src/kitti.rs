@@ -1,48 +1,190 @@
-//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, and nuScenes' `.pcd.bin` with an additional ring.
+//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, nuScenes' `.pcd.bin` with an additional ring, and
+//! others with colours.
 //!
-//! The files have no header: the file name's extension decides.
+//! The files have no header: the values show the number of columns, unless it is given.
 
+use super::xyz_text::guessed_names;
 use super::{CloudRef, FormatResult, ReadOptions};
-use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
+use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
 const FIELDS: [&str; 2] = ["intensity", "ring"];
+/// The numbers of columns that files have, likeliest last: a file of more columns would fit those of fewer.
+const COLUMNS: std::ops::RangeInclusive<usize> = 3..=16;
+/// The columns are looked for in this number of values.
+const SAMPLE: usize = 1 << 16;
 
-pub(super) fn decode(bytes: &[u8], has_ring: bool, options: &ReadOptions) -> FormatResult<PointCloud> {
-    let columns = if has_ring { 5 } else { 4 };
-    let record = 4 * columns;
+/// A file's columns after x, y and z.
+#[derive(Debug, PartialEq)]
+struct Columns {
+    names: Vec<String>,
+    /// What colours are multiplied by to become bytes.
+    colour_scale: f64,
+}
+
+pub(super) fn decode(
+    bytes: &[u8],
+    has_ring: bool,
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> FormatResult<PointCloud> {
+    if !bytes.len().is_multiple_of(4) {
+        return Err(FormatError::Malformed(format!(
+            "{} bytes are no floats of 4 bytes, the values of a lidar's .bin",
+            bytes.len()
+        )));
+    }
+    let sample = Sample::of(bytes);
+    if options.columns.is_none() && !sample.is_of_floats() {
+        return Err(FormatError::Malformed(
+            "its values are not positions in metres: not a lidar's .bin of floats (raw depth is read from PNG, TIFF and \
+             .npy); if it is one, state its number of columns (--columns)"
+                .into(),
+        ));
+    }
+    let count = match options.columns {
+        Some(count) if COLUMNS.contains(&count) => count,
+        Some(count) => {
+            return Err(FormatError::Unsupported(format!("{count} columns; 3 (x, y, z) to 16 are supported")));
+        }
+        None if has_ring => 5,
+        None => sample.columns().ok_or_else(|| {
+            FormatError::Unsupported(
+                "its values do not show how many columns it has; state their number (--columns: KITTI 4, nuScenes 5)"
+                    .into(),
+            )
+        })?,
+    };
+    let record = 4 * count;
     if !bytes.len().is_multiple_of(record) {
         return Err(FormatError::Malformed(format!(
-            "{} bytes are not a multiple of {columns} floats of 4 bytes, the points of a lidar's .bin: truncated, or \
-             in another layout",
+            "{} bytes are not a multiple of {count} floats of 4 bytes, the points of a lidar's .bin: truncated, or in \
+             another layout",
             bytes.len()
         )));
     }
     options.check(bytes.len(), 2)?;
-    let value = |point: &[u8], k: usize| f32::from_le_bytes(std::array::from_fn(|i| point[4 * k + i]));
-    let column = |k: usize| -> Vec<f32> { bytes.chunks_exact(record).map(|point| value(point, k)).collect() };
-    let positions = bytes.chunks_exact(record).map(|point| [0, 1, 2].map(|k| value(point, k))).collect();
-    let mut cloud = PointCloud::new(positions);
-    let largest = cloud.extent_m().into_iter().fold(0.0, f32::max);
-    // No lidar sees that far: bytes that are no floats.
-    if cloud.valid_points() * 2 < cloud.len() || largest > 1e9 {
-        return Err(FormatError::Malformed(
-            "its values are not positions in metres: not a lidar's .bin of floats".into(),
-        ));
+    let column = |k: usize| -> Vec<f32> {
+        let value =
+            |point: &[u8]| f32::from_le_bytes([point[4 * k], point[4 * k + 1], point[4 * k + 2], point[4 * k + 3]]);
+        bytes.chunks_exact(record).map(value).collect()
+    };
+    let [x, y, z] = [0, 1, 2].map(column);
+    let mut cloud = PointCloud::new(planish_core::Xyz::from_arrays([x, y, z])?);
+    let mut rest: Vec<Vec<f32>> = (3..count).map(column).collect();
+    let colour_scale =
+        if count == 6 && rest.iter().flatten().all(|value| is_share_of_bytes(*value)) { 255.0 } else { 1.0 };
+    rest.iter_mut().flatten().filter(|_| colour_scale != 1.0).for_each(|value| *value = (255.0 * *value).round());
+    let names = names_of(&rest, has_ring);
+    for (name, values) in names.iter().zip(rest) {
+        let values: AttributeValues = match is_colour(name) {
+            true => values.iter().map(|value| *value as u8).collect::<Vec<u8>>().into(),
+            false => values.into(),
+        };
+        cloud.attributes.push(Attribute { name: name.clone(), count: 1, values });
     }
-    for (k, name) in FIELDS.into_iter().enumerate().take(columns - 3) {
-        cloud.set_attribute(name, column(3 + k));
+    if options.columns.is_none() && !has_ring {
+        notes.push(format!("its {count} columns are taken as x y z {}", names.join(" ")).trim_end().to_owned());
     }
+    cloud.provenance = Provenance::new(Columns { names, colour_scale });
     Ok(cloud)
 }
 
-/// Encodes x, y, z, intensity, and optionally the ring; missing fields become 0.
+/// Returns true for a byte over 255, as SUN RGB-D stores colours.
+fn is_share_of_bytes(value: f32) -> bool {
+    (0.0..=1.0).contains(&value) && (255.0 * value - (255.0 * value).round()).abs() < 1e-3
+}
+
+fn is_colour(name: &str) -> bool {
+    ["red", "green", "blue"].contains(&name)
+}
+
+/// Returns the names of the columns after x, y and z.
+fn names_of(rest: &[Vec<f32>], has_ring: bool) -> Vec<String> {
+    let is_ring = |values: &Vec<f32>| values.iter().all(|value| value.fract() == 0.0);
+    match rest {
+        [_, ring] if has_ring || is_ring(ring) => FIELDS.map(str::to_owned).to_vec(),
+        _ => {
+            let columns: Vec<Vec<f64>> =
+                rest.iter().map(|values| values.iter().map(|&v| f64::from(v)).collect()).collect();
+            let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+            guessed_names(&[&[&[][..]; 3], &columns[..]].concat(), false).split_off(3)
+        }
+    }
+}
+
+/// The first values of a file.
+struct Sample(Vec<f32>);
+
+impl Sample {
+    fn of(bytes: &[u8]) -> Self {
+        let (values, _) = bytes.as_chunks::<4>();
+        Self(values.iter().take(SAMPLE).map(|bytes| f32::from_le_bytes(*bytes)).collect())
+    }
+
+    /// Returns false if values are larger or smaller than any coordinate, as those of other types are.
+    fn is_of_floats(&self) -> bool {
+        let numbers: Vec<f32> = self.0.iter().copied().filter(|value| !value.is_nan()).collect();
+        let is_length = |value: &&f32| **value == 0.0 || (1e-6..1e9).contains(&value.abs());
+        let lengths = numbers.iter().filter(is_length).count();
+        2 * numbers.len() >= self.0.len()
+            && 10 * lengths >= 9 * numbers.len()
+            && numbers.iter().any(|value| *value != 0.0)
+    }
+
+    /// Returns the number of columns; `None` if it is not clear.
+    fn columns(&self) -> Option<usize> {
+        // Shares that differ by less are equal; those of few values differ by chance.
+        let tolerance = 0.03 + (self.0.len() as f64).sqrt().recip();
+        let shares: Vec<(usize, f64)> = (3..=8).map(|lag| (lag, self.similar(lag))).collect();
+        let best = shares.iter().map(|(_, share)| *share).fold(0.0, f64::max);
+        let fits = |columns: usize| {
+            let is_best = shares.iter().any(|&(lag, share)| lag == columns && share >= best - tolerance);
+            is_best && self.fits(columns)
+        };
+        [6, 5, 4, 3].into_iter().find(|&columns| fits(columns))
+    }
+
+    /// Returns the share of values that are of the same kind as that this many places farther: integers or not, and of
+    /// the same size.
+    fn similar(&self, lag: usize) -> f64 {
+        let kind = |value: f32| {
+            (value.fract() == 0.0, if value == 0.0 { i32::MIN } else { value.abs().log2().floor() as i32 })
+        };
+        let pairs = || self.0.iter().zip(self.0.iter().skip(lag));
+        let same = pairs().filter(|(a, b)| kind(**a) == kind(**b)).count();
+        same as f64 / pairs().count().max(1) as f64
+    }
+
+    /// Returns true if the columns after x, y and z can be what files with this number of columns have there.
+    fn fits(&self, columns: usize) -> bool {
+        let column = |k: usize| self.0.chunks_exact(columns).map(move |point| point[k]);
+        let all = |range: std::ops::Range<usize>, test: fn(f32) -> bool| range.into_iter().all(|k| column(k).all(test));
+        let is_share = |value: f32| (0.0..=1.0).contains(&value);
+        let is_byte = |value: f32| (0.0..=255.0).contains(&value) && value.fract() == 0.0;
+        match columns {
+            3 => true,
+            4 => all(3..4, |value| value >= 0.0),
+            5 => all(3..4, |value| value >= 0.0) && all(4..5, |value| value >= -1.0 && value.fract() == 0.0),
+            _ => all(3..6, is_byte) || all(3..6, is_share),
+        }
+    }
+}
+
+/// Encodes x, y, z and the columns of the file that the cloud was read from, or else intensity and optionally the ring;
+/// missing fields become 0.
 pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8>> {
     let points = cloud.points();
-    let fields = &FIELDS[..if has_ring { 2 } else { 1 }];
-    let other = points.attributes.iter().find(|attribute| !fields.contains(&attribute.name.as_str()));
+    let own = points.provenance.get::<Columns>().filter(|_| !has_ring);
+    let fields = own.map_or_else(
+        || FIELDS[..if has_ring { 2 } else { 1 }].iter().map(|&name| name.to_owned()).collect(),
+        |own| own.names.clone(),
+    );
+    let colour_scale = own.map_or(1.0, |own| own.colour_scale);
+    let other = points.attributes.iter().find(|attribute| !fields.contains(&attribute.name));
     if let Some(Attribute { name, .. }) = other {
         return Err(FormatError::Unsupported(format!(
-            "a lidar's .bin stores x, y, z and {}, but the cloud has the field {name}; write .pcd, .ply or .las",
+            "a lidar's .bin stores x, y, z{}{}, but the cloud has the field {name}; write .pcd, .ply or .las",
+            if fields.is_empty() { "" } else { " and " },
             fields.join(", ")
         )));
     }
@@ -51,7 +193,10 @@ pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8
     let mut bytes = Vec::with_capacity(points.len() * 4 * (3 + fields.len()));
     for (i, p) in points.positions.iter().enumerate() {
         let position = (0..3).map(|axis| (points.origin_m[axis] + f64::from(p[axis])) as f32);
-        let rest = values.iter().map(|values| values.map_or(0.0, |values| values.get_f64(i) as f32));
+        let rest = values.iter().zip(&fields).map(|(values, name)| {
+            let value = values.map_or(0.0, |values| values.get_f64(i));
+            (if is_colour(name) { value / colour_scale } else { value }) as f32
+        });
         position.chain(rest).for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
     }
     Ok(bytes)

@@ -6,9 +6,9 @@ use planish_core::PointCloud;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct LengthUnit {
-    /// The name: metre, foot or US survey foot.
+    /// The name, such as metre or US survey foot.
     pub name: &'static str,
-    /// The symbol: m, ft or ftUS.
+    /// The symbol, such as m or ftUS.
     pub symbol: &'static str,
     /// Metres per unit.
     pub metres: f64,
@@ -21,6 +21,25 @@ impl LengthUnit {
     pub const FOOT: Self = Self { name: "foot", symbol: "ft", metres: 0.3048 };
     /// The foot of older surveys in the USA.
     pub const US_SURVEY_FOOT: Self = Self { name: "US survey foot", symbol: "ftUS", metres: 1200.0 / 3937.0 };
+
+    /// The millimetre.
+    pub const MILLIMETRE: Self = Self { name: "millimetre", symbol: "mm", metres: 1e-3 };
+    /// The centimetre.
+    pub const CENTIMETRE: Self = Self { name: "centimetre", symbol: "cm", metres: 1e-2 };
+    /// The inch.
+    pub const INCH: Self = Self { name: "inch", symbol: "in", metres: 0.0254 };
+
+    /// Returns the unit with a name that users give: mm, cm, m, inch or ft.
+    pub fn named(name: &str) -> Option<Self> {
+        match name {
+            "mm" => Some(Self::MILLIMETRE),
+            "cm" => Some(Self::CENTIMETRE),
+            "m" => Some(Self::METRE),
+            "inch" | "in" => Some(Self::INCH),
+            "ft" => Some(Self::FOOT),
+            _ => None,
+        }
+    }
 
     /// Returns the unit of a cloud's coordinates: of the coordinate system in a LAS or LAZ file, otherwise the metre.
     pub fn of_cloud(cloud: &PointCloud) -> Self {

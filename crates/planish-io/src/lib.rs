@@ -35,6 +35,7 @@ mod kitti;
 mod las;
 mod length_unit;
 mod little_endian;
+mod meaning;
 mod mesh;
 mod npy;
 #[cfg(feature = "npz")]
@@ -58,9 +59,11 @@ mod xyz_text;
 
 pub use adapt::{adapt_fields, losses};
 pub use atomic_write::{remove_temporaries, write_whole};
-pub use camera_file::{camera_to_json, parse_camera, read_camera, unknown_camera_key};
+pub use camera_file::{
+    CameraFile, camera_to_json, parse_camera, parse_camera_file, read_camera, read_camera_file, unknown_camera_key,
+};
 pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
-pub(crate) use contents::{Gridded, organized_if_grid};
+pub(crate) use contents::{Gridded, depth_of_integers, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
 pub(crate) use error_text::{brief, quoted, text_of};
 #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
@@ -96,7 +99,7 @@ pub use write::{
 #[doc(hidden)]
 pub mod internal {
     pub use crate::atomic_write::AtomicFile;
-    pub use crate::camera_file::{colmap_camera, read_text as camera_text, states_depth_scale};
+    pub use crate::camera_file::{colmap_camera, read_text as camera_text};
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::error_text::{brief, quoted};

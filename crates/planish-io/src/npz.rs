@@ -5,12 +5,15 @@ use std::io::{Cursor, Read, Write};
 
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
+use super::camera_file::{Intrinsics, intrinsics_of as matrix_intrinsics};
 use super::columns::with_values;
 use super::{CloudRef, Contents, FormatResult, ReadOptions, brief, npy};
-use planish_core::{Attribute, AttributeValues, FormatError};
+use planish_core::{Attribute, AttributeValues, Camera, FormatError};
 
 const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
 const DEPTH: [&str; 2] = ["depth", "arr_0"];
+/// Names of a depth image's intrinsics, a matrix of 3x3 or 4x4.
+const INTRINSICS: [&str; 7] = ["K", "k", "intrinsics", "intrinsic", "camera_matrix", "cam_K", "intrinsic_matrix"];
 /// More arrays than that are no cloud.
 const MOST_ARRAYS: usize = 256;
 
@@ -18,7 +21,12 @@ fn damaged(error: impl std::fmt::Display) -> FormatError {
     FormatError::Malformed(format!("damaged NPZ: {}", brief(&error.to_string())))
 }
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<Contents> {
+/// Decodes a cloud, or a depth image and its camera if the archive has one.
+pub(super) fn decode(
+    bytes: &[u8],
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> FormatResult<(Contents, Option<Camera>)> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     if archive.len() > MOST_ARRAYS {
         return Err(FormatError::Unsupported(format!("an archive of {} files without a cloud", archive.len())));
@@ -38,9 +46,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         })?;
         arrays.push((name, array));
     }
+    let intrinsics = arrays.iter().find(|(name, _)| INTRINSICS.contains(&name.as_str()));
+    let intrinsics = intrinsics.and_then(|(name, array)| Some((name.clone(), intrinsics_of(array)?)));
+    if let Some((name, _)) = &intrinsics {
+        arrays.retain(|(other, _)| other != name);
+    }
     let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
     // Find it by its name, otherwise take the only array that fits.
-    let contents_of = |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options).ok()?));
+    let contents_of =
+        |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options, &mut Vec::new()).ok()?));
     let of_name = |wanted: &[&str], is_kind: fn(&Contents) -> bool| {
         let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
         let named = named.and_then(contents_of).filter(|(_, contents)| is_kind(contents));
@@ -51,7 +65,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     };
     if let Some((name, array)) = arrays.iter().find(|(name, _)| POSITIONS[..3].contains(&name.as_str())) {
         // With this name it cannot be a depth image, whatever its shape.
-        let problem = match npy::decode(array, options) {
+        let problem = match npy::decode(array, options, &mut Vec::new()) {
             Ok(contents) if !contents.is_depth() => None,
             Ok(contents) => Some(format!("it is [{1}, {0}]", contents.shape().0, contents.shape().1)),
             Err(error) => Some(error.to_string()),
@@ -63,8 +77,12 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             )));
         }
     }
-    let points = of_name(&POSITIONS, |contents| !contents.is_depth());
-    let Some((used, mut contents)) = points.or_else(|| of_name(&DEPTH, Contents::is_depth)) else {
+    let points = || of_name(&POSITIONS, |contents| !contents.is_depth());
+    let depth = || of_name(&DEPTH, Contents::is_depth);
+    // With the intrinsics of a camera, it is a depth image unless an array has the name of points.
+    let has_points = arrays.iter().any(|(name, _)| POSITIONS[..3].contains(&name.as_str()));
+    let found = if intrinsics.is_some() && !has_points { depth().or_else(points) } else { points().or_else(depth) };
+    let Some((used, mut contents)) = found else {
         return Err(FormatError::Unsupported(format!(
             "an archive with {}; name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or \
              a depth image depth",
@@ -85,9 +103,16 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             notes.extend(
                 others.map(|(name, _)| format!("the array {} is dropped: depth images have no fields", brief(name))),
             );
-            return Ok(contents);
+            let camera = intrinsics.map(|(name, (focal_length, centre))| {
+                notes.push(format!("its array {} is taken as the camera's intrinsics", brief(&name)));
+                Camera::new(contents.shape(), focal_length, centre)
+            });
+            return Ok((contents, camera));
         }
     };
+    if let Some((name, _)) = &intrinsics {
+        notes.push(format!("the array {} is dropped: points need no intrinsics", brief(name)));
+    }
     for (name, array) in others {
         match field(name, array, rows)? {
             Ok(attribute) => {
@@ -101,7 +126,18 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             Err(reason) => notes.push(format!("the array {} is dropped: {reason}", brief(name))),
         }
     }
-    Ok(contents)
+    Ok((contents, None))
+}
+
+/// Returns the intrinsics in a matrix; `None` if it is another one.
+fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
+    let array = npy::Array::parse(array).ok()?;
+    let numbers: Vec<f64> = match (array.header.kind, array.header.size) {
+        ('f', 8) => array.values(),
+        ('f', 4) => array.values::<f32>().into_iter().map(f64::from).collect(),
+        _ => return None,
+    };
+    matches!(array.header.shape[..], [3 | 4, 3 | 4]).then(|| matrix_intrinsics(&numbers))?
 }
 
 /// Converts an array into a field of `rows` points, or returns the reason why it is not one (it may be an unrelated

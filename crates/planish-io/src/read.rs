@@ -26,7 +26,7 @@ use super::plain::plain;
 use super::ply::PlyReader;
 #[cfg(feature = "scans")]
 use super::records::RecordReader;
-use super::{depth_png, kitti, mesh, npy, pcd, ply, xyz_text};
+use super::{depth_png, kitti, meaning, mesh, npy, pcd, ply, xyz_text};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
@@ -39,14 +39,13 @@ pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(For
         let mut start = Vec::new();
         fs::File::open(path)?.take(MAGIC_BYTES).read_to_end(&mut start)?;
         let format = Format::of_contents(&start);
-        let summarize = match format {
-            Some(Format::DepthPng) => depth_png::summarize,
+        let summary = match format {
+            Some(Format::DepthPng) => Some(depth_png::summarize(&read_bytes(path, options)?, options)?),
             #[cfg(feature = "tiff")]
-            Some(Format::DepthTiff) => depth_tiff::summarize,
-            _ => return Ok(None),
+            Some(Format::DepthTiff) => depth_tiff::summarize(&read_bytes(path, options)?, options)?,
+            _ => None,
         };
-        let summary = summarize(&read_bytes(path, options)?, options)?;
-        Ok(format.map(|format| (format, summary)))
+        Ok(format.zip(summary))
     };
     summarize().map_err(IoError::at(path))
 }
@@ -108,6 +107,8 @@ pub struct FileRead {
     pub encoding: Option<Encoding>,
     /// What it holds.
     pub contents: Contents,
+    /// The camera of a depth image, if the file has it too.
+    pub camera: Option<Camera>,
     /// Dropped data and guesses, one clause each, for users.
     pub notes: Vec<String>,
 }
@@ -120,14 +121,15 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError
         if let (None, None, Some(what)) = (Format::of_contents(&bytes), announced, format::what_converts(path)) {
             return Err(FormatError::Unsupported(what.into()));
         }
-        let mut notes = Vec::new();
-        let (format, contents) = decode_plain(&bytes, announced, options, &mut notes)?;
+        let mut beside = Beside::default();
+        let (format, contents) = decode_plain(&bytes, announced, options, &mut beside)?;
+        let Beside { camera, notes } = beside;
         let encoding = match format {
             Format::Pcd => pcd::encoding(&bytes),
             Format::Ply => ply::encoding(&bytes),
             _ => None,
         };
-        Ok(FileRead { format, encoding, contents, notes })
+        Ok(FileRead { format, encoding, contents, camera, notes })
     };
     read().map_err(IoError::at(path))
 }
@@ -139,16 +141,24 @@ pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, 
 
 /// [`decode`] with other options than the default.
 pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
-    decode_plain(&plain(bytes, options)?, announced, options, &mut Vec::new())
+    decode_plain(&plain(bytes, options)?, announced, options, &mut Beside::default())
 }
 
-/// Decodes a file that nothing wraps, and collects [`FileRead::notes`].
+/// What is found beside the contents of a file.
+#[derive(Default)]
+struct Beside {
+    camera: Option<Camera>,
+    notes: Vec<String>,
+}
+
+/// Decodes a file that nothing wraps.
 fn decode_plain(
     bytes: &[u8],
     announced: Option<Format>,
     options: &ReadOptions,
-    notes: &mut Vec<String>,
+    beside: &mut Beside,
 ) -> FormatResult<(Format, Contents)> {
+    let notes = &mut beside.notes;
     if bytes.is_empty() {
         return Err(FormatError::Malformed("the file is empty".into()));
     }
@@ -160,27 +170,36 @@ fn decode_plain(
                 .into(),
         )
     })?;
-    let contents = match format {
+    let mut contents = match format {
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
         Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
         #[cfg(feature = "tiff")]
-        Format::DepthTiff => Ok(Contents::Depth(depth_tiff::decode(bytes, options)?)),
-        Format::Npy => npy::decode(bytes, options),
+        Format::DepthTiff => depth_tiff::decode(bytes, options, notes),
+        Format::Npy => npy::decode(bytes, options, notes),
         #[cfg(feature = "scans")]
         Format::Las | Format::Laz => Ok(Contents::General(las::decode(bytes, options, notes)?)),
         Format::Text | Format::Csv => Ok(Contents::General(xyz_text::decode(bytes, options, notes)?)),
         #[cfg(feature = "npz")]
-        Format::Npz => npz::decode(bytes, options, notes),
+        Format::Npz => npz::decode(bytes, options, notes).map(|(contents, own)| {
+            beside.camera = own;
+            contents
+        }),
         #[cfg(feature = "scans")]
         Format::E57 => Ok(Contents::General(e57::decode(bytes, options, notes)?)),
-        Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options)?)),
-        Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options)?)),
+        Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options, notes)?)),
+        Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options, notes)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }?;
+    if let Contents::Organized(cloud) = &mut contents {
+        meaning::holes_at_sensor(cloud, notes);
+    }
+    if let Some(unit) = options.unit {
+        meaning::to_metres(&mut contents, unit, notes)?;
+    }
     Ok((format, contents))
 }
 

@@ -3,11 +3,12 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
+use planish::io::CameraFile;
 use planish::{Camera, Distortion};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::errors::{frame, to_py};
+use crate::errors::{frame, to_py, warn};
 
 #[pyclass(frozen, eq, name = "Camera", module = "planish")]
 #[derive(Clone, Copy, PartialEq)]
@@ -52,9 +53,10 @@ impl PyCamera {
 
     #[staticmethod]
     #[pyo3(signature = (path, shape=None))]
-    fn read(path: PathBuf, shape: Option<(usize, usize)>) -> PyResult<Self> {
+    fn read(py: Python<'_>, path: PathBuf, shape: Option<(usize, usize)>) -> PyResult<Self> {
         let shape = shape.map(|(height, width)| (width, height));
-        let camera = planish::io::read_camera(&path, shape).map_err(to_py)?;
+        let CameraFile { camera, notes, .. } = planish::io::read_camera_file(&path, shape).map_err(to_py)?;
+        warn(py, &path, &notes, 1)?;
         if camera.width == 0 || camera.height == 0 {
             return Err(PyValueError::new_err(format!(
                 "{}: does not state the image size; give shape=(height, width)",

@@ -1,8 +1,11 @@
 //! Errors of the library as Python's own.
 
 use planish::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
-use pyo3::PyErr;
-use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyOSError, PyRuntimeError, PyValueError};
+use std::ffi::CString;
+use std::path::Path;
+
+use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyOSError, PyRuntimeError, PyRuntimeWarning, PyValueError};
+use pyo3::prelude::*;
 
 /// Maps errors to `ValueError` for invalid input, `OSError` and its subclasses for files, `MemoryError`, and
 /// `RuntimeError` for engines.
@@ -30,4 +33,14 @@ pub fn param(error: ParamError) -> PyErr {
 
 pub fn frame(error: FrameError) -> PyErr {
     to_py(error)
+}
+
+/// Warns about what was dropped or guessed in a file, as from a caller of this many Python functions.
+pub fn warn(py: Python<'_>, path: &Path, notes: &[String], level: i32) -> PyResult<()> {
+    for note in notes {
+        let text =
+            CString::new(format!("{}: {note}", path.display())).map_err(|_| PyValueError::new_err(note.clone()))?;
+        PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, level)?;
+    }
+    Ok(())
 }

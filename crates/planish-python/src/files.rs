@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use planish::evaluate::{Evaluation, Suite};
-use planish::io::{self, Contents, Encoding};
+use planish::io::{self, Contents, Encoding, FileRead, LengthUnit, ReadOptions};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
     Attribute, AttributeValues, Camera, DepthImage, IntoFrame, OrganizedCloud, Outputs, PointCloud, Precision,
@@ -15,14 +15,32 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::camera::PyCamera;
-use crate::errors::{frame, to_py};
+use crate::errors::{frame, to_py, warn};
 use crate::settings::{from_dict, sensor_named, to_dict};
 
 /// Reads a file into a dictionary of its contents.
 #[pyfunction]
-pub fn read<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyDict>> {
-    let (format, contents) = py.detach(|| io::read(&path)).map_err(to_py)?;
+pub fn read<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    unit: Option<&str>,
+    columns: Option<usize>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let unit = match unit.map(|name| (name, LengthUnit::named(name))) {
+        Some((name, None)) => {
+            return Err(PyValueError::new_err(format!("unit is {name:?}; it is one of mm, cm, m, inch and ft")));
+        }
+        unit => unit.and_then(|(_, unit)| unit),
+    };
+    let options = ReadOptions::default().with_unit(unit).with_columns(columns);
+    let FileRead { format, contents, camera, notes, .. } =
+        py.detach(|| io::read_file(&path, &options)).map_err(to_py)?;
+    // Called by the function of the same name in Python.
+    warn(py, &path, &notes, 2)?;
     let found = PyDict::new(py);
+    if let Some(camera) = camera {
+        found.set_item("camera", Py::new(py, PyCamera(camera))?)?;
+    }
     found.set_item("format", format.name())?;
     let (width, height) = contents.shape();
     match contents {
@@ -51,8 +69,8 @@ pub fn put_cloud<'py>(py: Python<'py>, found: &Bound<'py, PyDict>, cloud: PointC
         let rows: Vec<f32> = cloud.positions.iter().flatten().collect();
         found.set_item("points", PyArray1::from_vec(py, rows).reshape([len, 3])?)?;
     } else {
-        let absolute = |p: [f32; 3]| [0, 1, 2].map(|axis| cloud.origin_m[axis] + f64::from(p[axis]));
-        let rows: Vec<f64> = cloud.positions.iter().flat_map(absolute).collect();
+        let absolute = |i: usize| [0, 1, 2].map(|axis| cloud.coordinate(axis, i));
+        let rows: Vec<f64> = (0..len).flat_map(absolute).collect();
         found.set_item("points", PyArray1::from_vec(py, rows).reshape([len, 3])?)?;
     }
     if !cloud.pose.is_identity() {

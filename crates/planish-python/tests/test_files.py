@@ -166,3 +166,36 @@ def test_a_pose_or_a_grid_that_a_format_has_no_place_for_is_said(tmp_path: Path)
             planish.write(tmp_path / f"a{suffix}", points, pose=pose)
             back = planish.read(tmp_path / f"a{suffix}")
             assert back.points.shape == (4, 5, 3) and np.allclose(back.pose, pose)
+
+
+def test_an_archive_of_depth_and_intrinsics_has_a_camera(tmp_path):
+    depth = np.full((48, 64), 2000, np.uint16)
+    matrix = np.array([[52, 0, 31.5], [0, 52, 23.5], [0, 0, 1]])
+    np.savez(tmp_path / "frame.npz", depth=depth, K=matrix)
+    with pytest.warns(RuntimeWarning, match="array K"):
+        frame = planish.read(tmp_path / "frame.npz")
+    assert np.array_equal(frame.depth, depth)
+    assert (frame.camera.fx, frame.camera.cx, frame.camera.width) == (52, 31.5, 64)
+
+
+def test_units_and_columns_are_stated_or_guessed_with_a_warning(tmp_path):
+    np.save(tmp_path / "mm.npy", np.array([[100, 200, 1000], [300, 0, 2000]], np.float32))
+    with pytest.warns(RuntimeWarning, match="mm become metres"):
+        frame = planish.read(tmp_path / "mm.npy", unit="mm")
+    assert np.allclose(frame.points, [[0.1, 0.2, 1], [0.3, 0, 2]])
+    with pytest.raises(ValueError, match="mm, cm, m, inch and ft"):
+        planish.read(tmp_path / "mm.npy", unit="furlong")
+    rng = np.random.default_rng(1)
+    scan = np.c_[rng.uniform(-20, 20, (500, 3)), rng.uniform(0, 1, 500)].astype(np.float32)
+    scan.tofile(tmp_path / "scan.bin")
+    with pytest.warns(RuntimeWarning, match="x y z intensity"):
+        assert planish.read(tmp_path / "scan.bin").points.shape == (500, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.array_equal(planish.read(tmp_path / "scan.bin", columns=4).fields["intensity"], scan[:, 3])
+
+
+def test_guesses_about_a_camera_file_are_warnings(tmp_path):
+    (tmp_path / "camera.json").write_text('{"width":64,"height":48,"fx":52,"fy":52,"cx":31.5,"cy":23.5,"depth_scale":0.1}')
+    with pytest.warns(RuntimeWarning, match="10000 units per metre"):
+        assert planish.Camera.read(tmp_path / "camera.json").depth_units_per_metre == 10000

@@ -1,14 +1,16 @@
 //! The camera of a depth image, and the pose of a cloud's sensor.
 
 use std::path::{Path, PathBuf};
+use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{Trajectory, read_trajectory};
+use planish::io::{Contents, Trajectory, read_trajectory};
 use planish::{Camera, SensorPose, Settings, io};
+use planish_bench::errln;
 
 use super::CAMERA;
 
-#[derive(clap::Args)]
+#[derive(clap::Args, Clone)]
 pub struct CameraArgs {
     /// Intrinsics of the depth camera in pixels
     #[arg(long, value_name = "FX,FY,CX,CY", conflicts_with = "camera_file", allow_hyphen_values = true)]
@@ -21,9 +23,12 @@ pub struct CameraArgs {
     pub camera_file: Option<PathBuf>,
     /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
     ///
-    /// The inverse of librealsense's depth scale.
+    /// The inverse of librealsense's depth scale. Floating-point depth is in metres without it.
     #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true, hide_short_help = true, help_heading = CAMERA)]
     pub depth_units_per_metre: Option<f64>,
+    /// The camera that the input has itself.
+    #[arg(skip)]
+    own: Option<Camera>,
 }
 
 #[derive(clap::Args)]
@@ -70,6 +75,18 @@ impl PoseArgs {
 }
 
 impl CameraArgs {
+    /// Returns the options for an input that may have a camera itself.
+    pub fn or(&self, own: Option<Camera>) -> Self {
+        Self { own, ..self.clone() }
+    }
+
+    /// Converts floating-point depth in the unit that is given to metres.
+    pub fn to_metres(&self, contents: &mut Contents) {
+        if let (Contents::DepthMetres { depth_m, .. }, Some(units)) = (contents, self.depth_units_per_metre) {
+            depth_m.iter_mut().for_each(|depth| *depth = (f64::from(*depth) / units) as f32);
+        }
+    }
+
     /// Returns true if any option of the camera is set.
     pub fn is_given(&self) -> bool {
         self.camera.is_some() || self.camera_file.is_some() || self.depth_units_per_metre.is_some()
@@ -88,8 +105,17 @@ impl CameraArgs {
     fn read(&self, shape: Option<(usize, usize)>) -> Result<Option<Camera>> {
         let mut camera = match (&self.camera, &self.camera_file) {
             (Some(Intrinsics([fx, fy, cx, cy])), _) => Camera::new(shape.unwrap_or_default(), [*fx, *fy], [*cx, *cy]),
-            (None, Some(file)) => io::read_camera(file, shape)?,
-            (None, None) => return Ok(None),
+            (None, Some(file)) => {
+                let read = io::read_camera_file(file, shape)?;
+                // The file is read again for every frame of a folder.
+                static TOLD: Once = Once::new();
+                TOLD.call_once(|| read.notes.iter().for_each(|note| errln!("{}: {note}", file.display())));
+                read.camera
+            }
+            (None, None) => match (self.own, shape) {
+                (Some(own), Some(shape)) => own.with_shape(shape),
+                _ => return Ok(None),
+            },
         };
         if let Some(scale) = self.depth_units_per_metre {
             camera.depth_units_per_metre = scale;

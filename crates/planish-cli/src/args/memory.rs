@@ -1,6 +1,6 @@
-//! Limits of memory.
+//! How inputs are read: limits of memory, and what files do not state.
 
-use planish::io::ReadOptions;
+use planish::io::{LengthUnit, ReadOptions};
 
 #[derive(clap::Args)]
 pub struct MemoryArgs {
@@ -10,13 +10,25 @@ pub struct MemoryArgs {
     /// and PLY files in tiles; other files that need more are refused.
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, hide_short_help = true, help_heading = super::ENGINE)]
     pub max_memory: Option<u64>,
+    /// Unit of points and of floating-point depth in files that state none: mm, cm, m, inch or ft [default: m]
+    ///
+    /// They become metres.
+    #[arg(long, value_name = "UNIT", value_parser = parse_unit, hide_short_help = true, help_heading = super::INPUT)]
+    pub unit: Option<LengthUnit>,
+    /// Number of columns of a lidar's .bin, such as 4 for KITTI [default: found from its values]
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
+    pub columns: Option<usize>,
 }
 
 impl MemoryArgs {
     pub fn read_options(&self) -> ReadOptions {
-        let default = ReadOptions::default();
+        let default = ReadOptions::default().with_unit(self.unit).with_columns(self.columns);
         self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
     }
+}
+
+fn parse_unit(text: &str) -> Result<LengthUnit, String> {
+    LengthUnit::named(text).ok_or_else(|| "a unit is one of mm, cm, m, inch and ft".to_owned())
 }
 
 /// Parses a number of bytes, such as 500M or 4G.

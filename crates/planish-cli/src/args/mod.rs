@@ -35,6 +35,7 @@ const AFTER_HELP: &str = "Start with `planish demo`, then `planish smooth your.p
 // Groups of options in the help.
 const CAMERA: &str = "Camera and pose";
 const ENGINE: &str = "Engine";
+const INPUT: &str = "Input";
 const OTHER_PROGRAMS: &str = "Other programs";
 const OUTPUT: &str = "Output";
 const RECORDINGS: &str = "ROS 2 recordings";

@@ -11,7 +11,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes, report_unit};
-use super::{ms_since, organized};
+use super::{ms_since, organized, read_input};
 use crate::args::CleanArgs;
 
 /// Number of points removed by each step.
@@ -41,7 +41,8 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     }
     check_not_input(input, output, Some(args.overwrite))?;
     let start = Instant::now();
-    let FileRead { format, encoding, contents, notes, .. } = io::read_file(input, &args.memory.read_options())?;
+    let (file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
+    let FileRead { format, encoding, contents, notes, .. } = file;
     report_notes(input, &notes);
     let (mut points, mut grid) = match contents {
         Contents::General(points) => {
@@ -50,7 +51,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
             (points, None)
         }
         contents => {
-            let cloud = organized(contents, &args.camera, input)?;
+            let cloud = organized(contents, &camera, input)?;
             let grid = (cloud.width(), cloud.height());
             (cloud.points, Some(grid))
         }

@@ -10,7 +10,7 @@ use planish_bench::{errln, outln};
 use serde_json::json;
 
 use super::checks::{check_not_input, report_columns, report_notes};
-use super::organized;
+use super::{organized, read_input};
 use crate::args::{CameraArgs, CompareArgs, ConvertArgs, MergeArgs};
 use crate::exit::ExitCode;
 
@@ -19,7 +19,7 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
     let ConvertArgs { input, output, .. } = args;
     args.encoding.check(output)?;
     check_not_input(input, output, Some(args.overwrite))?;
-    let mut file = io::read_file(input, &args.memory.read_options())?;
+    let (mut file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
     report_notes(input, &std::mem::take(&mut file.notes));
     if let Contents::General(cloud) = &file.contents {
         report_columns(input, file.format, cloud);
@@ -31,8 +31,8 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
         _ => false,
     };
     let camera = match (file.contents.is_depth(), stays_depth) {
-        (true, false) => Some(args.camera.required(shape, input)?),
-        _ => args.camera.camera(shape)?,
+        (true, false) => Some(camera.required(shape, input)?),
+        _ => camera.camera(shape)?,
     };
     question(input, &file.contents, camera.as_ref());
     let fields = (!args.fields.is_empty()).then(|| match &args.fields[..] {
@@ -82,7 +82,7 @@ fn question(input: &Path, contents: &Contents, camera: Option<&Camera>) {
 
 /// Reads a file; a depth image becomes points if there is a camera.
 fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<Contents> {
-    let FileRead { format, contents, notes, .. } = io::read_file(file, options)?;
+    let (FileRead { format, contents, notes, .. }, camera) = read_input(file, options, camera)?;
     report_notes(file, &notes);
     if let Contents::General(cloud) = &contents {
         report_columns(file, format, cloud);

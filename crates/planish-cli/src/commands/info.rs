@@ -9,13 +9,13 @@ use std::path::Path;
 use anyhow::Result;
 use planish::io::{self, Contents, DepthSummary, FileRead, Format, LengthUnit};
 use planish::{
-    Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, IoError, OrganizedCloud, PointCloud,
-    PointsView, RangeRule, SensorModel,
+    Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, Frame, FrameError, IntoFrame, IoError,
+    OrganizedCloud, PointCloud, PointsView, RangeRule, SensorModel,
 };
 use planish_bench::outln;
 use serde::Serialize;
 
-use crate::args::InfoArgs;
+use crate::args::{CameraArgs, InfoArgs};
 
 #[derive(Serialize)]
 struct Info {
@@ -78,13 +78,16 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, has_parts) {
         return show(args, &describe_in_parts(args)?, false);
     }
-    let FileRead { format, mut contents, notes, .. } = read?;
+    let FileRead { format, mut contents, camera, notes, .. } = read?;
+    args.camera.to_metres(&mut contents);
+    let camera = args.camera.or(camera);
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)
     {
         points.pose = pose;
     }
-    let info = Info { notes, ..describe(args, format, &contents)? };
+    let mut info = describe(&camera, format, &contents)?;
+    info.notes.splice(0..0, notes);
     show(args, &info, contents.is_depth())
 }
 
@@ -121,6 +124,14 @@ impl Info {
     }
 }
 
+impl Info {
+    /// Notes what no depth camera would measure.
+    fn question(&mut self, frame: Result<Frame<'_>, FrameError>) {
+        let doubts = frame.map(planish::doubts).unwrap_or_default();
+        self.notes.extend(doubts.iter().map(ToString::to_string));
+    }
+}
+
 /// Describes a file larger than memory; its median comes from a sample.
 fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
     const POINTS_AT_ONCE: usize = 1 << 18;
@@ -154,14 +165,15 @@ fn describe_depth(format: Format, summary: &DepthSummary) -> Info {
     info
 }
 
-fn describe(args: &InfoArgs, format: Format, contents: &Contents) -> Result<Info> {
+fn describe(camera: &CameraArgs, format: Format, contents: &Contents) -> Result<Info> {
     let (width, height) = contents.shape();
     let mut info = Info::new(format, (width, height), !matches!(contents, Contents::General(_)));
     match contents {
         Contents::Depth(image) => {
             info = describe_depth(format, &DepthSummary::from(image));
-            if let Some(camera) = args.camera.camera((width, height))? {
+            if let Some(camera) = camera.camera((width, height))? {
                 let frame = DepthFrame::from_image(camera, image.clone()).map_err(Error::from)?;
+                info.question((&frame).into_frame());
                 describe_grid(&frame.deproject().map_err(Error::from)?, &mut info)?;
             }
         }
@@ -170,14 +182,16 @@ fn describe(args: &InfoArgs, format: Format, contents: &Contents) -> Result<Info
                 depth_m.iter().filter(|z| **z > 0.0 && z.is_finite()).map(|&z| f64::from(z)).collect();
             info.valid_points = z.len();
             info.median_z_m = median(&mut z);
-            if let Some(camera) = args.camera.camera((width, height))? {
+            if let Some(camera) = camera.camera((width, height))? {
                 let view = DepthView::from_metres(depth_m, &camera).map_err(Error::from)?;
+                info.question(view.into_frame());
                 describe_grid(&view.deproject().map_err(Error::from)?, &mut info)?;
             }
         }
         Contents::Organized(cloud) => {
             let mut cloud = cloud.clone();
-            cloud.camera = args.camera.camera((width, height))?;
+            cloud.camera = camera.camera((width, height))?;
+            info.question((&cloud).into_frame());
             describe_grid(&cloud, &mut info)?;
             info.fields = fields(&cloud.points);
         }

@@ -6,7 +6,7 @@ use planish::mesh::{FrameMesh, mesh_of};
 use planish_bench::{errln, outln};
 
 use super::checks::{check_not_input, report_notes};
-use super::organized;
+use super::{organized, read_input};
 use crate::args::{MeshArgs, by_option_of_error};
 use crate::exit::ExitCode;
 
@@ -18,7 +18,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
     }
     check_not_input(input, output, None)?;
     let settings = args.smoothing.settings()?;
-    let file = io::read_file(input, &args.memory.read_options())?;
+    let (file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
     report_notes(input, &file.notes);
     if let Contents::General(cloud) = &file.contents {
         bail!(
@@ -28,7 +28,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
             cloud.len()
         );
     }
-    let cloud = organized(file.contents, &args.camera, input)?;
+    let cloud = organized(file.contents, &camera, input)?;
     let remove_floating = settings.remove_floating == Some(true);
     let made = mesh_of(cloud, settings, args.raw).map_err(by_option_of_error);
     let FrameMesh { mesh, floating, events, .. } = made.with_context(|| input.display().to_string())?;

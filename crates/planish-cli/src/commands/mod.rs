@@ -24,7 +24,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::OrganizedCloud;
-use planish::io::Contents;
+use planish::io::{self, Contents, FileRead};
 
 use crate::args::{CameraArgs, StreamArgs};
 use crate::exit::ExitCode;
@@ -43,6 +43,14 @@ pub fn stream(args: &StreamArgs) -> Result<ExitCode> {
 /// Milliseconds since `start`.
 fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Reads a file; returns it and the options of the camera, which the file may have itself.
+fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Result<(FileRead, CameraArgs)> {
+    let mut read = io::read_file(file, options)?;
+    camera.to_metres(&mut read.contents);
+    let camera = camera.or(read.camera);
+    Ok((read, camera))
 }
 
 /// Returns the organized cloud that a file holds, deprojecting depth with the camera given.

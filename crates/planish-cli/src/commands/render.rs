@@ -4,12 +4,12 @@ use crate::exit::ExitCode;
 
 use anyhow::{Result, bail};
 use planish::internal::write_rgb_png;
-use planish::io::{self, Contents};
+use planish::io::{Contents, FileRead};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 use planish::{FrameError, ParamError};
 
-use super::checks::check_not_input;
-use super::organized;
+use super::checks::{check_not_input, report_notes};
+use super::{organized, read_input};
 use crate::args::RenderArgs;
 
 /// Pixels of an unorganized cloud's picture.
@@ -20,7 +20,8 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         bail!("{}: not a .png; pictures are written as .png", args.output.display());
     }
     check_not_input(&args.file, &args.output, None)?;
-    let (_, contents) = io::read_with(&args.file, &args.memory.read_options())?;
+    let (FileRead { contents, notes, .. }, camera) = read_input(&args.file, &args.memory.read_options(), &args.camera)?;
+    report_notes(&args.file, &notes);
     let cloud = match contents {
         Contents::General(points) => {
             seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE).map_err(|error| match error {
@@ -31,7 +32,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         _ if args.from.is_some() => {
             bail!("{}: --from applies to unorganized clouds; this one is drawn from its sensor", args.file.display());
         }
-        contents => organized(contents, &args.camera, &args.file)?,
+        contents => organized(contents, &camera, &args.file)?,
     };
     let mut pictures = vec![relief(cloud.width(), cloud.height(), &normals_of(&cloud))];
     pictures.extend(colours(&cloud));

@@ -19,7 +19,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format, LengthUnit, ReadOptions};
 use planish::{
-    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
+    Camera, CloudParams, CloudRadius, DepthFrame, DepthImage, Doubt, Error, Frame, IntoFrame, OrganizedCloud, Outputs,
     PointCloud, SensorPose, Session, Settings, Smoothed,
 };
 use planish_bench::{errln, outln};
@@ -33,8 +33,8 @@ use super::checks::{
     check_not_input, check_not_settings, check_radius, convert_fields, report_columns, report_losses, report_notes,
     report_unit,
 };
-use super::{ms_since, organized};
-use crate::args::{FieldArg, SmoothArgs, by_option, by_option_of_error};
+use super::{ms_since, organized, read_input};
+use crate::args::{CameraArgs, FieldArg, SmoothArgs, by_option, by_option_of_error};
 
 /// Refuses two files that would both be read from standard input.
 fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
@@ -159,7 +159,8 @@ impl Worker<'_> {
             return Ok(report);
         }
         let start = Instant::now();
-        let FileRead { format, encoding, mut contents, mut notes, .. } = io::read_file(input, &self.read_options())?;
+        let (file, camera) = read_input(input, &self.read_options(), &self.args.camera)?;
+        let FileRead { format, encoding, mut contents, mut notes, .. } = file;
         let read_ms = ms_since(start);
         // In a folder, each note is printed once.
         notes.retain(|note| self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())));
@@ -185,7 +186,7 @@ impl Worker<'_> {
                 let (points, times_ms) = self.smooth_general(input, output, &cloud)?;
                 (Output::General(cloud), points, times_ms)
             }
-            contents => self.smooth_organized(input, output, contents)?,
+            contents => self.smooth_organized(input, output, contents, &camera)?,
         };
         match &mut result {
             Output::Organized(cloud) => self.apply(&mut cloud.points)?,
@@ -246,16 +247,11 @@ impl Worker<'_> {
         input: &Path,
         output: &Path,
         contents: Contents,
+        camera: &CameraArgs,
     ) -> Result<(Output, PointCounts, SmoothTimes)> {
         let shape = contents.shape();
         let in_metres = matches!(contents, Contents::DepthMetres { .. });
         let depth_out = is_depth(output) || (Format::of_extension(output) == Some(Format::Npy) && contents.is_depth());
-        if in_metres && self.args.camera.depth_units_per_metre.is_some() {
-            bail!(
-                "{}: --depth-units-per-metre applies to 16-bit images; floating-point depth is in metres",
-                input.display()
-            );
-        }
         let has_fields = self.args.fields.iter().any(|field| *field != FieldArg::None);
         if has_fields && (depth_out || Format::of_extension(output) == Some(Format::Npy)) {
             bail!("{}: cannot store --fields; write .pcd or .ply", output.display());
@@ -269,10 +265,10 @@ impl Worker<'_> {
         // A raw depth image is passed to the engine unchanged.
         let (mut depth, mut cloud) = match contents {
             Contents::Depth(image) => {
-                let camera = self.args.camera.required(shape, input)?;
+                let camera = camera.required(shape, input)?;
                 (Some(DepthFrame::from_image(camera, image).map_err(Error::from)?), None)
             }
-            contents => (None, Some(organized(contents, &self.args.camera, input)?)),
+            contents => (None, Some(organized(contents, camera, input)?)),
         };
         self.prepare(input, &mut depth, &mut cloud)?;
         let shape = match (&depth, &cloud) {
@@ -291,7 +287,11 @@ impl Worker<'_> {
             bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
         }
         if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
-            bail!("{}: {doubt} (if it is right, add --force)", input.display());
+            let hint = match doubt {
+                Doubt::Range { units: None, .. } => "state the unit with --unit; if it is right, add --force",
+                _ => "if it is right, add --force",
+            };
+            bail!("{}: {doubt} ({hint})", input.display());
         }
         let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());

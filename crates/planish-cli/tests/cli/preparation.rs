@@ -27,7 +27,45 @@ fn inputs_that_make_no_sense_are_questioned_before_any_work() {
     let metres = folder.path().join("depth.npy");
     io::write_depth_metres(&metres, 160, &vec![1090.0; 160 * 120]).unwrap();
     let said = refused(&["smooth", str(&metres), str(&output), "--camera", &camera]);
-    assert!(said.contains("millimetres"), "{said}");
+    assert!(said.contains("millimetres") && said.contains("--unit"), "{said}");
+    let said = ok(&["info", str(&metres), "--camera", &camera]);
+    assert!(said.contains("note") && said.contains("most points are 1090 m away"), "{said}");
+}
+
+#[test]
+fn floating_point_lengths_in_other_units_become_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("mm.npy"), folder.path().join("smooth.npy"));
+    let frame = small_frame(1);
+    let Camera { width, fx, fy, cx, cy, .. } = frame.camera;
+    let millimetres: Vec<f32> = frame.raw.iter().map(|&raw| f32::from(raw)).collect();
+    io::write_depth_metres(&input, width, &millimetres).unwrap();
+    let camera = format!("{fx},{fy},{cx},{cy}");
+    let median_m = |options: &[&str]| {
+        ok(&[&["smooth", str(&input), str(&output), "--overwrite", "--camera", &camera][..], options].concat());
+        let Contents::DepthMetres { mut depth_m, .. } = io::read(&output).unwrap().1 else { panic!("depth") };
+        depth_m.retain(|depth| *depth > 0.0);
+        depth_m.sort_by(f32::total_cmp);
+        depth_m[depth_m.len() / 2]
+    };
+    let [by_unit, by_scale] = [median_m(&["--unit", "mm"]), median_m(&["--depth-scale", "1000"])];
+    assert!((0.3..5.0).contains(&by_unit) && (by_unit - by_scale).abs() < 1e-6, "{by_unit} {by_scale}");
+    let said = refused(&["info", str(&input), "--unit", "furlong"]);
+    assert!(said.contains("mm, cm, m, inch and ft"), "{said}");
+}
+
+#[test]
+fn guesses_about_a_camera_file_are_reported_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (depth, camera) = (folder.path().join("depth.png"), folder.path().join("camera.json"));
+    let frame = small_frame(1);
+    let Camera { width, height, fx, fy, cx, cy, .. } = frame.camera;
+    io::write_depth(&depth, &DepthImage { width, height, raw: frame.raw }).unwrap();
+    let file = format!(r#"{{"fx":{fx},"fy":{fy},"cx":{cx},"cy":{cy},"depth_scale":0.001}}"#);
+    std::fs::write(&camera, file).unwrap();
+    let run = planish(&["info", str(&depth), "--camera-file", str(&camera)]);
+    let said = text(&run.stderr);
+    assert_eq!(said.matches("1000 units per metre").count(), 1, "{said}");
 }
 
 #[test]

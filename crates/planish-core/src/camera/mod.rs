@@ -139,6 +139,21 @@ impl Camera {
         Some(Self::new((width, height), [fx, fy], [cx, cy])).filter(|camera| camera.validate().is_ok())
     }
 
+    /// Returns the camera of a part of its images of this size, which begins at a pixel and of which blocks of pixels
+    /// became one.
+    pub fn of_region(self, offset_px: [usize; 2], (columns, rows): (usize, usize), block_px: [usize; 2]) -> Self {
+        // Pixel centres are at whole numbers, and a block is centred between its pixels.
+        let centre = |c: f64, offset: usize, block: usize| (c - offset as f64 + 0.5) / block as f64 - 0.5;
+        let [block_x, block_y] = block_px;
+        Self {
+            fx: self.fx / block_x as f64,
+            fy: self.fy / block_y as f64,
+            cx: centre(self.cx, offset_px[0], block_x),
+            cy: centre(self.cy, offset_px[1], block_y),
+            ..self.with_shape((columns / block_x, rows / block_y))
+        }
+    }
+
     /// Returns a raw depth value in metres; NaN for a hole (0 or saturated).
     pub fn depth_m(&self, raw: u16) -> f32 {
         depth_m(raw, self.metres_per_unit())

@@ -1,8 +1,9 @@
 //! An array in NumPy's format (versions 1 to 3): a header, which is a Python dict, and the values.
 
-use super::header::Header;
+use super::half;
+use super::header::{Header, RecordField};
 use crate::little_endian::LittleEndian;
-use planish_core::FormatError;
+use planish_core::{Attribute, AttributeValues, FormatError};
 
 /// A number that NumPy has a name for.
 pub(crate) trait NpyNumber: LittleEndian {
@@ -70,6 +71,51 @@ impl<'a> Array<'a> {
             }
         }
         values
+    }
+
+    /// Returns the columns of an array of records.
+    pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {
+        let mut at = 0;
+        let mut columns = Vec::new();
+        for field in &self.header.fields {
+            // Padding has no name.
+            if field.kind != 'V' {
+                columns.push(self.column(field, at)?);
+            }
+            at += field.bytes();
+        }
+        Ok(columns)
+    }
+
+    fn column(&self, field: &RecordField, at: usize) -> Result<Attribute, FormatError> {
+        fn read<T: LittleEndian>(records: &[u8], record: usize, field: &RecordField, at: usize) -> Vec<T> {
+            let read = if field.is_big_endian { T::read_big_endian } else { T::read };
+            let values =
+                records.chunks_exact(record).flat_map(|record| record[at..at + field.bytes()].chunks_exact(field.size));
+            values.map(read).collect()
+        }
+        let (records, record) = (self.data, self.header.size);
+        let values: AttributeValues = match (field.kind, field.size) {
+            ('i', 1) => read::<i8>(records, record, field, at).into(),
+            ('i', 2) => read::<i16>(records, record, field, at).into(),
+            ('i', 4) => read::<i32>(records, record, field, at).into(),
+            ('i', 8) => read::<i64>(records, record, field, at).into(),
+            ('u' | 'b', 1) => read::<u8>(records, record, field, at).into(),
+            ('u', 2) => read::<u16>(records, record, field, at).into(),
+            ('u', 4) => read::<u32>(records, record, field, at).into(),
+            ('u', 8) => read::<u64>(records, record, field, at).into(),
+            ('f', 2) => {
+                let bits = read::<u16>(records, record, field, at);
+                bits.into_iter().map(half::to_f32).collect::<Vec<f32>>().into()
+            }
+            ('f', 4) => read::<f32>(records, record, field, at).into(),
+            ('f', 8) => read::<f64>(records, record, field, at).into(),
+            _ => {
+                let text = format!("the field {} of {} bytes; save it as integers, f32 or f64", field.name, field.size);
+                return Err(FormatError::Unsupported(text));
+            }
+        };
+        Ok(Attribute { name: field.name.clone(), count: field.count, values })
     }
 }
 

@@ -27,6 +27,39 @@ pub(crate) struct Header {
     /// Whether the first index varies fastest instead of the last.
     pub(super) is_fortran: bool,
     pub(crate) shape: Vec<usize>,
+    /// The fields of an array of records, whose kind is `V`.
+    pub(super) fields: Vec<RecordField>,
+}
+
+/// Numbers of a record that have a name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct RecordField {
+    pub(super) name: String,
+    pub(super) kind: char,
+    /// Bytes of a number, and the number of them.
+    pub(super) size: usize,
+    pub(super) count: usize,
+    pub(super) is_big_endian: bool,
+}
+
+impl RecordField {
+    /// Parses a type as NumPy writes it, as `<f4`; `None` if it is not one of numbers, or of padding.
+    fn of(name: &str, descr: &str, count: usize) -> Option<Self> {
+        let (order, of_value) = match descr.as_bytes() {
+            [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
+            rest => (b'|', rest),
+        };
+        let [kind @ (b'b' | b'i' | b'u' | b'f' | b'c' | b'V'), digits @ ..] = of_value else { return None };
+        let size: usize = std::str::from_utf8(digits).ok()?.parse().ok()?;
+        let kind = char::from(*kind);
+        let is_number = kind != 'V' && (1..=32).contains(&size) || kind == 'V' && (1..=MAX_BYTES).contains(&size);
+        is_number.then(|| Self { name: name.to_owned(), kind, size, count, is_big_endian: order == b'>' })
+    }
+
+    /// Bytes in a record.
+    pub(super) fn bytes(&self) -> usize {
+        self.size * self.count
+    }
 }
 
 fn damaged(expected: &str) -> FormatError {
@@ -77,6 +110,12 @@ impl Header {
     }
 }
 
+/// The type of the values: a number, or a record of them.
+enum Descr<'a> {
+    Number(&'a str),
+    Records(Vec<RecordField>),
+}
+
 /// The rest of the dict.
 struct Dict<'a>(&'a [u8]);
 
@@ -102,25 +141,58 @@ impl<'a> Dict<'a> {
         let (Some(descr), Some(is_fortran), Some(shape), []) = (descr, is_fortran, shape, self.0) else {
             return Err(damaged("a dict of 'descr', 'fortran_order' and 'shape', and nothing after it"));
         };
-        let unknown =
-            || FormatError::Unsupported(format!("an array of the type {}, which is not a number type", quoted(descr)));
-        let (order, of_value) = match descr.as_bytes() {
-            [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
-            rest => (b'|', rest),
-        };
-        let [kind @ (b'b' | b'i' | b'u' | b'f' | b'c'), digits @ ..] = of_value else { return Err(unknown()) };
-        let size = std::str::from_utf8(digits).ok().and_then(|digits| digits.parse().ok());
-        let size = size.filter(|size| (1..=32).contains(size)).ok_or_else(unknown)?;
-        let (descr, kind) = (descr.to_owned(), char::from(*kind));
-        Ok(Header { descr, kind, size, is_big_endian: order == b'>', is_fortran, shape })
+        match descr {
+            Descr::Number(descr) => {
+                let field = RecordField::of("", descr, 1).filter(|field| field.kind != 'V').ok_or_else(|| {
+                    let text = format!("an array of the type {}, which is not a number type", quoted(descr));
+                    FormatError::Unsupported(text)
+                })?;
+                let RecordField { kind, size, is_big_endian, .. } = field;
+                Ok(Header { descr: descr.to_owned(), kind, size, is_big_endian, is_fortran, shape, fields: Vec::new() })
+            }
+            Descr::Records(fields) => {
+                let size = fields.iter().map(RecordField::bytes).sum();
+                let descr = "records".to_owned();
+                Ok(Header { descr, kind: 'V', size, is_big_endian: false, is_fortran, shape, fields })
+            }
+        }
     }
 
-    fn descr(&mut self) -> Result<&'a str, FormatError> {
-        self.skip_blanks();
-        if self.0.first() == Some(&b'[') {
-            return Err(FormatError::Unsupported("an array of records; save its columns as arrays".into()));
+    fn descr(&mut self) -> Result<Descr<'a>, FormatError> {
+        if !self.eat(b'[') {
+            return self.text().map(Descr::Number);
         }
-        self.text()
+        let mut fields = Vec::new();
+        while !self.eat(b']') {
+            self.require(b'(')?;
+            let name = self.text()?;
+            self.require(b',')?;
+            let descr = self.text()?;
+            let shape = if self.eat(b',') && !self.is_at(b')') { self.shape()? } else { Vec::new() };
+            self.eat(b',');
+            self.require(b')')?;
+            let count = shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n));
+            let count = count.filter(|count| (1..=MAX_BYTES).contains(count));
+            let field = count.and_then(|count| RecordField::of(name, descr, count)).ok_or_else(|| {
+                let text =
+                    format!("the field {} of the type {}, which is not a number type", quoted(name), quoted(descr));
+                FormatError::Unsupported(text)
+            })?;
+            fields.push(field);
+            if !self.eat(b',') {
+                self.require(b']')?;
+                break;
+            }
+        }
+        match fields.is_empty() {
+            true => Err(damaged("a record with a field")),
+            false => Ok(Descr::Records(fields)),
+        }
+    }
+
+    fn is_at(&mut self, byte: u8) -> bool {
+        self.skip_blanks();
+        self.0.first() == Some(&byte)
     }
 
     fn boolean(&mut self) -> Result<bool, FormatError> {
@@ -234,10 +306,11 @@ mod tests {
             (format!("{{'descr': '<f4', 'descr': '<f4', {shape}}}"), "one each"),
             (format!("{{'descr': '|O', {shape}}}"), "not a number type"),
             (format!("{{'descr': '<f9999999', {shape}}}"), "not a number type"),
-            (format!("{{'descr': [('x', '<f4')], {shape}}}"), "records"),
+            (format!("{{'descr': [('x', '|O')], {shape}}}"), "not a number type"),
+            (format!("{{'descr': [], {shape}}}"), "a record with a field"),
             ("{'descr': '<f4', 'fortran_order': Maybe".into(), "True or False"),
             ("{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}".into(), "numbers"),
-            (format!("{{'descr': {}", "[".repeat(10_000)), "records"),
+            (format!("{{'descr': {}", "[".repeat(10_000)), "'('"),
             (format!("{{'descr': '<f4', 'shape': {}", "(".repeat(10_000)), "numbers"),
         ] {
             let error = parse(&dict).unwrap_err();

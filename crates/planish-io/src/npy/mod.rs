@@ -1,48 +1,61 @@
-//! NumPy arrays: depth as [H, W] of u16 (raw) or f32 (metres), points as [H, W, 3] or [N, 3] of f32 or f64 (metres).
+//! NumPy arrays: depth as [H, W] of integers (raw) or floats (metres), points as [H, W, 3] or [N, 3] of floats
+//! (metres), points with fields as [N, C], or as records.
 
 mod array;
+mod half;
 mod header;
 
 pub(super) use self::array::{Array, encode};
 
-use super::{CloudRef, Contents, ReadOptions, organized_if_grid};
+use super::xyz_text::guessed_names;
+use super::{CloudRef, Contents, FormatResult, ReadOptions, depth_of_integers, organized_if_grid};
 use crate::{Gridded, columns::cloud_from_columns};
-use planish_core::{Attribute, DepthImage, FormatError, PointCloud, internal::validate_shape};
+use planish_core::{Attribute, AttributeValues, DepthImage, FormatError, PointCloud, internal::validate_shape};
 
-const LAYOUTS: &str = "depth is [H, W] of u16 or f32 (metres), points are [H, W, 3] or [N, 3] of f32 or f64";
+const LAYOUTS: &str =
+    "depth is [H, W] of integers or floats (metres), points are [H, W, 3] or [N, 3] of floats or records";
 
-pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, FormatError> {
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
     // Values as they are, and as positions.
     options.check(array.bytes(), 2)?;
-    match (&array.header.shape[..], array.header.kind, array.header.size) {
-        (&[height, width], 'u', 2) => {
+    let shape = match array.header.shape[..] {
+        // A single channel.
+        [height, width, 1] => vec![height, width],
+        [1, height, width] if width > 16 => vec![height, width],
+        _ => array.header.shape.clone(),
+    };
+    match (&shape[..], array.header.kind, array.header.size) {
+        (&[n], 'V', _) => of_records(&array, (n, 1)),
+        (&[height, width], 'V', _) => of_records(&array, (width, height)),
+        (&[height, width], 'u' | 'i', 2..) => {
             validate_shape(width, height)?;
-            Ok(Contents::Depth(DepthImage { width, height, raw: array.values() }))
+            match array.header.kind {
+                'u' if array.header.size == 2 => Ok(Contents::Depth(DepthImage { width, height, raw: array.values() })),
+                _ => depth_of_integers((width, height), integers(&array).into_iter(), notes),
+            }
         }
         (&[n, 3], 'f', 8) => points_f64(n, 1, array.values()),
-        (&[n, 3], 'f', 4) => points(n, 1, array.values()),
-        (&[height, width], 'f', 4 | 8) if !is_table(height, width) => {
+        (&[n, 3], 'f', 2 | 4) => points(n, 1, floats(&array)),
+        (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) => {
             validate_shape(width, height)?;
-            let depth_m = match array.header.size {
-                4 => array.values(),
-                _ => array.values::<f64>().into_iter().map(|value| value as f32).collect(),
-            };
-            Ok(Contents::DepthMetres { width, height, depth_m })
+            Ok(Contents::DepthMetres { width, height, depth_m: floats(&array) })
         }
-        (&[height, width, 3], 'f', 4 | 8) => {
+        (&[n, columns @ 4..=16], 'f', 2 | 4 | 8) => of_table(&array, (n, 1), columns, notes),
+        (&[height, width, 3], 'f', 2 | 4 | 8) => {
             validate_shape(width, height)?;
             match array.header.size {
-                4 => points(width, height, array.values()),
-                _ => points_f64(width, height, array.values()),
+                8 => points_f64(width, height, array.values()),
+                _ => points(width, height, floats(&array)),
             }
+        }
+        (&[height, width, columns @ 4..=16], 'f', 2 | 4 | 8) => {
+            validate_shape(width, height)?;
+            of_table(&array, (width, height), columns, notes)
         }
         (shape, ..) => {
             let descr = &array.header.descr;
             let advice = match shape {
-                [_, 4..=16] | [_, _, 4..=16] => {
-                    "; for points with fields save [..., :3], or .npz with the fields as separate arrays"
-                }
                 [.., 3] => "; convert integers to metres with array.astype('f4') times their unit",
                 _ => "",
             };
@@ -53,7 +66,66 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Contents, Fo
 
 /// Returns true if an array is a table with a row per point, not an image.
 fn is_table(rows: usize, columns: usize) -> bool {
-    columns <= 16 && rows >= 16 * columns
+    /// No depth image is narrower.
+    const NARROW: usize = 8;
+    columns <= 16 && rows >= 16 * columns || columns <= NARROW && rows > columns
+}
+
+/// Returns floats of any size.
+fn floats(array: &Array<'_>) -> Vec<f32> {
+    match array.header.size {
+        2 => array.values::<u16>().into_iter().map(half::to_f32).collect(),
+        4 => array.values(),
+        _ => array.values::<f64>().into_iter().map(|value| value as f32).collect(),
+    }
+}
+
+/// Returns integers of any size; those beyond 63 bits become the largest.
+fn integers(array: &Array<'_>) -> Vec<i64> {
+    fn widened<T: Into<i64>>(values: Vec<T>) -> Vec<i64> {
+        values.into_iter().map(Into::into).collect()
+    }
+    match (array.header.kind, array.header.size) {
+        ('u', 2) => widened(array.values::<u16>()),
+        ('i', 2) => widened(array.values::<i16>()),
+        ('u', 4) => widened(array.values::<u32>()),
+        ('i', 4) => widened(array.values::<i32>()),
+        ('u', _) => array.values::<u64>().into_iter().map(|value| i64::try_from(value).unwrap_or(i64::MAX)).collect(),
+        _ => array.values(),
+    }
+}
+
+/// Returns points with fields whose names follow from their values.
+fn of_table(
+    array: &Array<'_>,
+    (width, height): (usize, usize),
+    columns: usize,
+    notes: &mut Vec<String>,
+) -> FormatResult<Contents> {
+    let values: Vec<f64> = match array.header.size {
+        8 => array.values(),
+        _ => floats(array).into_iter().map(f64::from).collect(),
+    };
+    let column = |k: usize| values.iter().skip(k).step_by(columns).copied().collect::<Vec<f64>>();
+    let all: Vec<Vec<f64>> = (0..columns).map(column).collect();
+    let names = guessed_names(&all.iter().map(Vec::as_slice).collect::<Vec<_>>(), false);
+    notes.push(format!("its {columns} columns are taken as {}", names.join(" ")));
+    let typed = |(name, values): (String, Vec<f64>)| {
+        let values: AttributeValues = match name.as_str() {
+            "red" | "green" | "blue" => values.iter().map(|value| *value as u8).collect::<Vec<u8>>().into(),
+            _ if array.header.size == 8 => values.into(),
+            _ => values.iter().map(|value| *value as f32).collect::<Vec<f32>>().into(),
+        };
+        Attribute { name, count: 1, values }
+    };
+    let points = cloud_from_columns(names.into_iter().zip(all).map(typed).collect())?;
+    organized_if_grid(Gridded { width, height, points })
+}
+
+/// Returns points of which every number has a name.
+fn of_records(array: &Array<'_>, (width, height): (usize, usize)) -> FormatResult<Contents> {
+    let points = cloud_from_columns(array.columns()?)?;
+    organized_if_grid(Gridded { width, height, points })
 }
 
 fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, FormatError> {

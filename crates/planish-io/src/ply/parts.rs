@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-use super::super::columns::{cloud_from_columns, with_values};
+use super::super::columns::{axes_of, cloud_from_columns, with_values};
 use super::super::records::{RecordEncoder, RecordReader};
 use super::super::{Encoding, FormatResult, text};
 use super::camera::PlyCamera;
@@ -107,12 +107,7 @@ impl RecordReader for PlyReader {
         let mut columns = empty_columns(vertex)?;
         rename_normals(&mut columns);
         let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with lists in its vertices") };
-        let axis = |axis| columns.iter().position(|column| column.name == axis);
-        let (Some(x), Some(y), Some(z)) = (axis("x"), axis("y"), axis("z")) else {
-            return malformed("the vertices have no x, y and z");
-        };
-        // Refuses coordinates of other types than floats.
-        cloud_from_columns(columns.clone())?;
+        let axes = axes_of(&columns)?;
         let points = vertex.count;
         let pose = match header.elements.iter().position(|element| element.name == "camera") {
             None => SensorPose::default(),
@@ -132,8 +127,7 @@ impl RecordReader for PlyReader {
             return malformed(format!("the file is truncated: its header states {points} vertices in {bytes} bytes"));
         }
         let (remarks, left_out) = (remarks_of(&header), left_out(&header));
-        let header =
-            VertexHeader { storage: header.storage, layout, columns, axes: [x, y, z], pose, remarks, left_out };
+        let header = VertexHeader { storage: header.storage, layout, columns, axes, pose, remarks, left_out };
         let mut body = BufReader::with_capacity(1 << 20, File::open(path)?);
         body.seek(SeekFrom::Start(at as u64))?;
         Ok(Self { header: Arc::new(header), body, points, read: 0, buffer: Vec::new() })

@@ -6,7 +6,8 @@ mod title;
 mod write;
 
 use cells::{Separator, is_comment, number_of};
-use names::{guessed_names, is_byte};
+pub(super) use names::guessed_names;
+use names::is_byte;
 use title::Title;
 pub(super) use write::{Heading, encode};
 

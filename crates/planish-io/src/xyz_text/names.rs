@@ -56,7 +56,7 @@ pub(super) fn is_byte(value: f64) -> bool {
 
 /// Guesses the names of columns from their number and values. In a file that states its number of points, such as PTS,
 /// intensity precedes colours.
-pub(super) fn guessed_names(columns: &[&[f64]], is_pts: bool) -> Vec<String> {
+pub(crate) fn guessed_names(columns: &[&[f64]], is_pts: bool) -> Vec<String> {
     let colours = |from: usize| columns[from..from + 3].iter().copied().flatten().all(|&value| is_byte(value));
     let normals = |from: usize| {
         let [x, y, z] = [columns[from], columns[from + 1], columns[from + 2]];

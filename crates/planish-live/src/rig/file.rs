@@ -176,8 +176,8 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
 /// units per metre, if stated.
 fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Option<f64>), String> {
     let parse = |text: &str| {
-        let camera = io::parse_camera(text, None)?;
-        Ok((camera, planish_io::internal::states_depth_scale(text).then_some(camera.depth_units_per_metre)))
+        let io::CameraFile { camera, states_units, .. } = io::parse_camera_file(text, None)?;
+        Ok((camera, states_units.then_some(camera.depth_units_per_metre)))
     };
     match value {
         serde_json::Value::String(file) => {

@@ -26,6 +26,9 @@ Encoding = Literal[
 ]
 
 
+Unit = Literal["mm", "cm", "m", "inch", "ft"]
+
+
 @dataclass(slots=True, eq=False, repr=False)
 class Frame:
     """Contents of a file: a depth image, or points.
@@ -108,8 +111,22 @@ class Devices:
     reason: str
 
 
-def read(path: str | PathLike[str]) -> Frame:
-    """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, XYZ, PTS, CSV, NPY, NPZ, KITTI .bin, OBJ, STL, 16-bit PNG or TIFF.
+def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | None = None) -> Frame:
+    """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, XYZ, PTS, CSV, NPY, NPZ, lidar .bin, OBJ, STL, PNG or TIFF.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    unit : {"mm", "cm", "m", "inch", "ft"}, optional
+        The unit of points and of floating-point depth in files that state none; they become metres. The metre by default.
+    columns : int, optional
+        The number of columns of a lidar's .bin, found from its values by default.
+
+    Warns
+    -----
+    RuntimeWarning
+        About data that were dropped or guessed.
 
     Raises
     ------
@@ -118,7 +135,7 @@ def read(path: str | PathLike[str]) -> Frame:
     ValueError
         If its contents contradict its format.
     """
-    return _frame(_planish.read(path))
+    return _frame(_planish.read(path, unit, columns))
 
 
 # Formats that keep the sensor's pose, and formats that keep rows and columns.

@@ -34,11 +34,16 @@ impl CameraInfo {
             return Err(unusable("has no focal length: the camera is not calibrated".into()));
         }
         let distortion = if is_rectified { Distortion::NONE } else { self.distortion()? };
-        let [scale_x, scale_y] = binning.map(f64::from);
-        // Pixel centres are at whole numbers, and a binned pixel is centred between its source pixels.
-        let binned = |c: f64, offset: u32, scale: f64| (c - f64::from(offset) + 0.5) / scale - 0.5;
-        let principal = [binned(cx, offset[0], scale_x), binned(cy, offset[1], scale_y)];
-        let camera = Camera::new((width, height), [fx / scale_x, fy / scale_y], principal).with_distortion(distortion);
+        let part = |camera: Camera| {
+            let [columns, rows] = [columns, rows].map(|pixels| pixels as usize);
+            camera.of_region(
+                offset.map(|pixels| pixels as usize),
+                (columns, rows),
+                binning.map(|pixels| pixels as usize),
+            )
+        };
+        let camera = part(Camera::new((width, height), [fx, fy], [cx, cy])).with_shape((width, height));
+        let camera = camera.with_distortion(distortion);
         camera.validate()?;
         Ok(camera)
     }

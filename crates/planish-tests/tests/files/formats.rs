@@ -32,6 +32,11 @@ fn values(len: usize) -> impl Strategy<Value = AttributeValues> {
     ]
 }
 
+/// Returns a point that is not where the sensor is: on a grid that would be a hole.
+fn point() -> impl Strategy<Value = [f32; 3]> {
+    [real(), real(), real()].prop_map(|point| if point == [0.0; 3] { [0.0, 0.0, 1.0] } else { point })
+}
+
 fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
     let attribute =
         (prop_oneof![Just("_".to_owned()), "[a-w][a-z_]{2,8}"], 1usize..4).prop_flat_map(move |(name, count)| {
@@ -50,7 +55,7 @@ fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
 fn cloud() -> impl Strategy<Value = OrganizedCloud> {
     (1usize..9, 2usize..6).prop_flat_map(|(width, height)| {
         let n = width * height;
-        (vec([real(), real(), real()], n), attributes(n), any::<[f32; 7]>(), any::<u64>()).prop_map(
+        (vec(point(), n), attributes(n), any::<[f32; 7]>(), any::<u64>()).prop_map(
             move |(points, attributes, viewpoint, places)| {
                 let columns = attributes.len() + 3;
                 let mut free: Vec<usize> = (0..columns).collect();
@@ -116,7 +121,7 @@ proptest! {
     }
 
     #[test]
-    fn npy_points_are_lossless(points in vec([real(), real(), real()], 12)) {
+    fn npy_points_are_lossless(points in vec(point(), 12)) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("points.npy");
         let general = PointCloud::new(points.iter().copied().collect());
@@ -237,7 +242,33 @@ fn numpys_own_files_are_read() {
         assert_eq!(cloud.positions().get(v * width + u), [0, 1, 2].map(|axis| value(v, u, axis)));
     }
     assert!(io::decode(&npy("<f4", "(9, 9999999999)", vec![0; 16]), None).is_err());
-    assert!(io::decode(&npy("<i4", "(2, 2)", vec![0; 16]), None).is_err());
+    let wide: Vec<u8> = [1i32, -2, 300, 4].iter().flat_map(|value| value.to_le_bytes()).collect();
+    let (_, contents) = io::decode(&npy("<i4", "(2, 2)", wide), None).unwrap();
+    assert_eq!(contents, Contents::Depth(DepthImage { width: 2, height: 2, raw: vec![1, 0, 300, 4] }));
+    let too_large: Vec<u8> = [1i32, 2, 3, 70_000].iter().flat_map(|value| value.to_le_bytes()).collect();
+    assert!(io::decode(&npy("<i4", "(2, 2)", too_large), None).unwrap_err().to_string().contains("70000"));
+    let half: Vec<u8> = [0x3c00u16; 8].iter().flat_map(|value| value.to_le_bytes()).collect();
+    let (_, contents) = io::decode(&npy("<f2", "(2, 4, 1)", half), None).unwrap();
+    assert_eq!(contents, Contents::DepthMetres { width: 4, height: 2, depth_m: vec![1.0; 8] });
+    // Points with fields, by columns and by records.
+    let rows: Vec<u8> =
+        (0..20u8).flat_map(|i| [f32::from(i), 0.5, 1.5, 10.0, 20.0, 30.0]).flat_map(f32::to_le_bytes).collect();
+    let (_, Contents::General(cloud)) = io::decode(&npy("<f4", "(20, 6)", rows), None).unwrap() else {
+        panic!("points")
+    };
+    assert_eq!(cloud.rgb().unwrap()[7], [10, 20, 30]);
+    let record =
+        |i: u8| [f32::from(i).to_le_bytes().as_slice(), &[0; 8], &[i, 0], &[9; 4], &1.5f64.to_le_bytes()].concat();
+    let records: Vec<u8> = (0..4).flat_map(record).collect();
+    let typed = "[('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('ring', '<u2'), ('', '|V4'), ('t', '<f8', (1,))]";
+    let mut bytes = npy("<f4", "(4,)", records);
+    let at = bytes.windows(5).position(|window| window == b"'<f4'").unwrap();
+    bytes.splice(at..at + 5, typed.bytes());
+    let length = u16::from_le_bytes([bytes[8], bytes[9]]) + typed.len() as u16 - 5;
+    bytes[8..10].copy_from_slice(&length.to_le_bytes());
+    let (_, Contents::General(cloud)) = io::decode(&bytes, None).unwrap() else { panic!("points") };
+    assert_eq!((cloud.positions.x()[3], cloud.attribute("ring").unwrap().values.get_f64(3)), (3.0, 3.0));
+    assert_eq!(cloud.attribute("t").unwrap().values.get_f64(0), 1.5);
 }
 
 /// PCL has one field after the other, and in each all values of a point together.

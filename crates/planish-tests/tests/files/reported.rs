@@ -259,3 +259,84 @@ fn coordinates_of_las_keep_their_digits_in_every_format() {
         }
     }
 }
+
+/// f32 as bytes.
+fn floats(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
+    values.into_iter().flat_map(f32::to_le_bytes).collect()
+}
+
+#[test]
+fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
+    // A number in [0, 1) that looks random.
+    let noise = |i: usize, k: usize| ((i * 7919 + k * 104_729) as f32 * 0.618_034).fract();
+    let points = 500;
+    let xyz = |i: usize| [30.0 * noise(i, 1) - 15.0, 30.0 * noise(i, 2) - 15.0, 4.0 * noise(i, 3) - 2.0];
+    let file = |rest: &dyn Fn(usize) -> Vec<f32>| {
+        floats((0..points).flat_map(|i| xyz(i).into_iter().chain(rest(i)).collect::<Vec<_>>()))
+    };
+    let colours = |i: usize| [4, 5, 6].map(|k| (255.0 * noise(i, k)).floor()).to_vec();
+    for (bytes, expected) in [
+        (file(&|_| vec![]), ""),
+        (file(&|i| vec![(100.0 * noise(i, 4)).floor() / 100.0]), "intensity"),
+        (file(&|i| vec![(255.0 * noise(i, 4)).floor(), (i % 32) as f32]), "intensity ring"),
+        (file(&colours), "red green blue"),
+        (file(&|i| colours(i).iter().map(|value| value / 255.0).collect()), "red green blue"),
+    ] {
+        let (cloud, notes) = cloud_as("a.bin", &bytes);
+        assert_eq!((cloud.len(), names(&cloud).join(" ").as_str()), (points, expected));
+        assert!(notes[0].contains("columns are taken as x y z"), "{notes:?}");
+        assert_eq!(written(&cloud, "out.bin"), bytes, "{expected}");
+    }
+    // Waymo as mmdetection3d converts it: intensity, elongation, time.
+    let waymo = file(&|i| vec![noise(i, 4), 1.5 * noise(i, 5), 1.55e15]);
+    assert!(read_as("a.bin", &waymo).unwrap_err().contains("--columns"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.bin");
+    fs::write(&path, &waymo).unwrap();
+    let read = io::read_file(&path, &ReadOptions::default().with_columns(Some(6))).unwrap();
+    assert_eq!(read.contents.shape(), (points, 1));
+    // Raw depth.
+    let raw: Vec<u8> = (0..3072u16).flat_map(|i| (1500 + i % 700).to_le_bytes()).collect();
+    assert!(read_as("a.bin", &raw).unwrap_err().contains("raw depth"));
+}
+
+#[test]
+fn points_at_the_sensor_are_holes() {
+    let cloud = |points: &[[f32; 3]]| {
+        let cloud =
+            planish::OrganizedCloud::from_positions(2, points.len() / 2, points.iter().copied().collect()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcd");
+        io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+        let read = io::read_file(&path, &ReadOptions::default()).unwrap();
+        let Contents::Organized(cloud) = read.contents else { panic!("a grid") };
+        (cloud.points.valid_points(), read.notes.len())
+    };
+    assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0; 3], [0.1, 0.1, 1.0]]), (2, 1));
+    assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [0.1, 0.1, 1.0]]), (3, 1));
+    // A height map around the origin.
+    assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, -0.1]]), (4, 0));
+}
+
+#[test]
+fn lengths_in_other_units_become_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cloud = PointCloud::new([[100.0, 200.0, 1000.0], [300.0, 0.0, 2000.0]].into_iter().collect());
+    cloud.set_attribute("q", vec![1u8, 2]);
+    let path = folder.path().join("mm.ply");
+    io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
+    let read = |unit: &str| {
+        let options = ReadOptions::default().with_unit(io::LengthUnit::named(unit));
+        io::read_file(&path, &options).unwrap()
+    };
+    let FileRead { contents: Contents::General(found), notes, .. } = read("mm") else { panic!("points") };
+    assert_eq!(
+        (found.positions.get(1), &notes[..]),
+        ([0.3, 0.0, 2.0], &["lengths in mm become metres".to_owned()][..])
+    );
+    assert!(read("m").notes.is_empty());
+    let inch = read("inch").contents;
+    let Contents::General(inch) = inch else { panic!("points") };
+    assert_eq!(inch.positions.get(0), [2.54, 5.08, 25.4]);
+    assert_eq!(io::LengthUnit::named("furlong"), None);
+}

@@ -208,7 +208,8 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
     assert!(with(&format!("{vertices}element face 0\nproperty list uchar int vertex_indices\n")).is_some());
     assert!(with(&format!("obj_info num_cols 2\nobj_info num_rows 2\n{vertices}")).is_none());
     assert!(with(&format!("element other 0\nproperty float a\n{vertices}")).is_none());
-    assert!(with(&vertices.replace("float z", "int z")).is_none());
+    assert!(with(&vertices.replace("float z", "int Z")).is_some());
+    assert!(with(&vertices.replace("float z", "float w")).is_none());
     assert!(with(&vertices.replace("float z", "float y")).is_none());
     let out = folder.path().join("out.las");
     let options = TileOptions::new(parsed(BY_DENSITY), cpu(), 1 << 20);

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use planish::tiles::{self, TileOptions};
 use planish::{CloudChoice, CloudRadius, Progress};
 use planish_bench::errln;
@@ -22,6 +22,9 @@ impl Worker<'_> {
         let allowed = self.read_options().max_memory_bytes;
         if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
             return Ok(None);
+        }
+        if self.args.memory.unit.is_some_and(|unit| !unit.is_metre()) {
+            bail!("{}: larger than --max-memory; --unit applies to files that fit it", input.display());
         }
         if self.beside > 1 {
             return Err(NeedsMemory(format!(

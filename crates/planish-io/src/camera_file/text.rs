@@ -1,0 +1,65 @@
+//! The text of a camera file as a JSON value, whatever its syntax.
+
+use serde_json::{Map, Value};
+
+use super::super::{FormatResult, brief};
+use super::malformed;
+
+/// Parses JSON, YAML, OpenCV's XML, lines of `name = value`, or numbers alone.
+pub(super) fn parse(text: &str) -> FormatResult<Value> {
+    let text = text.trim();
+    let not_a_camera =
+        |error: &dyn std::fmt::Display| malformed(format!("not a camera file: {}", brief(&error.to_string())));
+    if text.starts_with(['{', '[']) {
+        return serde_json::from_str(text).or_else(|error| numbers(text).ok_or_else(|| not_a_camera(&error)));
+    }
+    if text.starts_with('<') {
+        return Ok(Value::Object(xml(text)));
+    }
+    if let Some(numbers) = numbers(text) {
+        return Ok(numbers);
+    }
+    // `topic echo` ends a message with the mark of a new document; OpenCV begins with a directive that YAML lacks, and
+    // marks its matrices.
+    let lines = text.lines().filter(|line| !line.starts_with('%')).map(as_yaml);
+    let yaml = lines.collect::<Vec<_>>().join("\n").replace("!!opencv-matrix", "");
+    let first = yaml.trim_start().trim_start_matches("---").split("\n---").next().unwrap_or_default();
+    serde_yaml_ng::from_str(first).map_err(|error| not_a_camera(&error))
+}
+
+/// Returns a line `name = value`, as in ScanNet, as YAML; other lines as they are.
+fn as_yaml(line: &str) -> String {
+    let is_name = |name: &str| name.chars().all(|c| c.is_alphanumeric() || c == '_');
+    match line.split_once('=') {
+        Some((name, value)) if is_name(name.trim()) => format!("{}: {}", name.trim(), value.trim()),
+        _ => line.to_owned(),
+    }
+}
+
+/// Returns numbers and nothing else, which may be in brackets and parted by commas or semicolons.
+fn numbers(text: &str) -> Option<Value> {
+    let words =
+        text.split(|c: char| c.is_whitespace() || matches!(c, ',' | ';' | '[' | ']')).filter(|word| !word.is_empty());
+    let numbers: Vec<f64> = words.map(|word| word.parse().ok()).collect::<Option<_>>()?;
+    (!numbers.is_empty()).then(|| numbers.into())
+}
+
+/// Returns the numbers of OpenCV's XML by their names: `<name>1</name>`, and matrices with a part `<data>`.
+fn xml(text: &str) -> Map<String, Value> {
+    let mut found = Map::new();
+    let mut rest = text;
+    while let Some((_, after)) = rest.split_once('<') {
+        rest = after;
+        let Some((tag, inner)) = after.split_once('>') else { break };
+        let name = tag.split_whitespace().next().unwrap_or_default();
+        let Some((content, _)) = inner.split_once(&format!("</{name}>")).filter(|_| !name.is_empty()) else { continue };
+        let data = content.split_once("<data>").and_then(|(_, data)| data.split_once("</data>"));
+        let content = data.map_or(content, |(data, _)| data).trim();
+        match (data, numbers(content), content.parse::<u64>()) {
+            (None, _, Ok(number)) => found.entry(name).or_insert(number.into()),
+            (_, Some(numbers), _) => found.entry(name).or_insert(numbers),
+            _ => continue,
+        };
+    }
+    found
+}

@@ -1,0 +1,246 @@
+//! The camera in the parsed contents of a file, under the names that programs give its numbers.
+
+use serde_json::{Map, Value};
+
+use super::super::{FormatResult, quoted};
+use super::matrix::{Intrinsics, intrinsics_of};
+use super::{CameraFile, distortion_of, malformed};
+use planish_core::{Camera, Distortion, FormatError};
+
+const WIDTH: &[&str] = &["width", "image_width", "w", "depthWidth"];
+const HEIGHT: &[&str] = &["height", "image_height", "h", "depthHeight"];
+const RESOLUTION: &[&str] = &["resolution", "image_size"];
+const FX: &[&str] = &["fx", "fl_x", "fx_depth"];
+const FY: &[&str] = &["fy", "fl_y", "fy_depth"];
+const CX: &[&str] = &["cx", "ppx", "mx_depth"];
+const CY: &[&str] = &["cy", "ppy", "my_depth"];
+/// fx, fy, cx, cy.
+const FOUR: &[&str] = &["intrinsics"];
+const MATRIX: &[&str] = &[
+    "intrinsic_matrix",
+    "K",
+    "k",
+    "camera_matrix",
+    "cam_K",
+    "cameraMatrix",
+    "Camera_Matrix",
+    "intrinsic",
+    "depth_intrinsic",
+];
+const PROJECTION: &[&str] = &["P", "p", "projection_matrix"];
+const DISTORTION: &[&str] = &[
+    "distortion",
+    "distortion_coefficients",
+    "Distortion_Coefficients",
+    "distortion_coeffs",
+    "dist_coeffs",
+    "distCoeffs",
+    "coeffs",
+    "D",
+    "d",
+];
+const MODEL: &[&str] = &["distortion_model", "camera_model"];
+const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
+/// The number of depth units in a metre.
+const UNITS: &[&str] = &["depth_units_per_metre"];
+/// The same, or its inverse.
+const SCALE: &[&str] = &["depth_scale", "scale"];
+const REGION: &str = "roi";
+const BINNING: [&[&str]; 2] = [&["binning_x"], &["binning_y"]];
+/// Where files nest the camera.
+const NESTED: [&str; 3] = ["intrinsic", "camera", "depth"];
+
+/// Named numbers.
+struct Names<'a>(&'a Map<String, Value>);
+
+impl<'a> Names<'a> {
+    fn value(&self, names: &[&str]) -> Option<(&'a str, &'a Value)> {
+        let found = names.iter().find_map(|name| self.0.get_key_value(*name).filter(|(_, value)| !value.is_null()));
+        found.map(|(name, value)| (name.as_str(), value))
+    }
+
+    fn number(&self, names: &[&str]) -> FormatResult<Option<f64>> {
+        let Some((name, value)) = self.value(names) else { return Ok(None) };
+        let number = value.as_f64().or_else(|| value.as_str()?.trim().parse().ok());
+        number.map(Some).ok_or_else(|| malformed(format!("{name} is {}, not a number", quoted(&value.to_string()))))
+    }
+
+    fn pixels(&self, names: &[&str]) -> FormatResult<Option<usize>> {
+        let Some(number) = self.number(names)? else { return Ok(None) };
+        let is_whole = number >= 0.0 && number.fract() == 0.0 && number <= f64::from(u32::MAX);
+        let what = || malformed(format!("{} is {number}, not a number of pixels", names[0]));
+        if is_whole { Ok(Some(number as usize)) } else { Err(what()) }
+    }
+
+    /// Returns the numbers of a list, a list of lists, or OpenCV's matrix with its `data`.
+    fn numbers(&self, names: &[&str]) -> FormatResult<Option<Vec<f64>>> {
+        let Some((name, value)) = self.value(names) else { return Ok(None) };
+        let value = value.get("data").unwrap_or(value);
+        flat(value).map(Some).ok_or_else(|| malformed(format!("{name} has something else than numbers")))
+    }
+}
+
+/// Returns the numbers of nested lists, in order.
+fn flat(value: &Value) -> Option<Vec<f64>> {
+    match value {
+        Value::Array(values) => Some(values.iter().map(flat).collect::<Option<Vec<_>>>()?.concat()),
+        value => Some(vec![value.as_f64()?]),
+    }
+}
+
+/// Returns the camera that a file states.
+pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
+    let lacking = || malformed("the camera file lacks intrinsics: fx, fy, cx and cy, or a matrix".into());
+    if let Value::Array(_) = value {
+        let numbers = flat(value).ok_or_else(lacking)?;
+        let (focal_length, centre) = intrinsics_of(&numbers).ok_or_else(|| not_intrinsics(&numbers))?;
+        let camera = Camera::new((0, 0), focal_length, centre);
+        return Ok(CameraFile { camera, states_units: false, notes: Vec::new() });
+    }
+    let Value::Object(map) = value else { return Err(lacking()) };
+    if let Some(nested) = NESTED.iter().find_map(|name| map.get(*name).filter(|value| value.is_object())) {
+        return camera_of(nested);
+    }
+    let mut of_images = map.values().filter(|value| value.get("cam_K").is_some() || value.get("intrinsics").is_some());
+    if let Some(first) = of_images.next() {
+        let camera = camera_of(first)?;
+        let is_other = |value: &Value| camera_of(value).map_or(true, |other| other.camera != camera.camera);
+        if of_images.any(is_other) {
+            return Err(FormatError::Unsupported("its cameras differ; give the one of this image alone".into()));
+        }
+        return Ok(camera);
+    }
+    of_names(&Names(map), lacking)
+}
+
+fn of_names(names: &Names<'_>, lacking: impl Fn() -> FormatError) -> FormatResult<CameraFile> {
+    let mut notes = Vec::new();
+    let (focal_length, centre) = intrinsics(names, &mut notes)?.ok_or_else(lacking)?;
+    let resolution = names.numbers(RESOLUTION)?.and_then(|sizes| <[f64; 2]>::try_from(sizes).ok());
+    let shape = match (names.pixels(WIDTH)?, names.pixels(HEIGHT)?, resolution) {
+        (Some(width), Some(height), _) => (width, height),
+        (None, None, Some([width, height])) => (width as usize, height as usize),
+        (None, None, None) => (0, 0),
+        _ => {
+            let text = "the camera has only one of width and height; give both or neither";
+            return Err(FormatError::Malformed(text.into()));
+        }
+    };
+    let mut camera = Camera::new(shape, focal_length, centre).with_distortion(distortion(names)?);
+    let (units, scale) = (names.number(UNITS)?, names.number(SCALE)?);
+    if let Some(units) = units {
+        camera = camera.with_depth_units_per_metre(units);
+    } else if let Some(scale) = scale {
+        camera = camera.with_depth_units_per_metre(units_of_scale(scale, &mut notes)?);
+    }
+    Ok(CameraFile { camera: part_of(names, camera)?, states_units: units.or(scale).is_some(), notes })
+}
+
+fn intrinsics(names: &Names<'_>, notes: &mut Vec<String>) -> FormatResult<Option<Intrinsics>> {
+    let single = [FX, FY, CX, CY].map(|name| names.number(name));
+    let [fx, fy, cx, cy] = single;
+    let (fx, fy, cx, cy) = (fx?, fy?, cx?, cy?);
+    let of_projection = names.numbers(PROJECTION)?.and_then(|p| intrinsics_of(&p)).filter(|(focal, _)| focal[0] != 0.0);
+    if let Some(matrix) = names.numbers(MATRIX)?.filter(|matrix| matrix.iter().any(|number| *number != 0.0)) {
+        let of_matrix = intrinsics_of(&matrix).ok_or_else(|| not_intrinsics(&matrix))?;
+        let distorts = names.numbers(DISTORTION)?.is_some_and(|all| all.iter().any(|number| *number != 0.0));
+        if let Some(projection) = of_projection.filter(|projection| !distorts && differ(projection, &of_matrix)) {
+            notes.push(format!(
+                "K and P differ though there is no distortion: fx is {} or {}, cx {} or {}; K is used",
+                of_matrix.0[0], projection.0[0], of_matrix.1[0], projection.1[0]
+            ));
+        }
+        return Ok(Some(of_matrix));
+    }
+    if let (Some(fx), Some(fy), Some(cx), Some(cy)) = (fx, fy, cx, cy) {
+        return Ok(Some(([fx, fy], [cx, cy])));
+    }
+    if let Some(four) = names.numbers(FOUR)? {
+        return match four[..] {
+            [fx, fy, cx, cy] => Ok(Some(([fx, fy], [cx, cy]))),
+            _ => intrinsics_of(&four).map(Some).ok_or_else(|| not_intrinsics(&four)),
+        };
+    }
+    Ok(of_projection)
+}
+
+/// Returns true if intrinsics differ by more than rounding.
+fn differ(a: &Intrinsics, b: &Intrinsics) -> bool {
+    const SAME_PX: f64 = 0.5;
+    [0, 1].iter().any(|&axis| (a.0[axis] - b.0[axis]).abs() > SAME_PX || (a.1[axis] - b.1[axis]).abs() > SAME_PX)
+}
+
+fn not_intrinsics(numbers: &[f64]) -> FormatError {
+    malformed(format!("{} numbers that are not the matrix [fx 0 cx; 0 fy cy; 0 0 1]", numbers.len()))
+}
+
+fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
+    let single = SINGLE.map(|name| names.number(&[name]));
+    let mut coefficients = Vec::new();
+    for number in single {
+        coefficients.push(number?);
+    }
+    let coefficients = match coefficients.iter().any(Option::is_some) {
+        true => coefficients.into_iter().map(Option::unwrap_or_default).collect(),
+        false => names.numbers(DISTORTION)?.unwrap_or_default(),
+    };
+    let model = names.value(MODEL).and_then(|(_, model)| model.as_str()).unwrap_or_default();
+    let is_known = |model: &str| {
+        ["", "plumb_bob", "rational_polynomial", "none", "pinhole", "radtan", "OPENCV", "PINHOLE"].contains(&model)
+    };
+    if !is_known(model) && coefficients.iter().any(|coefficient| *coefficient != 0.0) {
+        return Err(FormatError::Unsupported(format!(
+            "the distortion model {}: only plumb_bob and rational_polynomial are supported; rectify the images first",
+            quoted(model)
+        )));
+    }
+    distortion_of(&coefficients)
+}
+
+/// Returns the number of depth units in a metre, of a scale that may be its inverse.
+fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
+    let (units, convention) = match scale {
+        100.0.. => return Ok(scale),
+        0.01..=10.0 => (1000.0 / scale, "millimetres per unit, as BOP states it"),
+        1e-6..=0.005 => (1.0 / scale, "metres per unit, as librealsense states it"),
+        _ => {
+            return Err(malformed(format!(
+                "depth_scale is {scale}, which is no unit of a depth camera; give depth_units_per_metre, which is 1000 \
+                 for millimetres"
+            )));
+        }
+    };
+    // Without the noise of a division.
+    let units = (units * 1e6).round() / 1e6;
+    notes.push(format!("depth_scale {scale} is taken as {convention}: {units} units per metre"));
+    Ok(units)
+}
+
+/// Returns the camera of the part of the image that is sent, whose pixels may be binned.
+fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
+    let binning = [names.pixels(BINNING[0])?.unwrap_or(0).max(1), names.pixels(BINNING[1])?.unwrap_or(0).max(1)];
+    let (mut offset, mut size) = ([0, 0], (camera.width, camera.height));
+    if let Some(Value::Object(region)) = names.0.get(REGION) {
+        let region = Names(region);
+        let pixels = |name: &str| region.pixels(&[name]).map(Option::unwrap_or_default);
+        let whole = (pixels("width")?, pixels("height")?);
+        // A region of nothing is the whole image.
+        if whole.0 > 0 && whole.1 > 0 {
+            (offset, size) = ([pixels("x_offset")?, pixels("y_offset")?], whole);
+        }
+    }
+    Ok(camera.of_region(offset, size, binning))
+}
+
+/// Returns a name that no camera has.
+pub(super) fn unknown_key(value: &Value) -> Option<String> {
+    let known = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, MODEL, UNITS, SCALE];
+    let is_known = |name: &str| {
+        known.iter().any(|names| names.contains(&name))
+            || SINGLE.contains(&name)
+            || NESTED.contains(&name)
+            || BINNING.iter().any(|names| names.contains(&name))
+            || name == REGION
+    };
+    value.as_object()?.keys().find(|name| !is_known(name)).cloned()
+}
