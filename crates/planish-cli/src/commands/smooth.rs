@@ -2,6 +2,8 @@
 
 #[cfg(feature = "mcap")]
 mod bag;
+#[cfg(feature = "mcap")]
+mod clouds;
 mod folder;
 mod memory;
 mod notes;

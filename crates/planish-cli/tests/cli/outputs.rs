@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use planish::io;
+
 use super::{ok, refused, str};
 
 #[test]
@@ -55,4 +57,30 @@ fn a_limit_on_the_size_of_files_leaves_no_half_of_one() {
     let message = String::from_utf8_lossy(&ended.stderr);
     assert!(ended.status.code() == Some(2) && message.contains("out.ply"), "{:?} {message}", ended.status);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the cloud alone");
+}
+
+#[test]
+fn clouds_without_a_grid_of_a_recording_become_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut writer = planish::bag::BagWriter::create(&path("lidar.mcap")).unwrap();
+    for message in 0..3usize {
+        let ring = |i: usize| (0.02 * i as f32).sin_cos();
+        let positions = (0..2000).map(|i| [4.0 * ring(i).0, 4.0 * ring(i).1, 0.002 * (i + message) as f32]);
+        let mut cloud = planish::PointCloud::new(positions.collect());
+        cloud.set_attribute("ring", (0..2000u16).map(|i| i % 32).collect::<Vec<_>>());
+        writer.add_cloud(&cloud, None, Some(message as f64)).unwrap();
+    }
+    writer.finish().unwrap();
+    let (input, output) = (path("lidar.mcap"), path("clouds"));
+    let said = ok(&["smooth", str(&input), str(&output)]);
+    assert!(said.contains("3 clouds smoothed"), "{said}");
+    for name in ["000000.pcd", "000001.pcd", "000002.pcd"] {
+        let io::Contents::General(cloud) = io::read(&output.join(name)).unwrap().1 else { panic!("points") };
+        assert_eq!((cloud.len(), cloud.attributes.len()), (2000, 1));
+    }
+    assert!(refused(&["smooth", str(&input), str(&output)]).contains("--overwrite"));
+    ok(&["smooth", str(&input), str(&output), "--overwrite", "--format", "ply"]);
+    assert!(output.join("000002.ply").exists());
+    assert!(refused(&["smooth", str(&input), str(&path("p")), "--format", "png"]).contains("pcd or ply"));
 }

@@ -18,6 +18,8 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 
 /// The field with the number of each point's scan, in files of several scans.
 const SCAN: &str = "scan";
+/// Whether the colour of a point is none.
+const COLOUR_INVALID: &str = "color_invalid";
 /// Standard fields by our names.
 const FIELDS: [(&str, RecordName); 12] = [
     ("intensity", RecordName::Intensity),
@@ -25,7 +27,7 @@ const FIELDS: [(&str, RecordName); 12] = [
     ("red", RecordName::ColorRed),
     ("green", RecordName::ColorGreen),
     ("blue", RecordName::ColorBlue),
-    ("color_invalid", RecordName::IsColorInvalid),
+    (COLOUR_INVALID, RecordName::IsColorInvalid),
     ("row", RecordName::RowIndex),
     ("column", RecordName::ColumnIndex),
     ("number_of_returns", RecordName::ReturnCount),
@@ -158,6 +160,18 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             None => columns.push((name, kind, Vec::new())),
         }
     }
+    let has_colour = |scan: &e57::PointCloud| scan.prototype.iter().any(|record| record.name == RecordName::ColorRed);
+    let colourless = scans.iter().filter(|scan| !has_colour(scan)).count();
+    let marks_colourless = (1..scans.len()).contains(&colourless);
+    if marks_colourless {
+        notes.push(format!(
+            "{colourless} of {} scans have no colour; their points are black, and marked in {COLOUR_INVALID}",
+            scans.len()
+        ));
+        if !columns.iter().any(|(name, ..)| name == COLOUR_INVALID) {
+            columns.push((COLOUR_INVALID.to_owned(), Kind::Integer { min: 0, max: 1 }, Vec::new()));
+        }
+    }
     options.check(usize::try_from(count).unwrap_or(usize::MAX), 16 * (columns.len() + 4))?;
     let normals = NORMALS.map(|(name, _)| columns.iter().position(|column| column.0 == name));
     let mut positions: [Vec<f64>; 3] = Default::default();
@@ -170,6 +184,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         };
         let invalid: Vec<usize> = (0..scan.prototype.len()).filter(|&i| is_invalid(&scan.prototype[i])).collect();
         let (rotation, translation) = pose_of(scan);
+        let lacks_colour = marks_colourless && !has_colour(scan);
         let sources: Vec<Option<usize>> = columns
             .iter()
             .map(|(name, ..)| scan.prototype.iter().position(|record| name_of(&record.name).as_ref() == Some(name)))
@@ -185,8 +200,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             for (axis, positions) in positions.iter_mut().enumerate() {
                 positions.push(if is_hole { f64::NAN } else { p[axis] });
             }
-            for ((_, kind, column), source) in columns.iter_mut().zip(&sources) {
-                column.push(source.map_or(kind.missing(), |source| values[source]));
+            for ((name, kind, column), source) in columns.iter_mut().zip(&sources) {
+                let missing = if lacks_colour && name == COLOUR_INVALID { 1.0 } else { kind.missing() };
+                column.push(source.map_or(missing, |source| values[source]));
             }
             // Like the positions, they are in the scan's frame.
             if let [Some(x), Some(y), Some(z)] = normals {

@@ -7,7 +7,7 @@ use mcap::records::Record;
 use super::records::{Next, Records};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
 use crate::ros::{DepthMessage, DepthPixels, Header, PointCloud2, from_cdr};
-use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame};
+use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame, PointCloud};
 use planish_io::ReadOptions;
 
 /// Reads the depth images or clouds of a topic in order, with their time stamps.
@@ -59,14 +59,51 @@ impl BagSource {
     /// # Errors
     /// If the recording is damaged, or a message cannot be converted.
     pub fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
+        self.next_as(Self::frame)
+    }
+
+    /// Returns true if the messages are clouds, and the first readable one has no grid. It is passed over.
+    pub fn has_clouds_without_grid(&mut self) -> bool {
+        /// Messages that may be damaged at the beginning.
+        const TRIED: usize = 16;
+        if self.chosen.kind != MessageKind::PointCloud2 {
+            return false;
+        }
+        let is_organized = |_: &Self, _, data: &[u8]| Ok(from_cdr::<PointCloud2>(data)?.is_organized());
+        let mut first = std::iter::repeat_with(|| self.next_as(is_organized)).take(TRIED).filter_map(Result::ok);
+        first.next().flatten() == Some(false)
+    }
+
+    /// Returns the next cloud with all its fields and its time stamp in seconds, on its grid or without one; `None` at
+    /// the end, and for topics of images.
+    ///
+    /// # Errors
+    /// As [`next_frame`](Self::next_frame).
+    pub fn next_cloud(&mut self) -> Result<Option<(PointCloud, f64)>, Error> {
+        match self.chosen.kind {
+            MessageKind::PointCloud2 => self.next_as(|_, log_time, data| {
+                let message: PointCloud2 = from_cdr::<PointCloud2>(data)?.into_native()?;
+                Ok((message.to_cloud()?, seconds(&message.header, log_time)))
+            }),
+            _ => Ok(None),
+        }
+    }
+
+    /// Converts the next message, which was logged at this time.
+    fn next_as<T>(
+        &mut self,
+        convert: impl Fn(&Self, u64, &[u8]) -> Result<T, FormatError>,
+    ) -> Result<Option<T>, Error> {
         if self.is_over {
             return Ok(None);
         }
-        let frame = self.next();
-        frame.map_err(|problem| IoError { path: self.path.clone(), problem }.into())
+        let next = self
+            .next_message()
+            .and_then(|message| message.map(|(log_time, data)| convert(self, log_time, &data)).transpose());
+        next.map_err(|problem| IoError { path: self.path.clone(), problem }.into())
     }
 
-    fn next(&mut self) -> Result<Option<OwnedFrame>, FormatError> {
+    fn next_message(&mut self) -> Result<Option<(u64, Vec<u8>)>, FormatError> {
         loop {
             let record = match self.records.next() {
                 Ok(Next::Record(record)) => record,
@@ -88,25 +125,20 @@ impl BagSource {
                 }
             };
             self.channels.add(&record);
-            let Record::Message { header, data } = &record else { continue };
+            let Record::Message { header, data } = record else { continue };
             let Some((topic, kind)) = self.channels.get(header.channel_id) else { continue };
-            self.chosen.note_camera(topic, *kind, data);
+            self.chosen.note_camera(topic, *kind, &data);
             if self.chosen.is(topic, *kind) {
-                return self.frame(header.log_time, data).map(Some);
+                return Ok(Some((header.log_time, data.into_owned())));
             }
         }
     }
 
     fn frame(&self, log_time: u64, data: &[u8]) -> Result<OwnedFrame, FormatError> {
-        let seconds = |header: &Header| match header.stamp.seconds() {
-            // A stamp that was never set.
-            0.0 => 1e-9 * log_time as f64,
-            seconds => seconds,
-        };
         let message = match self.chosen.kind {
             MessageKind::PointCloud2 => {
                 let message: PointCloud2 = from_cdr::<PointCloud2>(data)?.into_native()?;
-                let timestamp_s = Some(seconds(&message.header));
+                let timestamp_s = Some(seconds(&message.header, log_time));
                 let mut cloud = message.to_organized()?;
                 let shape = (cloud.width(), cloud.height());
                 cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
@@ -117,7 +149,7 @@ impl BagSource {
         };
         let pixels = message.pixels(&self.options)?;
         let camera = self.chosen.camera(self.camera.as_ref(), pixels.shape())?;
-        let timestamp_s = seconds(message.header());
+        let timestamp_s = seconds(message.header(), log_time);
         match pixels {
             DepthPixels::Millimetres(image) => {
                 Ok(OwnedFrame::Depth(DepthFrame::from_image(camera, image)?.with_timestamp_s(timestamp_s)))
@@ -127,5 +159,13 @@ impl BagSource {
                 Ok(OwnedFrame::Cloud { cloud, timestamp_s: Some(timestamp_s) })
             }
         }
+    }
+}
+
+/// Returns the time of a message; that of the log if its stamp was never set.
+fn seconds(header: &Header, log_time: u64) -> f64 {
+    match header.stamp.seconds() {
+        0.0 => 1e-9 * log_time as f64,
+        seconds => seconds,
     }
 }

@@ -340,3 +340,29 @@ fn lengths_in_other_units_become_metres() {
     assert_eq!(inch.positions.get(0), [2.54, 5.08, 25.4]);
     assert_eq!(io::LengthUnit::named("furlong"), None);
 }
+
+#[test]
+fn scans_without_colour_beside_coloured_ones_are_marked() {
+    use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    let double = |name| Record { name, data_type: RecordDataType::Double { min: None, max: None } };
+    let byte = |name| Record { name, data_type: RecordDataType::Integer { min: 0, max: 255 } };
+    let axes = || [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ].map(double);
+    let colours = || [RecordName::ColorRed, RecordName::ColorGreen, RecordName::ColorBlue].map(byte);
+    for (number, colour) in [Some(200i64), None].into_iter().enumerate() {
+        let prototype = axes().into_iter().chain(colours().into_iter().filter(|_| colour.is_some())).collect();
+        let mut scan = writer.add_pointcloud(&format!("{{{number}}}"), prototype).unwrap();
+        let values = [1.0, 2.0, 3.0].map(RecordValue::Double).into_iter();
+        scan.add_point(values.chain(colour.iter().flat_map(|c| [*c; 3].map(RecordValue::Integer))).collect()).unwrap();
+        scan.finalize().unwrap();
+    }
+    writer.finalize().unwrap();
+    drop(writer);
+    let (cloud, notes) = cloud_as("a.e57", &bytes.into_inner());
+    assert_eq!(notes, ["1 of 2 scans have no colour; their points are black, and marked in color_invalid"]);
+    let marks = &cloud.attribute("color_invalid").unwrap().values;
+    assert_eq!((cloud.rgb().unwrap(), [0, 1].map(|i| marks.get_f64(i))), (vec![[200; 3], [0; 3]], [0.0, 1.0]));
+    let (again, notes) = cloud_as("b.e57", &written(&cloud, "b.e57"));
+    assert_eq!((again.attribute("color_invalid"), notes.len()), (cloud.attribute("color_invalid"), 0));
+}

@@ -16,6 +16,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::super::checks::{check_not_input, is_mcap};
+use super::clouds::smooth_clouds;
 use crate::args::{FieldArg, SmoothArgs};
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
@@ -199,6 +200,13 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let wants = |extension: &str| args.format.as_deref().is_some_and(|format| format.eq_ignore_ascii_case(extension));
     if args.format.is_some() && !["png", "pcd", "ply"].into_iter().any(wants) {
         bail!("--format: frames of a recording can be written as png, pcd or ply");
+    }
+    if is_bag(input) && !is_mcap(&args.output) {
+        let mut settings = args.smoothing.settings()?;
+        settings.outputs = Some(args.outputs());
+        if let Some(code) = smooth_clouds(args, input, &settings)? {
+            return Ok(code);
+        }
     }
     let stop = stop_flag();
     let options = SourceOptions::default()
