@@ -24,14 +24,11 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
     (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),
     (
-        &["vtk", "vtp", "off", "glb", "gltf", "fbx", "3ds", "dae", "wrl", "x3d"],
+        &["vtk", "vtp", "glb", "gltf", "fbx", "3ds", "dae", "wrl", "x3d"],
         "a mesh: convert it to PLY (MeshLab, or open3d.io)",
     ),
-    (
-        &["exr", "hdr", "pfm", "dpt", "h5", "hdf5", "mat", "parquet"],
-        "an array of another program: save it as .npy or .npz",
-    ),
-    (&["ptx", "ptg"], "a scanner's text: convert it to E57 (CloudCompare) to keep its poses"),
+    (&["exr", "hdr", "dpt", "h5", "hdf5", "mat", "parquet"], "an array of another program: save it as .npy or .npz"),
+    (&["ptg"], "a scanner's own format: convert it to E57 (CloudCompare) to keep its poses"),
 ];
 
 /// Returns advice for files with an unsupported extension, if known.
@@ -74,6 +71,14 @@ pub enum Format {
     Obj,
     /// The vertices of an STL; read, not written.
     Stl,
+    /// The vertices of an OFF; read, not written.
+    Off,
+    /// Leica's scans as text; read, not written.
+    Ptx,
+    /// Depth in Netpbm's 16-bit grey; read, not written.
+    Pgm,
+    /// Depth in Netpbm's floats; read, not written.
+    Pfm,
 }
 
 impl Format {
@@ -95,7 +100,16 @@ impl Format {
             Self::NuScenesBin => "nuScenes .pcd.bin",
             Self::Obj => "OBJ",
             Self::Stl => "STL",
+            Self::Off => "OFF",
+            Self::Ptx => "PTX",
+            Self::Pgm => "PGM",
+            Self::Pfm => "PFM",
         }
+    }
+
+    /// Returns false for formats that are only read.
+    pub fn is_written(self) -> bool {
+        !matches!(self, Self::Obj | Self::Stl | Self::Off | Self::Ptx | Self::Pgm | Self::Pfm)
     }
 
     /// Returns the format of a file's extension.
@@ -116,6 +130,10 @@ impl Format {
             "bin" => Some(Self::KittiBin),
             "obj" => Some(Self::Obj),
             "stl" => Some(Self::Stl),
+            "off" => Some(Self::Off),
+            "ptx" => Some(Self::Ptx),
+            "pgm" => Some(Self::Pgm),
+            "pfm" => Some(Self::Pfm),
             _ => None,
         }
     }
@@ -126,11 +144,11 @@ impl Format {
         Self::of_extension(path).or_else(|| if is_gzip { Self::of_extension(&path.with_extension("")) } else { None })
     }
 
-    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj and .stl are ambiguous and
-    /// excluded.
+    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj, .off and .stl are
+    /// ambiguous and excluded.
     pub fn is_of_frames(path: &Path) -> bool {
         let may_be_anything = |extension: &std::ffi::OsStr| {
-            ["txt", "csv", "obj", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
+            ["txt", "csv", "obj", "off", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
         };
         let is_frame = Self::of_extension(path).is_some() && !is_origin_mask(path);
         is_frame && !path.extension().is_some_and(may_be_anything)

@@ -37,12 +37,14 @@ mod length_unit;
 mod little_endian;
 mod meaning;
 mod mesh;
+mod netpbm;
 mod npy;
 #[cfg(feature = "npz")]
 mod npz;
 mod pcd;
 mod plain;
 mod ply;
+mod ptx;
 mod read;
 #[cfg(feature = "scans")]
 mod records;

@@ -1,5 +1,5 @@
-//! The vertices of meshes: OBJ and STL. They are read as unorganized clouds; faces are not kept, and neither format is
-//! written.
+//! The vertices of meshes: OBJ, OFF and STL. They are read as unorganized clouds; faces are not kept, and none of these
+//! formats is written.
 
 use std::collections::HashMap;
 
@@ -48,6 +48,58 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
         }
     }
     with_points(all, "OBJ")
+}
+
+/// Reads the vertices of an OFF, with optional normals and colours.
+pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+    let text = text_of(bytes);
+    let without_comment = |line| str::split(line, '#').next().unwrap_or_default().trim();
+    let mut lines = (1..).zip(text.lines().map(without_comment)).filter(|(_, line)| !line.is_empty());
+    let mut first = lines.next().map_or("", |(_, line)| line).split_whitespace();
+    let kind = first.next().unwrap_or_default();
+    let (Some(prefix), false) = (kind.strip_suffix("OFF"), kind.contains(['4', 'n'])) else {
+        return Err(FormatError::Unsupported(format!("{} is not the beginning of an OFF", quoted(kind))));
+    };
+    // The numbers of vertices, faces and edges may be on the first line.
+    let rest: Vec<&str> = first.collect();
+    let counts = if rest.is_empty() { lines.next().map_or("", |(_, line)| line) } else { rest[0] };
+    let count = counts.split_whitespace().next().and_then(|count| count.parse::<usize>().ok()).ok_or_else(|| {
+        FormatError::Malformed(format!("{} are no numbers of vertices, faces and edges", quoted(counts)))
+    })?;
+    if count > bytes.len() {
+        return Err(FormatError::Malformed(format!("{count} vertices in a file of {} bytes", bytes.len())));
+    }
+    options.check(count, 8 * 10)?;
+    let has_normals = prefix.contains('N');
+    let mut names = vec!["x", "y", "z"];
+    names.extend(if has_normals { &["normal_x", "normal_y", "normal_z"][..] } else { &[] });
+    names.extend(if prefix.contains('C') { &["red", "green", "blue"][..] } else { &[] });
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
+    for _ in 0..count {
+        let (number, line) = lines.next().ok_or_else(|| {
+            FormatError::Malformed(format!("truncated: it states {count} vertices, but has {}", columns[0].len()))
+        })?;
+        let values: Option<Vec<f64>> = line.split_whitespace().map(|word| word.parse().ok()).collect();
+        let values = values.filter(|values| values.len() >= names.len()).ok_or_else(|| {
+            FormatError::Malformed(format!("line {number}: {} is no vertex of {} numbers", quoted(line), names.len()))
+        })?;
+        columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+    }
+    let is_share =
+        columns[3 + 3 * usize::from(has_normals)..].iter().flatten().all(|value| (0.0..=1.0).contains(value));
+    let scale = if is_share { 255.0 } else { 1.0 };
+    let typed = |(name, values): (&str, Vec<f64>)| match name {
+        "red" | "green" | "blue" => {
+            let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
+            Attribute { name: name.into(), count: 1, values: values.into() }
+        }
+        "x" | "y" | "z" => column(name, values),
+        _ => {
+            let values: Vec<f32> = values.into_iter().map(|value| value as f32).collect();
+            Attribute { name: name.into(), count: 1, values: values.into() }
+        }
+    };
+    with_points(names.into_iter().zip(columns).map(typed).collect(), "OFF")
 }
 
 /// Reads the corners of an STL's triangles, each position once.

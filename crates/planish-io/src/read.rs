@@ -26,7 +26,7 @@ use super::plain::plain;
 use super::ply::PlyReader;
 #[cfg(feature = "scans")]
 use super::records::RecordReader;
-use super::{depth_png, kitti, meaning, mesh, npy, pcd, ply, xyz_text};
+use super::{depth_png, kitti, meaning, mesh, netpbm, npy, pcd, ply, ptx, xyz_text};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
@@ -165,8 +165,8 @@ fn decode_plain(
     let likely = || xyz_text::is_likely(bytes).then_some(Format::Text);
     let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image; supported are PCD, PLY, LAS, LAZ, E57, XYZ text, CSV, NPY, NPZ, lidar \
-             .bin, OBJ, STL, 16-bit PNG and TIFF"
+            "not a point cloud or depth image; supported are PCD, PLY, LAS, LAZ, E57, PTX, XYZ text, CSV, NPY, NPZ, \
+             lidar .bin, OBJ, OFF, STL, 16-bit PNG and PGM, TIFF, PFM"
                 .into(),
         )
     })?;
@@ -191,6 +191,10 @@ fn decode_plain(
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options, notes)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
+        Format::Off => Ok(Contents::General(mesh::decode_off(bytes, options)?)),
+        Format::Ptx => Ok(Contents::General(ptx::decode(bytes, options, notes)?)),
+        Format::Pgm => netpbm::decode_pgm(bytes, options),
+        Format::Pfm => netpbm::decode_pfm(bytes, options),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }?;

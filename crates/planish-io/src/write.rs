@@ -55,10 +55,11 @@ pub fn encode_cloud<'a>(
         Format::E57 => e57::encode(cloud.points()),
         Format::KittiBin => kitti::encode(cloud, false),
         Format::NuScenesBin => kitti::encode(cloud, true),
-        Format::Obj | Format::Stl => Err(FormatError::Unsupported(
+        Format::Obj | Format::Stl | Format::Off => Err(FormatError::Unsupported(
             "a mesh needs faces, which points lack; end the name in .ply, which meshing programs read".into(),
         )),
-        Format::DepthPng | Format::DepthTiff => Err(FormatError::Unsupported(
+        Format::Ptx => Err(FormatError::Unsupported("PTX can be read but not written; end the name in .e57".into())),
+        Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm => Err(FormatError::Unsupported(
             "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
         )),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]

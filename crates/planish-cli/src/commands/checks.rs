@@ -20,7 +20,7 @@ pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
         (None, _) => {
             bail!("{}: the name has no known extension: end it in {}", output.display(), planish::io::WRITTEN)
         }
-        (Some(format @ (Format::Obj | Format::Stl)), _) => {
+        (Some(format), _) if !format.is_written() => {
             let name = format.name();
             bail!("{}: {name} can be read but not written: end the name in {}", output.display(), planish::io::WRITTEN)
         }

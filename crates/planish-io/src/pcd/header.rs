@@ -160,10 +160,11 @@ impl Header {
             if bytes.len() - rest.len() > MAX_HEADER_BYTES {
                 return malformed("the PCD header is over 64 KiB long; this is not a PCD file");
             }
+            // A comment may be in any encoding.
+            let line = line.split(|byte| *byte == b'#').next().unwrap_or_default();
             let Ok(line) = std::str::from_utf8(line) else {
                 return malformed("the PCD header is not text; this is not a PCD file");
             };
-            let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
             let Some(key) = words.next() else { continue };
             let values: Vec<&str> = words.collect();
@@ -222,7 +223,8 @@ impl<'a> Entries<'a> {
                     return malformed(format!("PCD version {version} is unknown; 0.5, 0.6 and 0.7 are supported"));
                 }
             }
-            "FIELDS" => self.fields = values,
+            // Version 0.5 and older call them columns.
+            "FIELDS" | "COLUMNS" => self.fields = values,
             "SIZE" => self.sizes = values,
             "TYPE" => self.kinds = values,
             "COUNT" => self.counts = Some(values),
@@ -238,10 +240,11 @@ impl<'a> Entries<'a> {
                 }
             }
             "DATA" => {
-                self.encoding = match values[..] {
-                    ["ascii"] => Encoding::Ascii,
-                    ["binary"] => Encoding::Binary,
-                    ["binary_compressed"] => Encoding::BinaryCompressed,
+                let stated = values.join(" ").to_ascii_lowercase();
+                self.encoding = match stated.as_str() {
+                    "ascii" => Encoding::Ascii,
+                    "binary" => Encoding::Binary,
+                    "binary_compressed" => Encoding::BinaryCompressed,
                     _ => {
                         return malformed(format!(
                             "DATA {} is unknown; ascii, binary and binary_compressed are supported",
@@ -278,8 +281,12 @@ impl<'a> Entries<'a> {
                 ));
             };
             let count = number("COUNT", &[count])?;
-            if !(1..=1 << 20).contains(&count) {
-                return malformed(format!("field {} has COUNT {count}; 1 to 2^20 is allowed", quoted(self.fields[i])));
+            if count > 1 << 20 {
+                return malformed(format!("field {} has COUNT {count}; up to 2^20 is allowed", quoted(self.fields[i])));
+            }
+            // It has no values.
+            if count == 0 {
+                continue;
             }
             // Padding may occur more than once.
             if self.fields[i] != "_" && self.fields[..i].contains(&self.fields[i]) {

@@ -49,7 +49,7 @@ fn lying_pcd_headers_are_refused_with_a_reason() {
         (&[("SIZE", "2 4 4")], body, "F has 4 or 8"),
         (&[("SIZE", "4 4")], body, "SIZE has 2 entries for 3 FIELDS"),
         (&[("TYPE", "F F Q")], body, "field \"z\" has TYPE \"Q\""),
-        (&[("COUNT", "1 1 0")], body, "field \"z\" has COUNT 0"),
+        (&[("COUNT", "1 1 0")], body, "more than 2 values"),
         (&[("COUNT", "1 1 9999999999")], body, "COUNT 9999999999"),
         (&[("COUNT", "1 1 -1")], body, "COUNT \"-1\" should be one whole number"),
         (&[("FIELDS", "x y w")], body, "no field z"),

@@ -366,3 +366,121 @@ fn scans_without_colour_beside_coloured_ones_are_marked() {
     let (again, notes) = cloud_as("b.e57", &written(&cloud, "b.e57"));
     assert_eq!((again.attribute("color_invalid"), notes.len()), (cloud.attribute("color_invalid"), 0));
 }
+
+#[test]
+fn headers_of_pcd_are_read_as_pcl_reads_them() {
+    let pcd = |fields: &str, counts: &str, data: &str| {
+        format!(
+            "# M\u{fc}ller\nVERSION 0.7\n{fields}\n{counts}\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n{data}\n1 2 3 4\n5 6 7 8\n"
+        )
+    };
+    let floats = "SIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1";
+    let none = "SIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 0 1";
+    let integers = "SIZE 4 4 2 4\nTYPE I I U F\nCOUNT 1 1 1 1";
+    for text in [
+        pcd("FIELDS x y z q", floats, "DATA ASCII"),
+        pcd("COLUMNS x y z q", floats, "DATA ascii"),
+        pcd("FIELDS X Y Z q", floats, "DATA ascii"),
+        pcd("FIELDS x y z none q", none, "DATA ascii"),
+        pcd("FIELDS x y z q", integers, "DATA ascii"),
+    ] {
+        let latin_1: Vec<u8> = text.chars().map(|c| c as u8).collect();
+        let (cloud, _) = cloud_as("a.pcd", &latin_1);
+        assert_eq!((cloud.positions.get(1), names(&cloud)), ([5.0, 6.0, 7.0], vec!["q"]), "{text}");
+    }
+    // Integers and floats, in upper case.
+    let ply = ply_with("q").replace("float x", "int X").replace("float y", "double Y").replace("float z", "uchar Z");
+    let (cloud, _) = cloud_as("a.ply", ply.as_bytes());
+    assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0]);
+}
+
+/// Two scans of two places, the second turned by a quarter about z and moved; without and with colours.
+const PTX: &str = "2\n1\n0 0 1\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1\n1 2 3 0.5\n0 0 0 0.5\n\
+                   1\n1\n10 0 0\n0 1 0\n-1 0 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n10 0 0 1\n1 2 3 0.25 10 20 30\n";
+
+#[test]
+fn scans_of_a_ptx_are_in_the_frame_of_the_file() {
+    let (cloud, notes) = cloud_as("a.ptx", PTX.as_bytes());
+    assert_eq!([0, 1].map(|i| cloud.positions.get(i)), [[1.0, 2.0, 4.0], [8.0, 1.0, 3.0]]);
+    assert_eq!(names(&cloud), ["intensity", "red", "green", "blue", "scan"]);
+    assert_eq!(cloud.scanners_m().unwrap(), [Some([0.0, 0.0, 1.0]), Some([10.0, 0.0, 0.0])]);
+    assert_eq!((cloud.rgb().unwrap()[1], notes.len()), ([10, 20, 30], 2));
+    let first: String = PTX.lines().take(12).map(|line| format!("{line}\n")).collect();
+    let (cloud, _) = cloud_as("a.ptx", first.as_bytes());
+    assert_eq!((cloud.len(), cloud.pose.position_m, names(&cloud)), (1, [0.0, 0.0, 1.0], vec!["intensity"]));
+    for (text, problem) in [
+        (PTX.replace("1 2 3 0.25 10 20 30\n", ""), "truncated"),
+        (PTX.replace("1 2 3 0.5\n", "1 2 3\n"), "line 11 of the PTX: 3 values"),
+        (PTX.replacen('2', "-2", 1), "-2 columns"),
+        ("hello\n".into(), "no numbers"),
+    ] {
+        let error = read_as("a.ptx", text.as_bytes()).unwrap_err();
+        assert!(error.contains(problem), "{error}");
+    }
+}
+
+const OFF: &str = "CNOFF\n# by hand\n2 1 0\n1 2 3 0 0 1 255 0 0\n5 6 7 0 1 0 0 255 0 255\n3 0 1 1\n";
+
+#[test]
+fn vertices_of_an_off_have_their_normals_and_colours() {
+    let (cloud, _) = cloud_as("a.off", OFF.as_bytes());
+    assert_eq!(names(&cloud), ["normal_x", "normal_y", "normal_z", "red", "green", "blue"]);
+    assert_eq!((cloud.positions.get(1), cloud.rgb().unwrap()[1]), ([5.0, 6.0, 7.0], [0, 255, 0]));
+    assert_eq!(cloud_as("a.off", b"OFF 2 0 0\n1 2 3\n5 6 7\n").0.len(), 2);
+    for (text, problem) in [
+        ("OFF\n3 0 0\n1 2 3\n5 6 7\n", "states 3 vertices, but has 2"),
+        ("OFF\n2 0 0\n1 2 3\n5 6\n", "line 4"),
+        ("4OFF\n1 0 0\n1 2 3 4\n", "not the beginning of an OFF"),
+        ("OFF\nmany\n", "no numbers of vertices"),
+        ("OFF\n999999999999 0 0\n", "vertices in a file of"),
+    ] {
+        let error = read_as("a.off", text.as_bytes()).unwrap_err();
+        assert!(error.contains(problem), "{error}");
+    }
+}
+
+#[test]
+fn damaged_files_of_every_kind_here_are_read_or_refused() {
+    let pgm = [&b"P5\n4 2\n65535\n"[..], &[1; 16]].concat();
+    let pfm = [&b"Pf\n2 2\n-1\n"[..], &[1; 16]].concat();
+    let camera = br#"{"fx":525,"fy":525,"cx":319.5,"cy":239.5,"depth_scale":0.001,"roi":{"width":2,"height":2}}"#;
+    let files: [(&str, Vec<u8>); 10] = [
+        ("a.ptx", PTX.into()),
+        ("a.off", OFF.into()),
+        ("a.pgm", pgm),
+        ("a.pfm", pfm),
+        ("a.ply", ply_with("scalar_(q)").into()),
+        ("a.csv", "x;y;z;name\n1,5;2;3;tree\n4;5;6;NA\n".into()),
+        ("a.las", las(4, 6)),
+        ("a.bin", floats((0..64).map(|i| i as f32))),
+        ("a.npy", [&b"\x93NUMPY\x01\0V\0{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4')], 'fortran_order': False, 'shape': (2,), }\n"[..], &[0; 24]].concat()),
+        ("camera", camera.to_vec()),
+    ];
+    let mut random = 1u32;
+    let mut next = |below: usize| {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (random >> 8) as usize % below.max(1)
+    };
+    let options = ReadOptions::default().with_max_memory_bytes(1 << 24);
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files {
+        let path = folder.path().join(name);
+        for _ in 0..400 {
+            let mut bytes = bytes.clone();
+            for _ in 0..=next(4) {
+                let (at, value) = (next(bytes.len()), next(256) as u8);
+                match next(4) {
+                    0 => bytes.truncate(at),
+                    1 => bytes.insert(at.min(bytes.len()), b"0123456789-. \n"[next(14)]),
+                    _ if at < bytes.len() => bytes[at] = value,
+                    _ => {}
+                }
+            }
+            fs::write(&path, &bytes).unwrap();
+            match name {
+                "camera" => drop(io::read_camera_file(&path, None)),
+                _ => drop(io::read_file(&path, &options)),
+            }
+        }
+    }
+}
