@@ -37,6 +37,7 @@ mod length_unit;
 mod little_endian;
 mod meaning;
 mod mesh;
+#[cfg(feature = "scans")]
 mod netpbm;
 mod npy;
 #[cfg(feature = "npz")]
@@ -44,6 +45,7 @@ mod npz;
 mod pcd;
 mod plain;
 mod ply;
+#[cfg(feature = "scans")]
 mod ptx;
 mod read;
 #[cfg(feature = "scans")]

@@ -26,7 +26,9 @@ use super::plain::plain;
 use super::ply::PlyReader;
 #[cfg(feature = "scans")]
 use super::records::RecordReader;
-use super::{depth_png, kitti, meaning, mesh, netpbm, npy, pcd, ply, ptx, xyz_text};
+use super::{depth_png, kitti, meaning, mesh, npy, pcd, ply, xyz_text};
+#[cfg(feature = "scans")]
+use super::{netpbm, ptx};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
@@ -191,9 +193,13 @@ fn decode_plain(
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options, notes)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
+        #[cfg(feature = "scans")]
         Format::Off => Ok(Contents::General(mesh::decode_off(bytes, options)?)),
+        #[cfg(feature = "scans")]
         Format::Ptx => Ok(Contents::General(ptx::decode(bytes, options, notes)?)),
+        #[cfg(feature = "scans")]
         Format::Pgm => netpbm::decode_pgm(bytes, options),
+        #[cfg(feature = "scans")]
         Format::Pfm => netpbm::decode_pfm(bytes, options),
         #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),

@@ -1,10 +1,10 @@
 //! Depth images: `Image` in 16UC1, mono16 and 32FC1, and `CompressedImage` of the transport `compressedDepth`.
 //!
 //! 16-bit depth is in millimetres and 0 is a hole; depth in floats is in metres and a hole is not finite (REP 118).
-//! compressedDepth puts 12 bytes before a 16-bit PNG: a format, and two parameters A and B by which a float was made an
-//! integer, q = A/z + B.
+//! compressedDepth puts 12 bytes before a 16-bit PNG or an RVL code: a format, and two parameters A and B by which a
+//! float was made an integer, q = A/z + B.
 
-use super::{CompressedImage, Header, Image};
+use super::{CompressedImage, Header, Image, rvl};
 use planish_core::{DepthImage, FormatError, internal::validate_shape};
 use planish_io::{ReadOptions, internal::decode_depth_png, internal::encode_depth_png, internal::quoted};
 
@@ -158,50 +158,79 @@ fn with_image_pixels(image: &Image, pixels: &DepthPixels) -> Image {
     Image { data, ..image.clone() }
 }
 
-/// The parameters of a compressed depth image and its PNG.
+/// How the integers of a compressed depth image are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Code {
+    Png,
+    Rvl,
+}
+
+impl Code {
+    fn decode(self, bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
+        match self {
+            Self::Png => decode_depth_png(bytes, options),
+            Self::Rvl => rvl::decode(bytes, options),
+        }
+    }
+
+    fn encode(self, image: &DepthImage) -> Result<Vec<u8>, FormatError> {
+        match self {
+            Self::Png => encode_depth_png(image),
+            Self::Rvl => Ok(rvl::encode(image)),
+        }
+    }
+}
+
+/// The parameters of a compressed depth image and its code.
 struct Compressed<'a> {
     is_metres: bool,
     configuration: &'a [u8; CONFIGURATION_BYTES],
     quantization: [f32; 2],
-    png: &'a [u8],
+    code: Code,
+    bytes: &'a [u8],
 }
 
 impl<'a> Compressed<'a> {
     fn of(image: &'a CompressedImage) -> Result<Self, FormatError> {
         let (encoding, transport) = image.format.split_once(';').unwrap_or((&image.format, ""));
-        let transport = transport.trim();
-        let is_metres = match (encoding.trim(), transport) {
-            ("16UC1" | "mono16", "compressedDepth" | "compressedDepth png") => false,
-            ("32FC1", "compressedDepth" | "compressedDepth png") => true,
-            (_, transport) if transport.starts_with("compressedDepth") => {
+        let code = match transport.trim() {
+            "compressedDepth" | "compressedDepth png" => Code::Png,
+            "compressedDepth rvl" => Code::Rvl,
+            transport if transport.starts_with("compressedDepth") => {
                 return Err(FormatError::Unsupported(format!(
-                    "depth in the format {}; only compressedDepth with PNG is supported (set the parameter `format` \
-                     of the \
-                     transport to png)",
+                    "depth in the format {}; compressedDepth with PNG and RVL is supported (set the parameter `format` \
+                     of the transport to png)",
                     quoted(&image.format)
                 )));
             }
-            _ => {
-                return Err(FormatError::Unsupported(format!(
-                    "unsupported image format {}, not compressed depth (16UC1 or 32FC1; compressedDepth png)",
-                    quoted(&image.format)
-                )));
-            }
+            _ => return Err(not_compressed_depth(image)),
         };
-        let Some((configuration, png)) = image.data.split_first_chunk::<CONFIGURATION_BYTES>() else {
+        let is_metres = match encoding.trim() {
+            "16UC1" | "mono16" => false,
+            "32FC1" => true,
+            _ => return Err(not_compressed_depth(image)),
+        };
+        let Some((configuration, bytes)) = image.data.split_first_chunk::<CONFIGURATION_BYTES>() else {
             let bytes = image.data.len();
             return Err(FormatError::Malformed(format!("a compressed depth image of {bytes} bytes")));
         };
         let [_, _, _, _, a @ ..] = *configuration;
         let [a0, a1, a2, a3, b0, b1, b2, b3] = a;
         let quantization = [f32::from_le_bytes([a0, a1, a2, a3]), f32::from_le_bytes([b0, b1, b2, b3])];
-        Ok(Self { is_metres, configuration, quantization, png })
+        Ok(Self { is_metres, configuration, quantization, code, bytes })
     }
+}
+
+fn not_compressed_depth(image: &CompressedImage) -> FormatError {
+    FormatError::Unsupported(format!(
+        "unsupported image format {}, not compressed depth (16UC1 or 32FC1; compressedDepth png or rvl)",
+        quoted(&image.format)
+    ))
 }
 
 fn compressed_pixels(image: &CompressedImage, options: &ReadOptions) -> Result<DepthPixels, FormatError> {
     let compressed = Compressed::of(image)?;
-    let image = decode_depth_png(compressed.png, options)?;
+    let image = compressed.code.decode(compressed.bytes, options)?;
     if !compressed.is_metres {
         return Ok(DepthPixels::Millimetres(image));
     }
@@ -214,8 +243,8 @@ fn compressed_pixels(image: &CompressedImage, options: &ReadOptions) -> Result<D
 fn with_compressed_pixels(message: &CompressedImage, pixels: &DepthPixels) -> Result<CompressedImage, FormatError> {
     let compressed = Compressed::of(message)?;
     let [a, b] = compressed.quantization;
-    let png = match pixels {
-        DepthPixels::Millimetres(image) => encode_depth_png(image)?,
+    let code = match pixels {
+        DepthPixels::Millimetres(image) => compressed.code.encode(image)?,
         DepthPixels::Metres { width, height, depth_m } => {
             let quantized = |&z: &f32| {
                 let q = (a / z + b).round();
@@ -223,10 +252,10 @@ fn with_compressed_pixels(message: &CompressedImage, pixels: &DepthPixels) -> Re
                 if z > 0.0 && q >= 1.0 && q <= f32::from(u16::MAX) { q as u16 } else { 0 }
             };
             let raw = depth_m.iter().map(quantized).collect();
-            encode_depth_png(&DepthImage { width: *width, height: *height, raw })?
+            compressed.code.encode(&DepthImage { width: *width, height: *height, raw })?
         }
     };
-    let data = [&compressed.configuration[..], &png].concat();
+    let data = [&compressed.configuration[..], &code].concat();
     Ok(CompressedImage { data, ..message.clone() })
 }
 
@@ -274,8 +303,10 @@ mod tests {
             let data = [&[0; 4][..], &a.to_le_bytes(), &b.to_le_bytes()].concat();
             DepthMessage::Compressed(CompressedImage { format: format.into(), data, ..CompressedImage::default() })
         };
-        let message = empty("16UC1; compressedDepth png", [0.0; 2]).with_pixels(&millimetres()).unwrap();
-        assert_eq!(message.pixels(&options()).unwrap(), millimetres());
+        for format in ["16UC1; compressedDepth png", "16UC1; compressedDepth rvl"] {
+            let message = empty(format, [0.0; 2]).with_pixels(&millimetres()).unwrap();
+            assert_eq!(message.pixels(&options()).unwrap(), millimetres());
+        }
         // The transport's defaults: depth_quantization 100, depth_max 10.
         let (a, b) = (100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0);
         let message = empty("32FC1; compressedDepth", [a, b]).with_pixels(&metres()).unwrap();
@@ -288,7 +319,7 @@ mod tests {
             assert!((z - expected).abs() < expected * expected / a, "{z} {expected}");
         }
         for (format, text) in
-            [("16UC1; compressedDepth rvl", "png"), ("rgb8; jpeg compressed bgr8", "not compressed depth")]
+            [("16UC1; compressedDepth jxl", "png"), ("rgb8; jpeg compressed bgr8", "not compressed depth")]
         {
             let error = empty(format, [0.0; 2]).pixels(&options()).unwrap_err().to_string();
             assert!(error.contains(text), "{error}");

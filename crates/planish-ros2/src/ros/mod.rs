@@ -11,6 +11,7 @@ mod cloud_fields;
 mod depth;
 mod messages;
 mod normals;
+mod rvl;
 mod smoother;
 
 pub use camera::{camera_info_topic, is_rectified};
