@@ -17,8 +17,8 @@ pub struct CameraArgs {
     pub camera: Option<Intrinsics>,
     /// File with intrinsics and lens distortion
     ///
-    /// JSON (fx, fy, cx, cy, or Open3D's format), the YAML of a ROS camera_info, a 3x3 matrix as text, or COLMAP's
-    /// cameras.txt.
+    /// JSON (fx, fy, cx, cy, or a matrix), the YAML of a ROS camera_info, OpenCV's YAML or XML, a 3x3 or 4x4 matrix as
+    /// text, or COLMAP's cameras.txt.
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub camera_file: Option<PathBuf>,
     /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM

@@ -112,7 +112,7 @@ class Devices:
 
 
 def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | None = None) -> Frame:
-    """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, XYZ, PTS, CSV, NPY, NPZ, lidar .bin, OBJ, STL, PNG or TIFF.
+    """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, PTX, text, CSV, NPY, NPZ, lidar .bin, OBJ, OFF, STL, PNG, TIFF, ....
 
     Parameters
     ----------

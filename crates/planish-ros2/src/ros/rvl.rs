@@ -143,7 +143,7 @@ mod tests {
             assert!(decode(&bytes[..bytes.len() - 4], &options).is_err());
         }
         // By hand: 1 hole, 2 values, +5 (10 = 0b001_010), -1 (1), then zeros.
-        let code = 0x1_2_a_1_1_000u32.to_le_bytes();
+        let code = 0x12a1_1000_u32.to_le_bytes();
         let bytes = [&3u32.to_le_bytes()[..], &1u32.to_le_bytes(), &code].concat();
         assert_eq!(decode(&bytes, &options).unwrap().raw, [0, 5, 4]);
     }

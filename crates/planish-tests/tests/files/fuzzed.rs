@@ -35,6 +35,12 @@ fn check(target: &str, bytes: &[u8]) {
         "pcd" => Format::Pcd,
         "ply" => Format::Ply,
         "stl" => Format::Stl,
+        "ptx" => Format::Ptx,
+        "off" => Format::Off,
+        "pgm" => Format::Pgm,
+        "pfm" => Format::Pfm,
+        "text" => Format::Text,
+        "bin" => Format::KittiBin,
         other => panic!("no check for the target {other}"),
     };
     checks::check_decoder(bytes, format);
