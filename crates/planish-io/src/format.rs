@@ -207,12 +207,13 @@ pub enum Encoding {
 }
 
 /// Returns the error for a format that is disabled in this build.
-#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) fn left_out(format: Format) -> FormatError {
     let feature = match format {
         Format::Npz => "npz",
         Format::DepthTiff => "tiff",
-        _ => "scans",
+        Format::Las | Format::Laz | Format::E57 => "scans",
+        _ => "more-formats",
     };
     FormatError::Unsupported(format!(
         "{}, which this build does not include (planish's feature `{feature}`)",

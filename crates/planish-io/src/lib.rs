@@ -30,6 +30,7 @@ mod error_text;
 mod format;
 mod frame_files;
 mod input;
+#[cfg(feature = "more-formats")]
 mod kitti;
 #[cfg(feature = "scans")]
 mod las;
@@ -37,7 +38,7 @@ mod length_unit;
 mod little_endian;
 mod meaning;
 mod mesh;
-#[cfg(feature = "scans")]
+#[cfg(feature = "more-formats")]
 mod netpbm;
 mod npy;
 #[cfg(feature = "npz")]
@@ -45,7 +46,7 @@ mod npz;
 mod pcd;
 mod plain;
 mod ply;
-#[cfg(feature = "scans")]
+#[cfg(feature = "more-formats")]
 mod ptx;
 mod read;
 #[cfg(feature = "scans")]
@@ -70,7 +71,7 @@ pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, depth_of_integers, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
 pub(crate) use error_text::{brief, quoted, text_of};
-#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
 pub use format::{Encoding, Format, WRITTEN};
 pub use frame_files::frame_files;

@@ -51,7 +51,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
 }
 
 /// Reads the vertices of an OFF, with optional normals and colours.
-#[cfg(feature = "scans")]
+#[cfg(feature = "more-formats")]
 pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
     let text = text_of(bytes);
     let without_comment = |line| str::split(line, '#').next().unwrap_or_default().trim();

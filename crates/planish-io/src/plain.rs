@@ -1,9 +1,8 @@
 //! Files in a wrapping that formats do not have: compressed by gzip, or text with a byte-order mark or in UTF-16.
 
 use std::borrow::Cow;
+#[cfg(feature = "more-formats")]
 use std::io::Read;
-
-use flate2::read::MultiGzDecoder;
 
 use super::{FormatResult, ReadOptions};
 use planish_core::FormatError;
@@ -15,12 +14,19 @@ const UTF_16_BIG_ENDIAN: &[u8] = &[0xfe, 0xff];
 
 /// Returns a file's contents without what wraps them; text in UTF-8.
 pub(super) fn plain<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
-    if !bytes.starts_with(GZIP) {
-        return Ok(text_in_utf_8(bytes));
-    }
+    if bytes.starts_with(GZIP) { unpacked(bytes, options) } else { Ok(text_in_utf_8(bytes)) }
+}
+
+#[cfg(not(feature = "more-formats"))]
+fn unpacked<'a>(_bytes: &'a [u8], _options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
+    let text = "a file compressed by gzip, which this build does not include (planish's feature `more-formats`)";
+    Err(FormatError::Unsupported(text.into()))
+}
+
+#[cfg(feature = "more-formats")]
+fn unpacked<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
     let mut contents = Vec::new();
-    let decoder = MultiGzDecoder::new(bytes);
-    decoder
+    flate2::read::MultiGzDecoder::new(bytes)
         .take(options.max_memory_bytes.saturating_add(1))
         .read_to_end(&mut contents)
         .map_err(|error| FormatError::Malformed(format!("damaged gzip: {error}")))?;
@@ -52,7 +58,7 @@ fn decode(bytes: &[u8], unit: impl Fn([u8; 2]) -> u16) -> Option<String> {
     (rest.is_empty() && text.chars().all(is_text)).then_some(text)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "more-formats"))]
 mod tests {
     use std::io::Write;
 

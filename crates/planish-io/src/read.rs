@@ -13,7 +13,7 @@ use super::contents::{Contents, DepthSummary, organized_if_grid};
 use super::depth_tiff;
 #[cfg(feature = "scans")]
 use super::e57;
-#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 use super::format::left_out;
 use super::format::{self, Encoding, Format};
 use super::input::{FormatResult, ReadOptions, read_bytes};
@@ -26,9 +26,9 @@ use super::plain::plain;
 use super::ply::PlyReader;
 #[cfg(feature = "scans")]
 use super::records::RecordReader;
-use super::{depth_png, kitti, meaning, mesh, npy, pcd, ply, xyz_text};
-#[cfg(feature = "scans")]
-use super::{netpbm, ptx};
+use super::{depth_png, meaning, mesh, npy, pcd, ply, xyz_text};
+#[cfg(feature = "more-formats")]
+use super::{kitti, netpbm, ptx};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
@@ -189,19 +189,21 @@ fn decode_plain(
         }),
         #[cfg(feature = "scans")]
         Format::E57 => Ok(Contents::General(e57::decode(bytes, options, notes)?)),
+        #[cfg(feature = "more-formats")]
         Format::KittiBin => Ok(Contents::General(kitti::decode(bytes, false, options, notes)?)),
+        #[cfg(feature = "more-formats")]
         Format::NuScenesBin => Ok(Contents::General(kitti::decode(bytes, true, options, notes)?)),
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
-        #[cfg(feature = "scans")]
+        #[cfg(feature = "more-formats")]
         Format::Off => Ok(Contents::General(mesh::decode_off(bytes, options)?)),
-        #[cfg(feature = "scans")]
+        #[cfg(feature = "more-formats")]
         Format::Ptx => Ok(Contents::General(ptx::decode(bytes, options, notes)?)),
-        #[cfg(feature = "scans")]
+        #[cfg(feature = "more-formats")]
         Format::Pgm => netpbm::decode_pgm(bytes, options),
-        #[cfg(feature = "scans")]
+        #[cfg(feature = "more-formats")]
         Format::Pfm => netpbm::decode_pfm(bytes, options),
-        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+        #[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }?;
     if let Contents::Organized(cloud) = &mut contents {

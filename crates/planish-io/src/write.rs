@@ -7,12 +7,14 @@ use super::atomic_write::check_target;
 use super::depth_png::encode_png;
 #[cfg(feature = "tiff")]
 use super::depth_tiff;
-#[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(feature = "more-formats")]
+use super::kitti;
+#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 use super::left_out;
 #[cfg(feature = "npz")]
 use super::npz;
 use super::xyz_text::Heading;
-use super::{CloudRef, Encoding, Format, depth_png, kitti, npy, pcd, ply, write_whole, xyz_text};
+use super::{CloudRef, Encoding, Format, depth_png, npy, pcd, ply, write_whole, xyz_text};
 #[cfg(feature = "scans")]
 use super::{e57, las};
 use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
@@ -53,7 +55,9 @@ pub fn encode_cloud<'a>(
         Format::Npz => npz::encode(cloud),
         #[cfg(feature = "scans")]
         Format::E57 => e57::encode(cloud.points()),
+        #[cfg(feature = "more-formats")]
         Format::KittiBin => kitti::encode(cloud, false),
+        #[cfg(feature = "more-formats")]
         Format::NuScenesBin => kitti::encode(cloud, true),
         Format::Obj | Format::Stl | Format::Off => Err(FormatError::Unsupported(
             "a mesh needs faces, which points lack; end the name in .ply, which meshing programs read".into(),
@@ -62,7 +66,7 @@ pub fn encode_cloud<'a>(
         Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm => Err(FormatError::Unsupported(
             "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
         )),
-        #[cfg(not(all(feature = "npz", feature = "scans", feature = "tiff")))]
+        #[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
         _ => Err(left_out(format)),
     }
 }

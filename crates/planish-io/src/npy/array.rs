@@ -1,9 +1,14 @@
 //! An array in NumPy's format (versions 1 to 3): a header, which is a Python dict, and the values.
 
+#[cfg(feature = "more-formats")]
 use super::half;
-use super::header::{Header, RecordField};
+use super::header::Header;
+#[cfg(feature = "more-formats")]
+use super::header::RecordField;
 use crate::little_endian::LittleEndian;
-use planish_core::{Attribute, AttributeValues, FormatError};
+use planish_core::FormatError;
+#[cfg(feature = "more-formats")]
+use planish_core::{Attribute, AttributeValues};
 
 /// A number that NumPy has a name for.
 pub(crate) trait NpyNumber: LittleEndian {
@@ -74,6 +79,7 @@ impl<'a> Array<'a> {
     }
 
     /// Returns the columns of an array of records.
+    #[cfg(feature = "more-formats")]
     pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {
         let mut at = 0;
         let mut columns = Vec::new();
@@ -87,6 +93,7 @@ impl<'a> Array<'a> {
         Ok(columns)
     }
 
+    #[cfg(feature = "more-formats")]
     fn column(&self, field: &RecordField, at: usize) -> Result<Attribute, FormatError> {
         fn read<T: LittleEndian>(records: &[u8], record: usize, field: &RecordField, at: usize) -> Vec<T> {
             let read = if field.is_big_endian { T::read_big_endian } else { T::read };

@@ -162,6 +162,10 @@ impl<'a> Dict<'a> {
         if !self.eat(b'[') {
             return self.text().map(Descr::Number);
         }
+        if cfg!(not(feature = "more-formats")) {
+            let text = "an array of records, which this build does not include (planish's feature `more-formats`)";
+            return Err(FormatError::Unsupported(text.into()));
+        }
         let mut fields = Vec::new();
         while !self.eat(b']') {
             self.require(b'(')?;

@@ -7,10 +7,15 @@ mod header;
 
 pub(super) use self::array::{Array, encode};
 
+#[cfg(feature = "more-formats")]
+use super::FormatResult;
+#[cfg(feature = "more-formats")]
 use super::xyz_text::guessed_names;
-use super::{CloudRef, Contents, FormatResult, ReadOptions, depth_of_integers, organized_if_grid};
+use super::{CloudRef, Contents, ReadOptions, depth_of_integers, organized_if_grid};
 use crate::{Gridded, columns::cloud_from_columns};
-use planish_core::{Attribute, AttributeValues, DepthImage, FormatError, PointCloud, internal::validate_shape};
+#[cfg(feature = "more-formats")]
+use planish_core::AttributeValues;
+use planish_core::{Attribute, DepthImage, FormatError, PointCloud, internal::validate_shape};
 
 const LAYOUTS: &str =
     "depth is [H, W] of integers or floats (metres), points are [H, W, 3] or [N, 3] of floats or records";
@@ -26,7 +31,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         _ => array.header.shape.clone(),
     };
     match (&shape[..], array.header.kind, array.header.size) {
+        #[cfg(feature = "more-formats")]
         (&[n], 'V', _) => of_records(&array, (n, 1)),
+        #[cfg(feature = "more-formats")]
         (&[height, width], 'V', _) => of_records(&array, (width, height)),
         (&[height, width], 'u' | 'i', 2..) => {
             validate_shape(width, height)?;
@@ -41,6 +48,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             validate_shape(width, height)?;
             Ok(Contents::DepthMetres { width, height, depth_m: floats(&array) })
         }
+        #[cfg(feature = "more-formats")]
         (&[n, columns @ 4..=16], 'f', 2 | 4 | 8) => of_table(&array, (n, 1), columns, notes),
         (&[height, width, 3], 'f', 2 | 4 | 8) => {
             validate_shape(width, height)?;
@@ -49,6 +57,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
                 _ => points(width, height, floats(&array)),
             }
         }
+        #[cfg(feature = "more-formats")]
         (&[height, width, columns @ 4..=16], 'f', 2 | 4 | 8) => {
             validate_shape(width, height)?;
             of_table(&array, (width, height), columns, notes)
@@ -96,6 +105,7 @@ fn integers(array: &Array<'_>) -> Vec<i64> {
 }
 
 /// Returns points with fields whose names follow from their values.
+#[cfg(feature = "more-formats")]
 fn of_table(
     array: &Array<'_>,
     (width, height): (usize, usize),
@@ -123,6 +133,7 @@ fn of_table(
 }
 
 /// Returns points of which every number has a name.
+#[cfg(feature = "more-formats")]
 fn of_records(array: &Array<'_>, (width, height): (usize, usize)) -> FormatResult<Contents> {
     let points = cloud_from_columns(array.columns()?)?;
     organized_if_grid(Gridded { width, height, points })

@@ -1,0 +1,209 @@
+"""Compares planish's readers with others, over folders of files. Called by readers.sh.
+
+A file agrees if both readers find the same number of points, the same coordinates, and the same values in every field that both
+have under one name. A file that planish refuses is listed with its reason; so is one that it reads and the other reader does not.
+"""
+
+import json
+import multiprocessing
+import pickle
+import resource
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import laspy
+import numpy as np
+import plyfile
+import pye57
+import pypcd4
+import tifffile
+import trimesh
+
+TOLERANCE = 1e-6
+"""Of the largest coordinate, for formats that store text or floats; scales of LAS are finer."""
+
+SECONDS = 30
+MEMORY = 4 << 30
+"""Limits of another reader."""
+
+
+def of_las(path):
+    with laspy.open(path) as file:
+        cloud = file.read()
+    fields = {name: np.asarray(cloud[name]) for name in cloud.point_format.dimension_names if name not in "XYZ"}
+    return np.stack([cloud.x, cloud.y, cloud.z], -1), fields
+
+
+def of_ply(path):
+    vertex = plyfile.PlyData.read(path)["vertex"].data
+    lower = {name.lower(): name for name in vertex.dtype.names}
+    points = np.stack([np.asarray(vertex[lower[axis]], float) for axis in "xyz"], -1)
+    return points, {name: vertex[name] for name in vertex.dtype.names if name.lower() not in "xyz"}
+
+
+def of_pcd(path):
+    data = pypcd4.PointCloud.from_path(path).pc_data.reshape(-1)
+    lower = {name.lower(): name for name in data.dtype.names}
+    points = np.stack([np.asarray(data[lower[axis]], float) for axis in "xyz"], -1)
+    return points, {name: data[name] for name in data.dtype.names if name.lower() not in "xyz"}
+
+
+def of_e57(path):
+    file, points, colours = pye57.E57(str(path)), [], []
+    for scan in range(file.scan_count):
+        found = file.read_scan(scan, ignore_missing_fields=True, colors=True, intensity=False, transform=True)
+        points.append(np.stack([found[f"cartesian{axis}"] for axis in "XYZ"], -1))
+        if "colorRed" in found:
+            colours.append(found["colorRed"])
+    fields = {"red": np.concatenate(colours)} if len(colours) == file.scan_count and colours else {}
+    return np.concatenate(points), fields
+
+
+def of_mesh(path):
+    mesh = trimesh.load(path, process=False, force="mesh", skip_materials=True)
+    return np.asarray(mesh.vertices), {}
+
+
+def of_text(path):
+    rows = []
+    for line in Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines():
+        try:
+            rows.append([float(word) for word in line.replace(",", " ").replace(";", " ").split()])
+        except ValueError:
+            continue
+    width = Counter(len(row) for row in rows).most_common(1)[0][0]
+    return np.array([row[:3] for row in rows if len(row) == width]), {}
+
+
+def of_numpy(path):
+    array = np.load(path)
+    if isinstance(array, np.lib.npyio.NpzFile):
+        array = next(array[name] for name in ("points", "xyz", "positions", *array.files) if name in array.files)
+    if array.ndim == 2 and array.shape[1] != 3 and array.dtype.kind in "iu":
+        return array, None
+    return np.asarray(array, float)[..., :3].reshape(-1, 3), {}
+
+
+def of_tiff(path):
+    return tifffile.imread(path, key=0), None
+
+
+READERS = {
+    ".las": of_las, ".laz": of_las, ".ply": of_ply, ".pcd": of_pcd, ".e57": of_e57, ".obj": of_mesh, ".off": of_mesh,
+    ".stl": of_mesh, ".txt": of_text, ".xyz": of_text, ".asc": of_text, ".pts": of_text, ".csv": of_text,
+    ".npy": of_numpy, ".npz": of_numpy, ".tif": of_tiff, ".tiff": of_tiff,
+}  # fmt: skip
+
+
+def by_another(path, folder):
+    """Return points and fields by the reader of the format, or the reason why there are none; both nothing without a reader."""
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        return None, ""
+    out = Path(folder, "other.pickle")
+
+    def read():
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        try:
+            found = reader(path), ""
+        except BaseException as error:  # noqa: BLE001, other readers even panic
+            found = None, f"{type(error).__name__}: {error}".replace("\n", " ")[:100]
+        out.write_bytes(pickle.dumps(found))
+
+    # Some readers never end, or take all memory.
+    process = multiprocessing.get_context("fork").Process(target=read)
+    process.start()
+    process.join(SECONDS)
+    if process.is_alive():
+        process.kill()
+        process.join()
+        return None, f"took over {SECONDS} s"
+    return pickle.loads(out.read_bytes()) if out.exists() else (None, "crashed")
+
+
+def by_planish(planish, path, folder):
+    """Return points and fields, or the reason why there are none."""
+    info = subprocess.run([planish, "info", "--json", path], capture_output=True, text=True, timeout=120)
+    if info.returncode != 0:
+        return None, info.stderr.strip().splitlines()[-1].split(": ", 2)[-1] if info.stderr.strip() else f"exit {info.returncode}"
+    described = json.loads(info.stdout)
+    if described["fields"] == ["depth"]:
+        out = Path(folder, "out.npy")
+        run = subprocess.run([planish, "convert", path, out, "--overwrite"], capture_output=True, text=True, timeout=120)
+        return (np.load(out), None) if run.returncode == 0 else (None, run.stderr)
+    out = Path(folder, "out.npz")
+    run = subprocess.run([planish, "convert", path, out, "--overwrite"], capture_output=True, text=True, timeout=300)
+    if run.returncode != 0:
+        return None, f"convert: {run.stderr.strip()}"
+    arrays = dict(np.load(out))
+    points = arrays.pop("points")
+    fields = {name: array.reshape(-1, *array.shape[points.ndim - 1 :]) for name, array in arrays.items()}
+    if "rgb" in fields:
+        fields |= {name: fields["rgb"][..., k] for k, name in enumerate(("red", "green", "blue"))}
+    return points.reshape(-1, 3), fields
+
+
+def difference(own, other, suffix):
+    """Return what differs, or nothing."""
+    (points, fields), (expected, other_fields) = own, other
+    if fields is None or other_fields is None:
+        return "" if points.shape == expected.shape and np.array_equal(points, expected) else "depth differs"
+    finite = np.isfinite(points).all(-1)
+    if suffix == ".stl":
+        points, expected = np.unique(points[finite], axis=0), np.unique(expected.astype(np.float32).astype(float), axis=0)
+    elif len(points) != len(expected):
+        expected_finite = np.isfinite(expected).all(-1)
+        if finite.sum() != expected_finite.sum():
+            return f"{len(points)} points, {len(expected)} by the other"
+        points, expected, other_fields = points[finite], expected[expected_finite], {}
+    if len(points) != len(expected):
+        return f"{len(points)} points, {len(expected)} by the other"
+    if not len(points):
+        return ""
+    both = np.isfinite(points).all(-1) & np.isfinite(expected).all(-1)
+    scale = np.abs(expected[both]).max(initial=1e-3)
+    worst = np.abs(points[both] - expected[both]).max(initial=0)
+    if worst > TOLERANCE * scale:
+        return f"coordinates differ by {worst:g}"
+    for name, values in (other_fields or {}).items():
+        found = fields.get(name)
+        if found is None or values.dtype.kind not in "iuf" or found.dtype.kind not in "iuf" or found.shape != values.shape:
+            continue
+        if not np.allclose(found.astype(float), values.astype(float), rtol=1e-5, atol=1e-6, equal_nan=True):
+            return f"the field {name} differs"
+    return ""
+
+
+def main():
+    planish, folders = sys.argv[1], [Path(folder) for folder in sys.argv[2:]]
+    counts, lines = Counter(), []
+    for path in sorted(path for folder in folders for path in folder.rglob("*") if path.is_file()):
+        suffix = path.suffix.lower()
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                *own, problem = by_planish(planish, str(path), folder)
+            except subprocess.TimeoutExpired:
+                own, problem = [None], "took over two minutes"
+            own = (own[0], problem) if own[0] is not None else None
+            other, reason = by_another(path, folder)
+        if own is None:
+            kind = "refused by planish alone" if other is not None else "refused by both" if reason else "refused"
+            lines.append((kind, path, problem))
+        elif other is None:
+            kind = "read by planish alone"
+            lines.append((kind, path, reason or "no second reader"))
+        else:
+            found = difference(own, other, suffix)
+            kind = "differs" if found else "agrees"
+            if found:
+                lines.append((kind, path, found))
+        counts[kind] += 1
+    for kind, path, text in sorted(lines, key=lambda line: line[0]):
+        print(f"{kind}: {path}: {text}")
+    print(f"{sum(counts.values())} files: " + ", ".join(f"{count} {kind}" for kind, count in counts.most_common()))
+
+
+main()
