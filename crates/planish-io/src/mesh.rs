@@ -16,7 +16,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
     });
     options.check(lines.clone().count(), 8 * 6)?;
     let mut columns: [Vec<f64>; 6] = Default::default();
-    let mut width = None;
+    let mut colourless = 0;
     for (number, line) in lines {
         let values: Option<Vec<f64>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
         let values = values.filter(|values| [3, 4, 6, 7].contains(&values.len())).ok_or_else(|| {
@@ -25,16 +25,20 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
                 quoted(line)
             ))
         })?;
-        if *width.get_or_insert(values.len()) != values.len() {
-            return Err(FormatError::Malformed(format!("line {number}: vertices with and without colours")));
-        }
-        for (column, value) in columns.iter_mut().zip(&values) {
-            column.push(*value);
+        // A fourth or seventh number is a weight.
+        let has_colour = values.len() >= 6;
+        colourless += usize::from(!has_colour);
+        for (k, column) in columns.iter_mut().enumerate() {
+            column.push(if k < 3 || has_colour { values[k] } else { 0.0 });
         }
     }
+    let count = columns[0].len();
     let [x, y, z, red, green, blue] = columns;
     let mut all = vec![column("x", x), column("y", y), column("z", z)];
-    if width.is_some_and(|width| width >= 6) {
+    if colourless < count {
+        if colourless > 0 {
+            notes.push(format!("{colourless} of {count} vertices have no colour; they are black"));
+        }
         let channels = || [&red, &green, &blue].into_iter().flatten();
         let is_share = channels().all(|value| value.is_nan() || (0.0..=1.0).contains(value));
         let scale = if is_share { 255.0 } else { 1.0 };
@@ -58,12 +62,13 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let mut lines = (1..).zip(text.lines().map(without_comment)).filter(|(_, line)| !line.is_empty());
     let mut first = lines.next().map_or("", |(_, line)| line).split_whitespace();
     let kind = first.next().unwrap_or_default();
-    let (Some(prefix), false) = (kind.strip_suffix("OFF"), kind.contains(['4', 'n'])) else {
+    let (Some((prefix, behind)), false) = (kind.split_once("OFF"), kind.contains("4OFF") || kind.contains("nOFF"))
+    else {
         return Err(FormatError::Unsupported(format!("{} is not the beginning of an OFF", quoted(kind))));
     };
     // The numbers of vertices, faces and edges may be on the first line.
-    let rest: Vec<&str> = first.collect();
-    let counts = if rest.is_empty() { lines.next().map_or("", |(_, line)| line) } else { rest[0] };
+    let of_first = [behind].into_iter().chain(first).find(|word| !word.is_empty());
+    let counts = of_first.or_else(|| lines.next().map(|(_, line)| line)).unwrap_or_default();
     let count = counts.split_whitespace().next().and_then(|count| count.parse::<usize>().ok()).ok_or_else(|| {
         FormatError::Malformed(format!("{} are no numbers of vertices, faces and edges", quoted(counts)))
     })?;

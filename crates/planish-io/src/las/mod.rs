@@ -77,13 +77,16 @@ impl Checked {
         let bytes = &Overlaid { head: &repaired.head, file: bytes };
         let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
         let count = usize::try_from(points).unwrap_or(usize::MAX);
+        let points_at = validate::read_at(bytes, repair::POINTS_AT).map_or(0, u32::from_le_bytes) as usize;
         let cut_off = || {
-            let claimed = format!("the header states {points} points of {record} bytes in a file of {size} bytes");
+            let claimed = format!(
+                "the header states {points} points of {record} bytes from byte {points_at} on, in a file of {size} bytes"
+            );
             FormatError::Malformed(format!("the file is truncated: {claimed}"))
         };
         match format {
             Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
-            _ if count.saturating_mul(record) > size => return Err(cut_off()),
+            _ if count.saturating_mul(record) > size.saturating_sub(points_at) => return Err(cut_off()),
             _ => {}
         }
         let extended = extended.map_or(Vec::new(), |extended| extended_records(bytes, extended));

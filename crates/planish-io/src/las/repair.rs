@@ -11,7 +11,7 @@ use planish_core::FormatError;
 const ENCODING: usize = 6;
 const VERSION: usize = 24;
 const SIZE: usize = 94;
-const POINTS_AT: usize = 96;
+pub(super) const POINTS_AT: usize = 96;
 const RECORDS: usize = 100;
 const LEGACY_POINTS: usize = 107;
 const EXTENDED_AT: usize = 235;
@@ -38,8 +38,12 @@ impl Repaired {
     pub(super) fn read(file: &(impl FileBytes + ?Sized)) -> Option<FormatResult<Self>> {
         let size = usize::from(u16::from_le_bytes(read_at(file, SIZE)?));
         let version: [u8; 2] = read_at(file, VERSION)?;
+        let [major, minor] = version;
+        if major != LATEST[0] {
+            let text = format!("its version is {major}.{minor}; LAS 1.0 to 1.4 are read");
+            return Some(Err(FormatError::Malformed(text)));
+        }
         if version > LATEST {
-            let [major, minor] = version;
             let text = format!("LAS {major}.{minor} is newer than what is read, LAS 1.0 to 1.4; save it as LAS 1.4");
             return Some(Err(FormatError::Unsupported(text)));
         }

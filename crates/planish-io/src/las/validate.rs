@@ -100,6 +100,10 @@ pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatRe
 pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
     /// More points than that in a chunk are believed only of a file that has them.
     const LARGEST_CHUNK: u64 = 1 << 20;
+    /// Bytes ahead of a record's data.
+    const RECORD_HEADER: usize = 54;
+    /// The compressor of points in chunks; those of layered chunks are greater.
+    const CHUNKED: u16 = 2;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
     let mut descriptions = Vec::new();
@@ -110,6 +114,11 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
             let chunk = u32_at(at + 54 + 12)?;
             if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
                 return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
+            }
+            // Versions of LASzip before 2 wrote points one after the other.
+            if u16::from_le_bytes(read_at(bytes, at + RECORD_HEADER)?) < CHUNKED {
+                let text = "a LAZ of an old LASzip, without chunks: unpack it with laszip or PDAL";
+                return Some(Err(FormatError::Unsupported(text.into())));
             }
             let length = usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
             descriptions.push(LazVlr::from_buffer(bytes.read(at + 54, length)?).ok()?);

@@ -68,6 +68,11 @@ pub(super) fn without_mark(line: &str) -> &str {
 
 /// Returns the number in a cell, which may have a decimal comma; NaN where it is missing, `None` for other words.
 pub(super) fn number_of(cell: &str) -> Option<f64> {
-    let number = cell.parse().ok();
-    number.or_else(|| cell.replacen(',', ".", 1).parse().ok()).or_else(|| MISSING.contains(&cell).then_some(f64::NAN))
+    let with_comma = || {
+        let (whole, decimals) = cell.split_once(',')?;
+        let has_decimals = decimals.starts_with(|c: char| c.is_ascii_digit());
+        if has_decimals && !whole.contains('.') { format!("{whole}.{decimals}").parse().ok() } else { None }
+    };
+    let missing = || MISSING.contains(&cell).then_some(f64::NAN);
+    cell.parse().ok().or_else(with_comma).or_else(missing)
 }

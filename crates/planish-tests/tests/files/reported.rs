@@ -125,6 +125,10 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
         let (cloud, _) = cloud_as("a.txt", text.as_bytes());
         assert_eq!(cloud.positions.get(1), [4.5, 5.5, 6.5], "{text:?}");
     }
+    // A comma and a space are no decimals.
+    for text in ["0, 0, 0\n.5, .5, 1.5\n", "1, 2, 3, 4\n5, 6, 7, 8\n"] {
+        assert_eq!(cloud_as("a.txt", text.as_bytes()).0.len(), 2, "{text:?}");
+    }
     // Columns of words, missing values.
     let (cloud, notes) = cloud_as("a.csv", b"x,y,z,class,q\n1,2,3,tree,NA\n5,6,7,car,2\n");
     assert_eq!(names(&cloud), ["q"]);
@@ -152,6 +156,9 @@ fn a_colour_without_a_number_leaves_the_others() {
     let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3 1 0.5 0\nv 5 6 7 nan 0.5 1\n");
     assert_eq!(cloud.rgb().unwrap(), [[255, 128, 0], [0, 128, 255]]);
     assert_eq!(notes, ["1 values of colours are no numbers; they become 0"]);
+    let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3\nv 5 6 7 255 128 1\nv 1 1 1 1\n");
+    assert_eq!(cloud.rgb().unwrap(), [[0; 3], [255, 128, 1], [0; 3]]);
+    assert_eq!(notes, ["2 of 3 vertices have no colour; they are black"]);
 }
 
 /// Forty points in LAS of this version and format.
@@ -426,7 +433,9 @@ fn vertices_of_an_off_have_their_normals_and_colours() {
     let (cloud, _) = cloud_as("a.off", OFF.as_bytes());
     assert_eq!(names(&cloud), ["normal_x", "normal_y", "normal_z", "red", "green", "blue"]);
     assert_eq!((cloud.positions.get(1), cloud.rgb().unwrap()[1]), ([5.0, 6.0, 7.0], [0, 255, 0]));
-    assert_eq!(cloud_as("a.off", b"OFF 2 0 0\n1 2 3\n5 6 7\n").0.len(), 2);
+    for text in ["OFF 2 0 0\n1 2 3\n5 6 7\n", "OFF2 0 0\n1 2 3\n5 6 7\n"] {
+        assert_eq!(cloud_as("a.off", text.as_bytes()).0.len(), 2, "{text}");
+    }
     for (text, problem) in [
         ("OFF\n3 0 0\n1 2 3\n5 6 7\n", "states 3 vertices, but has 2"),
         ("OFF\n2 0 0\n1 2 3\n5 6\n", "line 4"),
