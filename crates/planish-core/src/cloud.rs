@@ -160,12 +160,12 @@ impl Default for PositionColumns {
 pub struct CoordinateSteps {
     /// The distance between two of them, in metres.
     pub step_m: f64,
-    /// One of them, in metres.
+    /// The coordinate of step 0, in metres.
     pub offset_m: f64,
 }
 
 impl CoordinateSteps {
-    /// Returns the nearest of them.
+    /// Returns the nearest coordinate on a step.
     fn nearest(&self, coordinate_m: f64) -> f64 {
         ((coordinate_m - self.offset_m) / self.step_m).round() * self.step_m + self.offset_m
     }

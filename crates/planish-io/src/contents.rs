@@ -45,10 +45,11 @@ impl Contents {
 /// Returns a depth image of integers that 16 bits can hold; negative ones become holes.
 pub(crate) fn depth_of_integers(
     (width, height): (usize, usize),
-    values: impl Iterator<Item = i64> + Clone,
+    values: &[impl Copy + Into<i64>],
     notes: &mut Vec<String>,
 ) -> FormatResult<Contents> {
-    if let Some(largest) = values.clone().max().filter(|largest| *largest > i64::from(u16::MAX)) {
+    let values = values.iter().map(|value| (*value).into());
+    if let Some(largest) = values.clone().max().filter(|largest: &i64| *largest > i64::from(u16::MAX)) {
         return Err(FormatError::Unsupported(format!(
             "its largest value is {largest}, but 16 bits hold depth up to 65535; save it in metres, as floats"
         )));

@@ -4,6 +4,7 @@ use std::io::Cursor;
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
+use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
 use super::{Contents, DepthSummary, ReadOptions, depth_of_integers};
@@ -12,12 +13,16 @@ use planish_core::{DepthImage, FormatError, internal::validate_shape};
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
     // The image, and a strip or tile that may be all of it.
-    options.check(width * height, 8)?;
+    options.check(width * height, 16)?;
+    let is_inverted = is_inverted(&mut decoder);
     let contents = match decoder.read_image().map_err(malformed)? {
-        DecodingResult::U16(raw) => Contents::Depth(DepthImage { width, height, raw }),
-        DecodingResult::U32(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
-        DecodingResult::I16(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
-        DecodingResult::I32(values) => depth_of_integers((width, height), values.into_iter().map(i64::from), notes)?,
+        DecodingResult::U16(mut raw) => {
+            raw.iter_mut().filter(|_| is_inverted).for_each(|value| *value = u16::MAX - *value);
+            Contents::Depth(DepthImage { width, height, raw })
+        }
+        DecodingResult::U32(values) => depth_of_integers((width, height), &values, notes)?,
+        DecodingResult::I16(values) => depth_of_integers((width, height), &values, notes)?,
+        DecodingResult::I32(values) => depth_of_integers((width, height), &values, notes)?,
         DecodingResult::F32(depth_m) => Contents::DepthMetres { width, height, depth_m },
         DecodingResult::F64(values) => {
             Contents::DepthMetres { width, height, depth_m: values.into_iter().map(|value| value as f32).collect() }
@@ -36,7 +41,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
 /// Counts the pixels, a strip or tile at a time, without keeping them; `None` for other images than one of 16 bits.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
-    if decoder.more_images() {
+    if decoder.more_images() || is_inverted(&mut decoder) {
         return Ok(None);
     }
     let (chunk_width, chunk_height) = decoder.chunk_dimensions();
@@ -50,6 +55,11 @@ pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<De
         }
     }
     Ok(Some(summary))
+}
+
+/// Returns true if the decoder inverts the values because the image states that white is 0.
+fn is_inverted(decoder: &mut Decoder<Cursor<&[u8]>>) -> bool {
+    decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten() == Some(0)
 }
 
 fn malformed(error: TiffError) -> FormatError {

@@ -21,7 +21,7 @@ pub fn brief(message: &str) -> String {
     }
 }
 
-/// Returns text as it is meant: UTF-8, or else Latin-1, in which every byte is a character.
+/// Decodes UTF-8, falling back to Latin-1.
 pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     match std::str::from_utf8(bytes) {
         Ok(text) => text.into(),

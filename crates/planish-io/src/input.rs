@@ -22,13 +22,15 @@ pub struct ReadOptions {
     /// The unit of points and of floating-point depth in files that state none; they become metres. The metre by
     /// default.
     pub unit: Option<LengthUnit>,
+    /// Depth units per metre of floating-point depth, instead of a unit.
+    pub depth_units_per_metre: Option<f64>,
     /// The number of columns of a lidar's `.bin`; found from its values by default.
     pub columns: Option<usize>,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { max_memory_bytes: 2 << 30, unit: None, columns: None }
+        Self { max_memory_bytes: 2 << 30, unit: None, depth_units_per_metre: None, columns: None }
     }
 }
 
@@ -41,6 +43,11 @@ impl ReadOptions {
     /// Sets the unit of lengths.
     pub const fn with_unit(self, unit: Option<LengthUnit>) -> Self {
         Self { unit, ..self }
+    }
+
+    /// Sets the depth units per metre of floating-point depth.
+    pub const fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
+        Self { depth_units_per_metre, ..self }
     }
 
     /// Sets the number of columns of a lidar's `.bin`.

@@ -8,7 +8,7 @@ use super::{CloudRef, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
 const FIELDS: [&str; 2] = ["intensity", "ring"];
-/// The numbers of columns that files have, likeliest last: a file of more columns would fit those of fewer.
+/// The possible numbers of columns.
 const COLUMNS: std::ops::RangeInclusive<usize> = 3..=16;
 /// The columns are looked for in this number of values.
 const SAMPLE: usize = 1 << 16;
@@ -17,7 +17,7 @@ const SAMPLE: usize = 1 << 16;
 #[derive(Debug, PartialEq)]
 struct Columns {
     names: Vec<String>,
-    /// What colours are multiplied by to become bytes.
+    /// The factor that converts colours to bytes.
     colour_scale: f64,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn decode(
     if options.columns.is_none() && !sample.is_of_floats() {
         return Err(FormatError::Malformed(
             "its values are not positions in metres: not a lidar's .bin of floats (raw depth is read from PNG, TIFF and \
-             .npy); if it is one, state its number of columns (--columns)"
+             .npy); if it is one, state its number of columns"
                 .into(),
         ));
     }
@@ -47,9 +47,9 @@ pub(super) fn decode(
             return Err(FormatError::Unsupported(format!("{count} columns; 3 (x, y, z) to 16 are supported")));
         }
         None if has_ring => 5,
-        None => sample.columns().ok_or_else(|| {
+        None => sample.columns(bytes.len() / 4).ok_or_else(|| {
             FormatError::Unsupported(
-                "its values do not show how many columns it has; state their number (--columns: KITTI 4, nuScenes 5)"
+                "its values do not show how many columns it has; state their number, such as 4 for KITTI and 5 for nuScenes"
                     .into(),
             )
         })?,
@@ -121,7 +121,7 @@ impl Sample {
         Self(values.iter().take(SAMPLE).map(|bytes| f32::from_le_bytes(*bytes)).collect())
     }
 
-    /// Returns false if values are larger or smaller than any coordinate, as those of other types are.
+    /// Returns false if many values are too large or too small for coordinates, which shows another type.
     fn is_of_floats(&self) -> bool {
         let numbers: Vec<f32> = self.0.iter().copied().filter(|value| !value.is_nan()).collect();
         let is_length = |value: &&f32| **value == 0.0 || (1e-6..1e9).contains(&value.abs());
@@ -131,17 +131,18 @@ impl Sample {
             && numbers.iter().any(|value| *value != 0.0)
     }
 
-    /// Returns the number of columns; `None` if it is not clear.
-    fn columns(&self) -> Option<usize> {
-        // Shares that differ by less are equal; those of few values differ by chance.
+    /// Returns the number of columns of a file of this number of values; `None` if it is not clear.
+    fn columns(&self, values: usize) -> Option<usize> {
+        // Smaller differences occur by chance, in particular with few values.
         let tolerance = 0.03 + (self.0.len() as f64).sqrt().recip();
         let shares: Vec<(usize, f64)> = (3..=8).map(|lag| (lag, self.similar(lag))).collect();
         let best = shares.iter().map(|(_, share)| *share).fold(0.0, f64::max);
-        let fits = |columns: usize| {
-            let is_best = shares.iter().any(|&(lag, share)| lag == columns && share >= best - tolerance);
-            is_best && self.fits(columns)
+        let fits = |columns: &usize| {
+            let is_best = shares.iter().any(|&(lag, share)| lag == *columns && share >= best - tolerance);
+            is_best && values.is_multiple_of(*columns) && self.fits(*columns)
         };
-        [6, 5, 4, 3].into_iter().find(|&columns| fits(columns))
+        let mut fitting = (3..=6).filter(fits);
+        fitting.next().filter(|_| fitting.next().is_none())
     }
 
     /// Returns the share of values that are of the same kind as that this many places farther: integers or not, and of
@@ -159,14 +160,21 @@ impl Sample {
     fn fits(&self, columns: usize) -> bool {
         let column = |k: usize| self.0.chunks_exact(columns).map(move |point| point[k]);
         let all = |range: std::ops::Range<usize>, test: fn(f32) -> bool| range.into_iter().all(|k| column(k).all(test));
-        let is_share = |value: f32| (0.0..=1.0).contains(&value);
         let is_byte = |value: f32| (0.0..=255.0).contains(&value) && value.fract() == 0.0;
         match columns {
             3 => true,
             4 => all(3..4, |value| value >= 0.0),
             5 => all(3..4, |value| value >= 0.0) && all(4..5, |value| value >= -1.0 && value.fract() == 0.0),
-            _ => all(3..6, is_byte) || all(3..6, is_share),
+            _ => all(3..6, is_byte) || all(3..6, is_share_of_bytes) || self.has_normals(),
         }
+    }
+}
+
+impl Sample {
+    /// Returns true if columns 4 to 6 of six are unit vectors.
+    fn has_normals(&self) -> bool {
+        let is_unit = |p: &[f32]| ((p[3] * p[3] + p[4] * p[4] + p[5] * p[5]).sqrt() - 1.0).abs() < 0.02;
+        self.0.chunks_exact(6).all(is_unit)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The unit of a file's coordinates, where the file states it.
 
-use planish_core::PointCloud;
+use planish_core::{ParamError, PointCloud};
 
 /// A unit of length. [`Display`](std::fmt::Display) gives its name.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,28 +29,20 @@ impl LengthUnit {
     /// The inch.
     pub const INCH: Self = Self { name: "inch", symbol: "in", metres: 0.0254 };
 
-    /// Returns the unit with a name that users give: mm, cm, m, inch or ft.
-    pub fn named(name: &str) -> Option<Self> {
-        match name {
-            "mm" => Some(Self::MILLIMETRE),
-            "cm" => Some(Self::CENTIMETRE),
-            "m" => Some(Self::METRE),
-            "inch" | "in" => Some(Self::INCH),
-            "ft" => Some(Self::FOOT),
-            _ => None,
-        }
-    }
-
     /// Returns the unit of a cloud's coordinates: of the coordinate system in a LAS or LAZ file, otherwise the metre.
     pub fn of_cloud(cloud: &PointCloud) -> Self {
+        Self::stated_by(cloud).unwrap_or(Self::METRE)
+    }
+
+    /// Returns the unit that the file of a cloud states.
+    pub(crate) fn stated_by(cloud: &PointCloud) -> Option<Self> {
         #[cfg(feature = "scans")]
-        let stated = super::las::length_unit(cloud);
+        return super::las::length_unit(cloud);
         #[cfg(not(feature = "scans"))]
-        let stated = {
+        {
             let _ = cloud;
             None
-        };
-        stated.unwrap_or(Self::METRE)
+        }
     }
 
     /// Returns true for the metre.
@@ -78,6 +70,22 @@ impl LengthUnit {
     }
 }
 
+impl std::str::FromStr for LengthUnit {
+    type Err = ParamError;
+
+    /// Parses the symbol of a unit: mm, cm, m, inch or ft.
+    fn from_str(symbol: &str) -> Result<Self, ParamError> {
+        match symbol {
+            "mm" => Ok(Self::MILLIMETRE),
+            "cm" => Ok(Self::CENTIMETRE),
+            "m" => Ok(Self::METRE),
+            "inch" | "in" => Ok(Self::INCH),
+            "ft" => Ok(Self::FOOT),
+            _ => Err(ParamError { field: "unit", value: format!("{symbol:?}"), allowed: "mm, cm, m, inch or ft" }),
+        }
+    }
+}
+
 impl std::fmt::Display for LengthUnit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name)
@@ -87,7 +95,10 @@ impl std::fmt::Display for LengthUnit {
 /// Returns the linear unit in a coordinate system as well-known text, version 1 or 2.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
-    // Angles have units too, in degrees or radians; of several lengths, the horizontal one is first.
+    // Ellipsoids and parameters have units too, so start at the axes. Angles have units as well; the first length is
+    // the horizontal one.
+    let axes = [",CS[", "PROJECTION["].iter().find_map(|part| text.find(part));
+    let text = &text[axes.unwrap_or(0)..];
     let units = text.match_indices("UNIT[").map(|(at, start)| &text[at + start.len()..]);
     units.into_iter().find_map(|unit| {
         // Behind the quoted name.
@@ -100,15 +111,15 @@ pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
 /// Returns the linear unit in the keys of GeoTIFF: records of four numbers behind a header of four.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_geo_keys(bytes: &[u8]) -> Option<LengthUnit> {
-    /// ProjLinearUnitsGeoKey, and VerticalUnitsGeoKey if that is missing.
-    const KEYS: [u16; 2] = [3076, 4099];
+    /// ProjLinearUnitsGeoKey.
+    const KEY: u16 = 3076;
     let numbers: Vec<u16> = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
     let value = |key: u16| {
         let keys = numbers.get(4..)?.chunks_exact(4);
         // A location of 0 means that the last number is the value itself.
         keys.into_iter().find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
     };
-    KEYS.into_iter().find_map(|key| LengthUnit::of_epsg(value(key)?))
+    LengthUnit::of_epsg(value(KEY)?)
 }
 
 #[cfg(test)]
@@ -123,6 +134,8 @@ mod tests {
         assert_eq!(unit_of_wkt(survey), Some(LengthUnit::US_SURVEY_FOOT));
         let wkt2 = r#"PROJCRS["x",BASEGEOGCRS["y",ANGLEUNIT["degree",0.0174]],CS[Cartesian,2],LENGTHUNIT["metre",1,ID["EPSG",9001]]]"#;
         assert_eq!(unit_of_wkt(wkt2), Some(LengthUnit::METRE));
+        let of_axes = r#"PROJCRS["x",BASEGEOGCRS["y",DATUM["d",ELLIPSOID["GRS 1980",6378137,298.257,LENGTHUNIT["metre",1]]]],CONVERSION["c",METHOD["m"]],CS[Cartesian,2],AXIS["easting (X)",east,ORDER[1],LENGTHUNIT["US survey foot",0.304800609601219]]]"#;
+        assert_eq!(unit_of_wkt(of_axes), Some(LengthUnit::US_SURVEY_FOOT));
         for nothing in ["", "PROJCS[", "UNIT[", r#"UNIT["fathom",1.8288]"#, "UNIT[]", r#"UNIT["x"#] {
             assert_eq!(unit_of_wkt(nothing), None, "{nothing}");
         }
@@ -131,7 +144,9 @@ mod tests {
             header.iter().chain(entries).flatten().flat_map(|number| number.to_le_bytes()).collect()
         };
         assert_eq!(unit_of_geo_keys(&keys(&[[1024, 0, 1, 1], [3076, 0, 1, 9003]])), Some(LengthUnit::US_SURVEY_FOOT));
-        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]])), Some(LengthUnit::FOOT));
+        assert_eq!(unit_of_geo_keys(&keys(&[[3076, 0, 1, 9002]])), Some(LengthUnit::FOOT));
+        // That of heights alone.
+        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]])), None);
         for nothing in [keys(&[]), keys(&[[3076, 34736, 1, 0]]), keys(&[[3076, 0, 1, 9005]]), vec![1, 0, 3], Vec::new()]
         {
             assert_eq!(unit_of_geo_keys(&nothing), None);

@@ -1,47 +1,89 @@
-//! What the numbers of a file mean: their unit, and which of them are no measurements.
+//! The meaning of a file's numbers: their unit, and points without a measurement.
 
-use super::{Contents, FormatResult, LengthUnit};
+use super::{Contents, FormatResult, LengthUnit, ReadOptions};
 use planish_core::{FormatError, OrganizedCloud, PointCloud};
 
-/// Converts points and floating-point depth in this unit to metres.
-pub(super) fn to_metres(contents: &mut Contents, unit: LengthUnit, notes: &mut Vec<String>) -> FormatResult<()> {
-    let cloud = match contents {
-        Contents::Depth(_) => {
-            let units = 1.0 / unit.metres;
-            return Err(FormatError::Unsupported(format!(
-                "its 16-bit values have no unit of length; give the number of depth units in a metre, {units:.0} for {}s",
-                unit.name
-            )));
-        }
+/// Converts points and floating-point depth to metres, from the unit that the options state.
+pub(super) fn to_metres(contents: &mut Contents, options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<()> {
+    let unit = options.unit.filter(|unit| !unit.is_metre());
+    match contents {
+        Contents::Depth(_) => match unit {
+            Some(unit) => Err(FormatError::Unsupported(format!(
+                "its 16-bit values have no unit of length; give the number of depth units in a metre, {:.0} for {}",
+                1.0 / unit.metres,
+                unit.symbol
+            ))),
+            None => Ok(()),
+        },
         Contents::DepthMetres { depth_m, .. } => {
-            depth_m.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * unit.metres) as f32);
-            None
+            let factor = match (unit, options.depth_units_per_metre) {
+                (Some(_), Some(_)) => {
+                    let text = "both a unit and a number of depth units per metre; give one of them";
+                    return Err(FormatError::Unsupported(text.into()));
+                }
+                (_, Some(units)) if !(units > 0.0 && units.is_finite()) => {
+                    return Err(FormatError::Unsupported(format!(
+                        "{units} depth units per metre; give a positive number"
+                    )));
+                }
+                (Some(unit), None) => unit.metres,
+                (None, Some(units)) => units.recip(),
+                (None, None) => return Ok(()),
+            };
+            depth_m.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * factor) as f32);
+            notes.extend(unit.map(converted));
+            Ok(())
         }
-        Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points) => Some(points),
-    };
-    if let Some(cloud) = cloud {
-        let stated = LengthUnit::of_cloud(cloud);
-        if !stated.is_metre() && stated != unit {
-            return Err(FormatError::Unsupported(format!("the file states its unit, the {stated}")));
-        }
-        scale(cloud, unit.metres);
+        Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points) => match unit {
+            Some(unit) => points_to_metres(points, unit, notes),
+            None => Ok(()),
+        },
     }
-    if !unit.is_metre() {
-        notes.push(format!("lengths in {} become metres", unit.symbol));
+}
+
+fn converted(unit: LengthUnit) -> String {
+    format!("lengths in {} become metres", unit.symbol)
+}
+
+fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<String>) -> FormatResult<()> {
+    if let Some(stated) = LengthUnit::stated_by(cloud).filter(|stated| *stated != unit) {
+        return Err(FormatError::Unsupported(format!("the file states its unit, the {stated}")));
+    }
+    scale(cloud, unit.metres);
+    notes.push(converted(unit));
+    // A header of LAS or E57 has scales and a coordinate system in the old unit.
+    #[cfg(feature = "scans")]
+    if super::las::has_header(cloud) || super::e57::has_scans(cloud) {
+        cloud.provenance = planish_core::Provenance::default();
+        notes.push("its header, which is for the old unit, is not kept".into());
     }
     Ok(())
 }
 
 /// Multiplies all coordinates.
 fn scale(cloud: &mut PointCloud, factor: f64) {
-    for values in cloud.positions.as_mut_slices() {
-        values.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
+    let scaled: Vec<[f64; 3]> =
+        (0..cloud.len()).map(|i| [0, 1, 2].map(|axis| factor * cloud.coordinate(axis, i))).collect();
+    let far = cloud.origin_m != [0.0; 3];
+    let origin = cloud.origin_m.map(|origin| (factor * origin).trunc());
+    cloud.origin_m = origin;
+    for (i, point) in scaled.iter().enumerate() {
+        cloud.positions.set(i, [0, 1, 2].map(|axis| (point[axis] - origin[axis]) as f32));
     }
-    cloud.origin_m.iter_mut().for_each(|origin| *origin *= factor);
+    (cloud.exact_m, cloud.steps) = (None, None);
+    if far {
+        cloud.keep_exact([0, 1, 2].map(|axis| scaled.iter().map(|point| point[axis]).collect()));
+    }
     cloud.pose.position_m.iter_mut().for_each(|position| *position *= factor);
-    cloud.exact_m.iter_mut().flatten().flatten().for_each(|coordinate| *coordinate *= factor);
-    cloud.steps = None;
+    if let Some(scanners_m) = cloud.scanners_m() {
+        let scaled = scanners_m.iter().map(|scanner| scanner.map(|position| position.map(|value| factor * value)));
+        let scaled = scaled.collect();
+        cloud.set_scanners_m(scaled);
+    }
 }
+
+/// The largest x and y of a camera's points, in multiples of z: a field of view of 150 degrees.
+const WIDEST: f32 = 4.0;
 
 /// Turns the points (0, 0, 0) of a cloud in the frame of its sensor into holes: drivers write them where nothing was
 /// measured.
@@ -53,8 +95,9 @@ pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String
     let is_zero = |points: &PointCloud, i: usize| points.positions.get(i) == [0.0; 3];
     let zeros: Vec<usize> = (0..points.len()).filter(|&i| is_zero(points, i)).collect();
     // A single one may be a point of a surface, unless all others are before the sensor.
-    let is_before = |z: &f32| *z > 0.0 || !z.is_finite();
-    let others_are_before = || points.positions.z().iter().filter(|z| **z != 0.0).all(is_before);
+    let is_before = |[x, y, z]: [f32; 3]| z > 0.0 && x.abs() <= WIDEST * z && y.abs() <= WIDEST * z || !z.is_finite();
+    let others_are_before =
+        || (0..points.len()).filter(|i| !zeros.contains(i)).all(|i| is_before(points.positions.get(i)));
     if zeros.is_empty() || zeros.len() == 1 && !others_are_before() {
         return;
     }

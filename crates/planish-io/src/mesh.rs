@@ -11,7 +11,7 @@ use planish_core::{Attribute, FormatError, PointCloud, Precision};
 pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let text = text_of(bytes);
     let lines = (1..).zip(text.lines()).filter_map(|(number, line)| {
-        let line = line.trim();
+        let line = line.split('#').next().unwrap_or_default().trim();
         line.strip_prefix("v").filter(|rest| rest.starts_with([' ', '\t'])).map(|rest| (number, rest))
     });
     options.check(lines.clone().count(), 8 * 6)?;
@@ -44,7 +44,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
         let scale = if is_share { 255.0 } else { 1.0 };
         match channels().filter(|value| value.is_nan()).count() {
             0 => {}
-            missing => notes.push(format!("{missing} values of colours are no numbers; they become 0")),
+            missing => notes.push(format!("{missing} values of colours are missing; they become 0")),
         }
         for (name, values) in [("red", red), ("green", green), ("blue", blue)] {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
@@ -70,7 +70,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let of_first = [behind].into_iter().chain(first).find(|word| !word.is_empty());
     let counts = of_first.or_else(|| lines.next().map(|(_, line)| line)).unwrap_or_default();
     let count = counts.split_whitespace().next().and_then(|count| count.parse::<usize>().ok()).ok_or_else(|| {
-        FormatError::Malformed(format!("{} are no numbers of vertices, faces and edges", quoted(counts)))
+        FormatError::Malformed(format!("the numbers of vertices, faces and edges are expected, not {}", quoted(counts)))
     })?;
     if count > bytes.len() {
         return Err(FormatError::Malformed(format!("{count} vertices in a file of {} bytes", bytes.len())));

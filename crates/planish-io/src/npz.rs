@@ -13,7 +13,20 @@ use planish_core::{Attribute, AttributeValues, Camera, FormatError};
 const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
 const DEPTH: [&str; 2] = ["depth", "arr_0"];
 /// Names of a depth image's intrinsics, a matrix of 3x3 or 4x4.
-const INTRINSICS: [&str; 7] = ["K", "k", "intrinsics", "intrinsic", "camera_matrix", "cam_K", "intrinsic_matrix"];
+const INTRINSICS: [&str; 10] = [
+    "K",
+    "k",
+    "intrinsics",
+    "intrinsic",
+    "camera_matrix",
+    "cam_K",
+    "intrinsic_matrix",
+    "cam_intrinsics",
+    "camera_intrinsics",
+    "depth_intrinsics",
+];
+/// Names of arrays of three columns that are no positions.
+const NO_POSITIONS: [&str; 9] = ["normals", "normal", "rgb", "colors", "colours", "color", "image", "img", "faces"];
 /// More arrays than that are no cloud.
 const MOST_ARRAYS: usize = 256;
 
@@ -46,20 +59,29 @@ pub(super) fn decode(
         })?;
         arrays.push((name, array));
     }
-    let intrinsics = arrays.iter().find(|(name, _)| INTRINSICS.contains(&name.as_str()));
-    let intrinsics = intrinsics.and_then(|(name, array)| Some((name.clone(), intrinsics_of(array)?)));
-    if let Some((name, _)) = &intrinsics {
-        arrays.retain(|(other, _)| other != name);
+    let named = arrays.iter().position(|(name, _)| INTRINSICS.contains(&name.as_str()));
+    let named = named.filter(|&k| is_matrix(&arrays[k].1)).map(|k| arrays.remove(k));
+    let intrinsics = named.as_ref().and_then(|(name, array)| Some((name.clone(), intrinsics_of(array)?)));
+    if let (Some((name, _)), None) = (&named, &intrinsics) {
+        notes.push(format!("the array {} is dropped: it is not [fx 0 cx; 0 fy cy; 0 0 1]", brief(name)));
     }
     let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
     // Find it by its name, otherwise take the only array that fits.
-    let contents_of =
-        |(name, array): &(String, Vec<u8>)| Some((name.clone(), npy::decode(array, options, &mut Vec::new()).ok()?));
+    let contents_of = |(name, array): &(String, Vec<u8>)| {
+        let mut notes = Vec::new();
+        let contents = npy::decode(array, options, &mut notes).ok()?;
+        Some((name.clone(), contents, notes))
+    };
     let of_name = |wanted: &[&str], is_kind: fn(&Contents) -> bool| {
         let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
-        let named = named.and_then(contents_of).filter(|(_, contents)| is_kind(contents));
+        let named = named.and_then(contents_of).filter(|(_, contents, _)| is_kind(contents));
         named.or_else(|| {
-            let mut all = arrays.iter().filter_map(contents_of).filter(|(_, contents)| is_kind(contents));
+            // Boxes and labels are tables too.
+            let may_be = |(name, array): &&(String, Vec<u8>)| {
+                !NO_POSITIONS.contains(&name.as_str()) && is_plain(array) && !is_matrix(array)
+            };
+            let plain = arrays.iter().filter(may_be).filter_map(contents_of);
+            let mut all = plain.filter(|(_, contents, notes)| is_kind(contents) && notes.is_empty());
             all.next().filter(|_| all.next().is_none())
         })
     };
@@ -79,16 +101,19 @@ pub(super) fn decode(
     }
     let points = || of_name(&POSITIONS, |contents| !contents.is_depth());
     let depth = || of_name(&DEPTH, Contents::is_depth);
-    // With the intrinsics of a camera, it is a depth image unless an array has the name of points.
-    let has_points = arrays.iter().any(|(name, _)| POSITIONS[..3].contains(&name.as_str()));
-    let found = if intrinsics.is_some() && !has_points { depth().or_else(points) } else { points().or_else(depth) };
-    let Some((used, mut contents)) = found else {
+    // With an array of that name or the intrinsics of a camera, it is a depth image unless an array has the name of
+    // points.
+    let has = |names: &[&str]| arrays.iter().any(|(name, _)| names.contains(&name.as_str()));
+    let is_depth = (named.is_some() || has(&DEPTH[..1])) && !has(&POSITIONS[..3]);
+    let found = if is_depth { depth().or_else(points) } else { points().or_else(depth) };
+    let Some((used, mut contents, found_notes)) = found else {
         return Err(FormatError::Unsupported(format!(
             "an archive with {}; name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or \
              a depth image depth",
             names()
         )));
     };
+    notes.extend(found_notes.into_iter().map(|note| format!("the array {}: {note}", brief(&used))));
     let rows = contents.shape().0 * contents.shape().1;
     let others = arrays.iter().filter(|(name, _)| *name != used);
     let wanted = if contents.is_depth() { &DEPTH[..] } else { &POSITIONS[..] };
@@ -129,15 +154,33 @@ pub(super) fn decode(
     Ok((contents, None))
 }
 
+/// Returns true for an array of the size of a transformation or of intrinsics.
+fn is_matrix(array: &[u8]) -> bool {
+    npy::Array::parse(array)
+        .is_ok_and(|array| matches!(array.header.shape[..], [3, 3] | [3, 4] | [4, 4] | [1, 3, 3] | [1, 4, 4]))
+}
+
+/// Returns true for an array that is points or a depth image by its shape and type alone.
+fn is_plain(array: &[u8]) -> bool {
+    npy::Array::parse(array).is_ok_and(|array| {
+        matches!(
+            (&array.header.shape[..], array.header.kind, array.header.size),
+            ([_, 3] | [_, _, 3] | [_, _], 'f', 4 | 8) | ([_, _], 'u', 2)
+        )
+    })
+}
+
 /// Returns the intrinsics in a matrix; `None` if it is another one.
 fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     let array = npy::Array::parse(array).ok()?;
     let numbers: Vec<f64> = match (array.header.kind, array.header.size) {
         ('f', 8) => array.values(),
         ('f', 4) => array.values::<f32>().into_iter().map(f64::from).collect(),
+        ('i', 4) => array.values::<i32>().into_iter().map(f64::from).collect(),
+        ('i', 8) => array.values::<i64>().into_iter().map(|value| value as f64).collect(),
         _ => return None,
     };
-    matches!(array.header.shape[..], [3 | 4, 3 | 4]).then(|| matrix_intrinsics(&numbers))?
+    matrix_intrinsics(&numbers)
 }
 
 /// Converts an array into a field of `rows` points, or returns the reason why it is not one (it may be an unrelated
@@ -148,8 +191,12 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
         Err(FormatError::Unsupported(reason)) => return Ok(Err(reason)),
         Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
     };
-    let len = array.header.len().unwrap_or(0);
-    if rows == 0 || len % rows != 0 || len == 0 {
+    // The points come first, on a grid or not.
+    let mut leading = array.header.shape.iter().scan(1usize, |points, &n| {
+        *points = points.saturating_mul(n);
+        Some(*points)
+    });
+    if rows == 0 || !leading.any(|points| points == rows) || array.header.len() == Some(0) {
         return Ok(Err(format!("its shape is {:?}, but there are {rows} points", array.header.shape)));
     }
     let values: AttributeValues = match (array.header.kind, array.header.size) {

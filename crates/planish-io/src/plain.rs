@@ -50,7 +50,7 @@ pub(super) fn text_in_utf_8(bytes: &[u8]) -> Cow<'_, [u8]> {
     }
 }
 
-/// Returns text in UTF-16; `None` if it is none.
+/// Decodes UTF-16; `None` for other bytes.
 fn decode(bytes: &[u8], unit: impl Fn([u8; 2]) -> u16) -> Option<String> {
     let (units, rest) = bytes.as_chunks::<2>();
     let text = String::from_utf16(&units.iter().map(|bytes| unit(*bytes)).collect::<Vec<_>>()).ok()?;

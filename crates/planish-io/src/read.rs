@@ -146,7 +146,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     decode_plain(&plain(bytes, options)?, announced, options, &mut Beside::default())
 }
 
-/// What is found beside the contents of a file.
+/// A file's camera and notes.
 #[derive(Default)]
 struct Beside {
     camera: Option<Camera>,
@@ -209,9 +209,7 @@ fn decode_plain(
     if let Contents::Organized(cloud) = &mut contents {
         meaning::holes_at_sensor(cloud, notes);
     }
-    if let Some(unit) = options.unit {
-        meaning::to_metres(&mut contents, unit, notes)?;
-    }
+    meaning::to_metres(&mut contents, options, notes)?;
     Ok((format, contents))
 }
 

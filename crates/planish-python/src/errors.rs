@@ -35,11 +35,12 @@ pub fn frame(error: FrameError) -> PyErr {
     to_py(error)
 }
 
-/// Warns about what was dropped or guessed in a file, as from a caller of this many Python functions.
+/// Raises warnings about dropped data and guesses in a file, attributed to the Python caller at this level.
 pub fn warn(py: Python<'_>, path: &Path, notes: &[String], level: i32) -> PyResult<()> {
     for note in notes {
-        let text =
-            CString::new(format!("{}: {note}", path.display())).map_err(|_| PyValueError::new_err(note.clone()))?;
+        // C strings have no NUL.
+        let text = format!("{}: {note}", path.display()).replace('\0', " ");
+        let text = CString::new(text).unwrap_or_default();
         PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, level)?;
     }
     Ok(())

@@ -26,12 +26,7 @@ pub fn read<'py>(
     unit: Option<&str>,
     columns: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let unit = match unit.map(|name| (name, LengthUnit::named(name))) {
-        Some((name, None)) => {
-            return Err(PyValueError::new_err(format!("unit is {name:?}; it is one of mm, cm, m, inch and ft")));
-        }
-        unit => unit.and_then(|(_, unit)| unit),
-    };
+    let unit: Option<LengthUnit> = unit.map(str::parse).transpose().map_err(to_py)?;
     let options = ReadOptions::default().with_unit(unit).with_columns(columns);
     let FileRead { format, contents, camera, notes, .. } =
         py.detach(|| io::read_file(&path, &options)).map_err(to_py)?;

@@ -176,6 +176,17 @@ def test_an_archive_of_depth_and_intrinsics_has_a_camera(tmp_path):
         frame = planish.read(tmp_path / "frame.npz")
     assert np.array_equal(frame.depth, depth)
     assert (frame.camera.fx, frame.camera.cx, frame.camera.width) == (52, 31.5, 64)
+    for name, unusable in [("cam_intrinsics", matrix.astype("i4")), ("other", np.eye(3)), ("normal", np.ones((48, 64, 3), "f4"))]:
+        np.savez(tmp_path / "frame.npz", **{"depth": depth, name: unusable})
+        with pytest.warns(RuntimeWarning, match=name):
+            frame = planish.read(tmp_path / "frame.npz")
+        assert np.array_equal(frame.depth, depth)
+        assert (frame.camera is not None) == (name == "cam_intrinsics")
+    # Boxes and faces are not fields of the points.
+    np.savez(tmp_path / "cloud.npz", pts=np.ones((1000, 3), "f4"), boxes=np.ones((7, 7), "f4"), faces=np.ones((2000, 3), "i4"))
+    with pytest.warns(RuntimeWarning, match="faces"):
+        frame = planish.read(tmp_path / "cloud.npz")
+    assert frame.points.shape == (1000, 3) and not frame.fields
 
 
 def test_units_and_columns_are_stated_or_guessed_with_a_warning(tmp_path):
@@ -183,7 +194,7 @@ def test_units_and_columns_are_stated_or_guessed_with_a_warning(tmp_path):
     with pytest.warns(RuntimeWarning, match="mm become metres"):
         frame = planish.read(tmp_path / "mm.npy", unit="mm")
     assert np.allclose(frame.points, [[0.1, 0.2, 1], [0.3, 0, 2]])
-    with pytest.raises(ValueError, match="mm, cm, m, inch and ft"):
+    with pytest.raises(ValueError, match="mm, cm, m, inch or ft"):
         planish.read(tmp_path / "mm.npy", unit="furlong")
     rng = np.random.default_rng(1)
     scan = np.c_[rng.uniform(-20, 20, (500, 3)), rng.uniform(0, 1, 500)].astype(np.float32)

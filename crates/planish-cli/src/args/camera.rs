@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{Contents, Trajectory, read_trajectory};
+use planish::io::{Trajectory, read_trajectory};
 use planish::{Camera, SensorPose, Settings, io};
 use planish_bench::errln;
 
@@ -78,13 +78,6 @@ impl CameraArgs {
     /// Returns the options for an input that may have a camera itself.
     pub fn or(&self, own: Option<Camera>) -> Self {
         Self { own, ..self.clone() }
-    }
-
-    /// Converts floating-point depth in the unit that is given to metres.
-    pub fn to_metres(&self, contents: &mut Contents) {
-        if let (Contents::DepthMetres { depth_m, .. }, Some(units)) = (contents, self.depth_units_per_metre) {
-            depth_m.iter_mut().for_each(|depth| *depth = (f64::from(*depth) / units) as f32);
-        }
     }
 
     /// Returns true if any option of the camera is set.

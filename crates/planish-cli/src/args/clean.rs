@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::camera::numbers;
-use super::{CameraArgs, EncodingArgs, MemoryArgs};
+use super::{CameraArgs, EncodingArgs, ReadArgs};
 
 /// Steps apply in the order of these options. Organized clouds keep their grid, and removed points become holes; with
 /// --voxel the output is unorganized.
@@ -36,7 +36,7 @@ pub struct CleanArgs {
     #[arg(long)]
     pub overwrite: bool,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{CameraArgs, EncodingArgs, MemoryArgs, SmoothingArgs};
+use super::{CameraArgs, EncodingArgs, ReadArgs, SmoothingArgs};
 
 /// Nothing is smoothed. The output keeps fields, colours, grid and holes if its format can store them; a note names
 /// everything it drops.
@@ -32,7 +32,7 @@ pub struct ConvertArgs {
     #[arg(long, hide_short_help = true)]
     pub overwrite: bool,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     /// Print a report as one JSON object
     #[arg(long, hide_short_help = true)]
     pub json: bool,
@@ -61,7 +61,7 @@ pub struct CompareArgs {
     #[arg(long, value_name = "FILE.png")]
     pub picture: Option<PathBuf>,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
@@ -84,7 +84,7 @@ pub struct MeshArgs {
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
 }
 
 /// Holes are left out. The field `scan` has the number of each point's cloud, from 0.
@@ -106,5 +106,5 @@ pub struct MergeArgs {
     #[command(flatten)]
     pub encoding: EncodingArgs,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
 }

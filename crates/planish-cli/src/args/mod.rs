@@ -5,7 +5,7 @@ mod camera;
 mod clean;
 mod convert;
 mod encoding;
-mod memory;
+mod read;
 mod rig;
 mod smoothing;
 
@@ -23,7 +23,7 @@ pub use camera::{CameraArgs, Direction, PoseArgs, PosesArgs};
 pub use clean::CleanArgs;
 pub use convert::{CompareArgs, ConvertArgs, MergeArgs, MeshArgs};
 pub use encoding::EncodingArgs;
-pub use memory::MemoryArgs;
+pub use read::ReadArgs;
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
 pub use smoothing::{
     EdgesArg, EngineArg, GpusArgs, SmoothingArgs, by_option, by_option_of_error, option_of, params_of_voxels,
@@ -161,7 +161,7 @@ pub struct SmoothArgs {
     #[arg(long, hide_short_help = true, help_heading = TUNING)]
     pub force: bool,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     /// Number of times to smooth the loaded frame, for timing
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), hide_short_help = true, help_heading = ENGINE)]
     pub repeat: u32,
@@ -189,7 +189,7 @@ pub struct InfoArgs {
     /// File; - is standard input
     pub file: PathBuf,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
     #[command(flatten)]
@@ -210,7 +210,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub from: Option<Direction>,
     #[command(flatten)]
-    pub memory: MemoryArgs,
+    pub reading: ReadArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
 }

@@ -104,6 +104,14 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
     );
 }
 
+/// Refuses a unit for a file larger than memory, whose parts would not be converted.
+pub fn refuse_unit(reading: &crate::args::ReadArgs, input: &Path) -> Result<()> {
+    if reading.unit.is_some_and(|unit| !unit.is_metre()) {
+        bail!("{}: larger than --max-memory; --unit applies to files that fit it", input.display());
+    }
+    Ok(())
+}
+
 /// Reports dropped data, and contents that contradict the file's name.
 pub fn report_notes(input: &Path, notes: &[String]) {
     for note in notes {

@@ -41,7 +41,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     }
     check_not_input(input, output, Some(args.overwrite))?;
     let start = Instant::now();
-    let (file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
+    let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     let FileRead { format, encoding, contents, notes, .. } = file;
     report_notes(input, &notes);
     let (mut points, mut grid) = match contents {

@@ -19,7 +19,7 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
     let ConvertArgs { input, output, .. } = args;
     args.encoding.check(output)?;
     check_not_input(input, output, Some(args.overwrite))?;
-    let (mut file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
+    let (mut file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &std::mem::take(&mut file.notes));
     if let Contents::General(cloud) = &file.contents {
         report_columns(input, file.format, cloud);
@@ -103,7 +103,7 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
     if args.max.is_some_and(|max| max.is_nan() || max < 0.0) {
         bail!("--max: a distance of 0 or more is expected");
     }
-    let options = args.memory.read_options();
+    let options = args.reading.read_options();
     let a = read(&args.a, &args.camera, &options)?;
     let b = read(&args.b, &args.camera, &options)?;
     let names = || format!("{} and {}", args.a.display(), args.b.display());
@@ -184,7 +184,7 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
         bail!("{}: an image cannot store points; end the name in .pcd or .ply", args.out.display());
     }
     let poses = args.poses.as_ref().map(|file| read_trajectory(file)).transpose()?;
-    let options = args.memory.read_options();
+    let options = args.reading.read_options();
     let mut clouds: Vec<(PointCloud, SensorPose)> = Vec::new();
     let mut bytes = 0u64;
     for (i, input) in args.inputs.iter().enumerate() {

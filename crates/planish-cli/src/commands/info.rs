@@ -15,6 +15,7 @@ use planish::{
 use planish_bench::outln;
 use serde::Serialize;
 
+use super::checks::refuse_unit;
 use crate::args::{CameraArgs, InfoArgs};
 
 #[derive(Serialize)]
@@ -43,7 +44,7 @@ struct Info {
     sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
-    /// What was dropped, guessed or repaired.
+    /// Dropped data, guesses and repairs.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
 }
@@ -56,7 +57,7 @@ struct SensorInfo {
 }
 
 pub fn run(args: &InfoArgs) -> Result<ExitCode> {
-    let options = args.memory.read_options();
+    let options = args.reading.options(&args.camera);
     #[cfg(feature = "mcap")]
     {
         let file = planish::bag::file_of(&args.file)?;
@@ -76,10 +77,10 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     let read = io::read_file(&args.file, &options);
     let has_parts = matches!(Format::of_extension(&args.file), Some(Format::Las | Format::Laz | Format::Ply));
     if let (Err(IoError { problem: FormatError::TooLarge { .. }, .. }), true) = (&read, has_parts) {
+        refuse_unit(&args.reading, &args.file)?;
         return show(args, &describe_in_parts(args)?, false);
     }
     let FileRead { format, mut contents, camera, notes, .. } = read?;
-    args.camera.to_metres(&mut contents);
     let camera = args.camera.or(camera);
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)

@@ -18,7 +18,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
     }
     check_not_input(input, output, None)?;
     let settings = args.smoothing.settings()?;
-    let (file, camera) = read_input(input, &args.memory.read_options(), &args.camera)?;
+    let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &file.notes);
     if let Contents::General(cloud) = &file.contents {
         bail!(

@@ -47,8 +47,8 @@ fn ms_since(start: Instant) -> f64 {
 
 /// Reads a file; returns it and the options of the camera, which the file may have itself.
 fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Result<(FileRead, CameraArgs)> {
-    let mut read = io::read_file(file, options)?;
-    camera.to_metres(&mut read.contents);
+    let options = options.with_depth_units_per_metre(camera.depth_units_per_metre);
+    let read = io::read_file(file, &options)?;
     let camera = camera.or(read.camera);
     Ok((read, camera))
 }

@@ -20,7 +20,8 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         bail!("{}: not a .png; pictures are written as .png", args.output.display());
     }
     check_not_input(&args.file, &args.output, None)?;
-    let (FileRead { contents, notes, .. }, camera) = read_input(&args.file, &args.memory.read_options(), &args.camera)?;
+    let (FileRead { contents, notes, .. }, camera) =
+        read_input(&args.file, &args.reading.read_options(), &args.camera)?;
     report_notes(&args.file, &notes);
     let cloud = match contents {
         Contents::General(points) => {

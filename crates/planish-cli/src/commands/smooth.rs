@@ -228,7 +228,7 @@ impl Worker<'_> {
 
     /// Returns the limit for this worker.
     fn read_options(&self) -> ReadOptions {
-        let options = self.args.memory.read_options();
+        let options = self.args.reading.read_options();
         options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
     }
 

@@ -139,8 +139,8 @@ impl Camera {
         Some(Self::new((width, height), [fx, fy], [cx, cy])).filter(|camera| camera.validate().is_ok())
     }
 
-    /// Returns the camera of a part of its images of this size, which begins at a pixel and of which blocks of pixels
-    /// became one.
+    /// Returns the camera of a cropped and binned image: a region of (columns, rows) pixels at `offset_px`, of which
+    /// blocks of `block_px` became one pixel.
     pub fn of_region(self, offset_px: [usize; 2], (columns, rows): (usize, usize), block_px: [usize; 2]) -> Self {
         // Pixel centres are at whole numbers, and a block is centred between its pixels.
         let centre = |c: f64, offset: usize, block: usize| (c - offset as f64 + 0.5) / block as f64 - 0.5;

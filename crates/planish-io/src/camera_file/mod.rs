@@ -20,7 +20,7 @@ const HELP: &str = "expected a camera file: JSON with fx, fy, cx, cy or a matrix
                     of a ROS camera_info, OpenCV's YAML or XML, a 3x3 or 4x4 matrix as text, or COLMAP's cameras.txt";
 
 /// The largest camera file accepted, in bytes.
-const MAX_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 16 << 20;
 
 /// A camera file that was read.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,7 @@ pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera,
     read_camera_file(path, shape).map(|file| file.camera)
 }
 
-/// [`read_camera`], with what was guessed.
+/// Reads a camera file as [`read_camera`] does, and lists the guesses that it made.
 pub fn read_camera_file(path: &Path, shape: Option<(usize, usize)>) -> Result<CameraFile, IoError> {
     read_text(path).and_then(|text| parse_camera_file(&text, shape)).map_err(IoError::at(path))
 }
@@ -62,7 +62,7 @@ pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<C
     parse_camera_file(text, shape).map(|file| file.camera)
 }
 
-/// [`read_camera_file`] of a file's text.
+/// Does the same as [`read_camera_file`] with a file's text.
 pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatResult<CameraFile> {
     let mut file = match from_colmap(text, shape) {
         Some(camera) => CameraFile { camera: camera?, states_units: false, notes: Vec::new() },
@@ -83,7 +83,7 @@ pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatRes
 /// Returns a key in a JSON camera that no camera has, such as a misspelt one.
 ///
 /// # Errors
-/// If the text is not a camera in JSON.
+/// If the text cannot be parsed as JSON, YAML, XML or numbers.
 pub fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
     Ok(value::unknown_key(&text::parse(text)?))
 }
@@ -213,6 +213,41 @@ mod tests {
             let camera = read(text).camera;
             assert_eq!(camera.with_shape((640, 480)), kinect, "{text}");
         }
+    }
+
+    #[test]
+    fn the_unit_of_depth_beside_a_nested_camera_counts_and_scales_of_scenes_do_not() {
+        const CAMERA: &str = r#""fx":525,"fy":525,"cx":319.5,"cy":239.5"#;
+        for (text, units) in [
+            (format!(r#"{{"depth_scale":5000,"intrinsic":{{{CAMERA}}}}}"#), 5000.0),
+            (format!(r#"{{"depth_units_per_metre":5000,"camera":{{{CAMERA}}}}}"#), 5000.0),
+            (format!(r#"{{{CAMERA},"png_depth_scale":6553.5}}"#), 6553.5),
+            (format!(r#"{{{CAMERA},"integer_depth_scale":0.0002}}"#), 5000.0),
+            (format!(r#"{{{CAMERA},"scale":0.33,"aabb_scale":4}}"#), 1000.0),
+            (format!(r#"{{{CAMERA},"camera":{{"name":"D435"}},"model":"D435"}}"#), 1000.0),
+            (
+                "Camera.fx: 525\nCamera.fy: 525\nCamera.cx: 319.5\nCamera.cy: 239.5\nDepthMapFactor: 5000.0\n".into(),
+                5000.0,
+            ),
+            ("525 525 319.5 239.5".into(), 1000.0),
+        ] {
+            let camera = read(&text).camera;
+            assert_eq!((camera.fx, camera.cy, camera.depth_units_per_metre), (525.0, 239.5, units), "{text}");
+        }
+        for more in [
+            r#""is_fisheye":true"#,
+            r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#,
+            r#""distortion_model":"equidistant","D":[0,0,0,0]"#,
+        ] {
+            let error = parse_camera(&format!("{{{CAMERA},{more}}}"), None).unwrap_err().to_string();
+            assert!(error.contains("rectify"), "{error}");
+        }
+        let fisheye = "%YAML:1.0\nfisheye_model: 1\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n";
+        assert!(parse_camera(fisheye, None).unwrap_err().to_string().contains("fisheye"));
+        let distorted = read(&format!(r#"{{{CAMERA},"dist":[0.1,0.01,0,0,0]}}"#)).camera;
+        assert_eq!(distorted.distortion.radial[0], 0.1);
+        let hostile = format!("<{}", "a><".repeat(200_000));
+        assert!(parse_camera(&hostile, None).is_err());
     }
 
     #[test]

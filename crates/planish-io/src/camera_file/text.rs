@@ -4,6 +4,7 @@ use serde_json::{Map, Value};
 
 use super::super::{FormatResult, brief};
 use super::malformed;
+use super::value::names;
 
 /// Parses JSON, YAML, OpenCV's XML, lines of `name = value`, or numbers alone.
 pub(super) fn parse(text: &str) -> FormatResult<Value> {
@@ -46,20 +47,15 @@ fn numbers(text: &str) -> Option<Value> {
 
 /// Returns the numbers of OpenCV's XML by their names: `<name>1</name>`, and matrices with a part `<data>`.
 fn xml(text: &str) -> Map<String, Value> {
-    let mut found = Map::new();
-    let mut rest = text;
-    while let Some((_, after)) = rest.split_once('<') {
-        rest = after;
-        let Some((tag, inner)) = after.split_once('>') else { break };
-        let name = tag.split_whitespace().next().unwrap_or_default();
-        let Some((content, _)) = inner.split_once(&format!("</{name}>")).filter(|_| !name.is_empty()) else { continue };
+    let value = |name: &str| {
+        // The name may be followed by the type of a matrix.
+        let (_, behind) =
+            [format!("<{name}>"), format!("<{name} ")].iter().find_map(|tag| text.split_once(tag.as_str()))?;
+        let (content, _) = behind.split_once(&format!("</{name}>"))?;
         let data = content.split_once("<data>").and_then(|(_, data)| data.split_once("</data>"));
         let content = data.map_or(content, |(data, _)| data).trim();
-        match (data, numbers(content), content.parse::<u64>()) {
-            (None, _, Ok(number)) => found.entry(name).or_insert(number.into()),
-            (_, Some(numbers), _) => found.entry(name).or_insert(numbers),
-            _ => continue,
-        };
-    }
-    found
+        let number = content.parse::<u64>().ok().filter(|_| data.is_none());
+        Some((name.to_owned(), number.map(Value::from).or_else(|| numbers(content))?))
+    };
+    names().filter_map(value).collect()
 }

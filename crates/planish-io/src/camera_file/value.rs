@@ -7,13 +7,13 @@ use super::matrix::{Intrinsics, intrinsics_of};
 use super::{CameraFile, distortion_of, malformed};
 use planish_core::{Camera, Distortion, FormatError};
 
-const WIDTH: &[&str] = &["width", "image_width", "w", "depthWidth"];
-const HEIGHT: &[&str] = &["height", "image_height", "h", "depthHeight"];
+const WIDTH: &[&str] = &["width", "image_width", "w", "depthWidth", "Camera.width"];
+const HEIGHT: &[&str] = &["height", "image_height", "h", "depthHeight", "Camera.height"];
 const RESOLUTION: &[&str] = &["resolution", "image_size"];
-const FX: &[&str] = &["fx", "fl_x", "fx_depth"];
-const FY: &[&str] = &["fy", "fl_y", "fy_depth"];
-const CX: &[&str] = &["cx", "ppx", "mx_depth"];
-const CY: &[&str] = &["cy", "ppy", "my_depth"];
+const FX: &[&str] = &["fx", "fl_x", "fx_depth", "Camera.fx", "Camera1.fx"];
+const FY: &[&str] = &["fy", "fl_y", "fy_depth", "Camera.fy", "Camera1.fy"];
+const CX: &[&str] = &["cx", "ppx", "mx_depth", "Camera.cx", "Camera1.cx"];
+const CY: &[&str] = &["cy", "ppy", "my_depth", "Camera.cy", "Camera1.cy"];
 /// fx, fy, cx, cy.
 const FOUR: &[&str] = &["intrinsics"];
 const MATRIX: &[&str] = &[
@@ -34,21 +34,51 @@ const DISTORTION: &[&str] = &[
     "Distortion_Coefficients",
     "distortion_coeffs",
     "dist_coeffs",
+    "dist_coeff",
+    "dist_coefs",
+    "dist_coef",
+    "dist",
     "distCoeffs",
     "coeffs",
     "D",
     "d",
 ];
-const MODEL: &[&str] = &["distortion_model", "camera_model"];
+const MODEL: &[&str] = &["distortion_model", "camera_model", "Camera.type"];
+/// The key of librealsense. Other programs store a camera's name under it.
+const MODEL_OF_REALSENSE: (&str, &str) = ("model", "distortion.");
+/// Names of cameras without distortion, and of the distortion that is removed.
+const KNOWN_MODELS: [&str; 10] = [
+    "",
+    "none",
+    "pinhole",
+    "simple_pinhole",
+    "opencv",
+    "plumb_bob",
+    "rational_polynomial",
+    "radtan",
+    "radial-tangential",
+    "brown_conrady",
+];
+/// Marks of a fisheye.
+const FISHEYE: [&str; 2] = ["is_fisheye", "fisheye_model"];
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 /// The number of depth units in a metre.
 const UNITS: &[&str] = &["depth_units_per_metre"];
 /// The same, or its inverse.
-const SCALE: &[&str] = &["depth_scale", "scale"];
+const SCALE: &[&str] = &[
+    "depth_scale",
+    "depthScale",
+    "png_depth_scale",
+    "integer_depth_scale",
+    "DepthMapFactor",
+    "Camera.RGBD.DepthMapFactor",
+];
+/// Replica's name of it, within `camera`; elsewhere that is the scale of a scene.
+const REPLICA_SCALE: &str = "scale";
 const REGION: &str = "roi";
 const BINNING: [&[&str]; 2] = [&["binning_x"], &["binning_y"]];
-/// Where files nest the camera.
-const NESTED: [&str; 3] = ["intrinsic", "camera", "depth"];
+/// Keys of nested cameras.
+const NESTED: [&str; 4] = ["intrinsic", "intrinsics", "camera", "depth"];
 
 /// Named numbers.
 struct Names<'a>(&'a Map<String, Value>);
@@ -93,13 +123,27 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
     let lacking = || malformed("the camera file lacks intrinsics: fx, fy, cx and cy, or a matrix".into());
     if let Value::Array(_) = value {
         let numbers = flat(value).ok_or_else(lacking)?;
-        let (focal_length, centre) = intrinsics_of(&numbers).ok_or_else(|| not_intrinsics(&numbers))?;
+        let (focal_length, centre) = match numbers[..] {
+            [fx, fy, cx, cy] => ([fx, fy], [cx, cy]),
+            _ => intrinsics_of(&numbers).ok_or_else(|| not_intrinsics(&numbers))?,
+        };
         let camera = Camera::new((0, 0), focal_length, centre);
         return Ok(CameraFile { camera, states_units: false, notes: Vec::new() });
     }
     let Value::Object(map) = value else { return Err(lacking()) };
-    if let Some(nested) = NESTED.iter().find_map(|name| map.get(*name).filter(|value| value.is_object())) {
-        return camera_of(nested);
+    let has_intrinsics =
+        [FX, MATRIX, FOUR].iter().any(|names| Names(map).value(names).is_some_and(|(_, v)| !v.is_object()));
+    let nested = NESTED.iter().find_map(|name| map.get(*name).and_then(Value::as_object));
+    if let Some(nested) = nested.filter(|_| !has_intrinsics) {
+        let mut nested = nested.clone();
+        if let Some(scale) = nested.remove(REPLICA_SCALE) {
+            nested.insert(SCALE[0].to_owned(), scale);
+        }
+        // The outer object may state the unit of depth.
+        for (name, value) in map.iter().filter(|(_, value)| !value.is_object()) {
+            nested.entry(name.clone()).or_insert_with(|| value.clone());
+        }
+        return camera_of(&Value::Object(nested));
     }
     let mut of_images = map.values().filter(|value| value.get("cam_K").is_some() || value.get("intrinsics").is_some());
     if let Some(first) = of_images.next() {
@@ -184,11 +228,21 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
         true => coefficients.into_iter().map(Option::unwrap_or_default).collect(),
         false => names.numbers(DISTORTION)?.unwrap_or_default(),
     };
-    let model = names.value(MODEL).and_then(|(_, model)| model.as_str()).unwrap_or_default();
-    let is_known = |model: &str| {
-        ["", "plumb_bob", "rational_polynomial", "none", "pinhole", "radtan", "OPENCV", "PINHOLE"].contains(&model)
+    let is_true = |value: &Value| value.as_bool() == Some(true) || value.as_f64().is_some_and(|number| number != 0.0);
+    if let Some(name) = FISHEYE.iter().find(|name| names.0.get(**name).is_some_and(is_true)) {
+        return Err(FormatError::Unsupported(format!("a fisheye camera ({name}); rectify the images first")));
+    }
+    // A fisheye with coefficients of 0 still is not a pinhole camera. An inverse distortion with coefficients of 0 is.
+    let are_zero = coefficients.iter().all(|coefficient| *coefficient == 0.0);
+    let is_known = |model: &&str| {
+        let model = model.to_ascii_lowercase();
+        let model = model.strip_prefix("distortion.").unwrap_or(&model);
+        KNOWN_MODELS.contains(&model) || are_zero && model.ends_with("brown_conrady")
     };
-    if !is_known(model) && coefficients.iter().any(|coefficient| *coefficient != 0.0) {
+    let (name, prefix) = MODEL_OF_REALSENSE;
+    let of_realsense = names.0.get(name).and_then(Value::as_str).filter(|model| model.starts_with(prefix));
+    let mut models = MODEL.iter().filter_map(|name| names.0.get(*name)?.as_str()).chain(of_realsense);
+    if let Some(model) = models.find(|model| !is_known(model)) {
         return Err(FormatError::Unsupported(format!(
             "the distortion model {}: only plumb_bob and rational_polynomial are supported; rectify the images first",
             quoted(model)
@@ -230,6 +284,12 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
         }
     }
     Ok(camera.of_region(offset, size, binning))
+}
+
+/// Iterates over the names of a camera's numbers.
+pub(super) fn names() -> impl Iterator<Item = &'static str> {
+    let all = [WIDTH, HEIGHT, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
+    all.into_iter().flatten().copied().chain(SINGLE)
 }
 
 /// Returns a name that no camera has.

@@ -18,7 +18,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 
 /// The field with the number of each point's scan, in files of several scans.
 const SCAN: &str = "scan";
-/// Whether the colour of a point is none.
+/// The field that marks points without a colour.
 const COLOUR_INVALID: &str = "color_invalid";
 /// Standard fields by our names.
 const FIELDS: [(&str, RecordName); 12] = [
@@ -137,6 +137,11 @@ fn name_of(name: &RecordName) -> Option<String> {
         None if namespace.is_empty() || namespace == OWN.0 => name.clone(),
         None => format!("{namespace}_{name}"),
     })
+}
+
+/// Returns whether a cloud was read from E57.
+pub(super) fn has_scans(cloud: &PointCloud) -> bool {
+    cloud.provenance.get::<Scans>().is_some()
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {

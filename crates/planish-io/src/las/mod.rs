@@ -178,6 +178,11 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     Ok(writer.finish()?.into_inner())
 }
 
+/// Returns whether a cloud was read from LAS or LAZ.
+pub(super) fn has_header(cloud: &PointCloud) -> bool {
+    cloud.provenance.get::<LasHeader>().is_some()
+}
+
 /// Returns the unit of length in the coordinate system of a cloud that was read from LAS or LAZ.
 pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
     const PROJECTION: &str = "LASF_Projection";
@@ -200,7 +205,7 @@ const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 pub(crate) struct Records {
     header: Header,
     fields: Vec<Field>,
-    /// That of the file from which the cloud was read.
+    /// The identity of the cloud's file.
     identity: Option<Identity>,
 }
 

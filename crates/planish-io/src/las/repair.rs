@@ -1,5 +1,4 @@
-//! Headers that other programs wrote wrongly, as the decoder needs them. What is wrong is reported, and the points are
-//! read.
+//! Corrects wrong headers of other programs for the decoder, and reports the corrections.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -13,7 +12,10 @@ const VERSION: usize = 24;
 const SIZE: usize = 94;
 pub(super) const POINTS_AT: usize = 96;
 const RECORDS: usize = 100;
+const FORMAT: usize = 104;
+const RECORD: usize = 105;
 const LEGACY_POINTS: usize = 107;
+const WAVEFORMS_AT: usize = 227;
 const EXTENDED_AT: usize = 235;
 const EXTENDED: usize = 243;
 const POINTS: usize = 247;
@@ -22,12 +24,14 @@ pub(super) const IDENTITY: std::ops::Range<usize> = 26..94;
 
 /// Bytes of a record's header, ahead of its data.
 const RECORD_HEADER: usize = 54;
-/// Bits of the encoding: waveforms in the file, and in a file beside it.
+/// Bits of the encoding: waveforms in the file, or in a separate file.
 const WAVEFORMS: u16 = 1 << 1 | 1 << 2;
+/// The bit of the format that compressed points have.
+const COMPRESSED: u8 = 0x80;
 /// The latest version that is read, LAS 1.4.
 const LATEST: [u8; 2] = [1, 4];
 
-/// The header of a file, repaired, and what was wrong with it.
+/// A corrected header, and notes on the corrections.
 pub(super) struct Repaired {
     pub(super) head: Vec<u8>,
     pub(super) notes: Vec<String>,
@@ -53,6 +57,7 @@ impl Repaired {
             repaired.count_points(file)?;
             repaired.count_extended_records(file)?;
         }
+        repaired.compare_points(file)?;
         if u16::from_le_bytes(read_at(file, ENCODING)?) & WAVEFORMS != 0 {
             repaired.notes.push("its waveforms are dropped; the points keep only where they were".into());
         }
@@ -97,11 +102,40 @@ impl Repaired {
         Some(())
     }
 
+    /// Compares the number of points that an uncompressed file states with its size.
+    fn compare_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
+        let [format] = read_at(file, FORMAT)?;
+        let record = u64::from(u16::from_le_bytes(read_at(file, RECORD)?));
+        if format & COMPRESSED != 0 || record == 0 {
+            return Some(());
+        }
+        let head =
+            |at: usize| self.head.get(at..at + 8).and_then(|bytes| bytes.try_into().ok()).map(u64::from_le_bytes);
+        let minor = self.head.get(VERSION + 1).copied()?;
+        let start = u64::from(u32::from_le_bytes(read_at(file, POINTS_AT)?));
+        let waveforms = head(WAVEFORMS_AT).filter(|at| minor >= 3 && *at > start);
+        let extended = head(EXTENDED_AT).filter(|at| minor >= 4 && *at > start);
+        let end = [waveforms, extended].into_iter().flatten().fold(file.size() as u64, u64::min);
+        let there = end.saturating_sub(start) / record;
+        let legacy = u64::from(u32::from_le_bytes(self.head.get(LEGACY_POINTS..LEGACY_POINTS + 4)?.try_into().ok()?));
+        let stated = if legacy == 0 && minor >= 4 { head(POINTS)? } else { legacy };
+        if stated == 0 && there > 0 {
+            match u32::try_from(there) {
+                Ok(there) => self.set(LEGACY_POINTS, &there.to_le_bytes()),
+                Err(_) => self.set(POINTS, &there.to_le_bytes()),
+            }
+            self.notes.push(format!("the header states no points, but the file has {there}"));
+        } else if stated < there {
+            self.notes.push(format!("the header states {stated} points, which are read, but the file has {there}"));
+        }
+        Some(())
+    }
+
     /// Leaves out extended records that are not in the file.
     fn count_extended_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let stated = u32::from_le_bytes(read_at(file, EXTENDED)?);
         let at = u64::from_le_bytes(read_at(file, EXTENDED_AT)?);
-        // A file has no more of them than bytes.
+        // Each has 60 bytes or more.
         let most = stated.min(u32::try_from(file.size() / 60).unwrap_or(u32::MAX));
         let found = usize::try_from(at).map_or(0, |at| extended_records(file, (at, most)).len() as u32);
         if found < stated {

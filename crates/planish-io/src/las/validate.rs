@@ -102,7 +102,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     const LARGEST_CHUNK: u64 = 1 << 20;
     /// Bytes ahead of a record's data.
     const RECORD_HEADER: usize = 54;
-    /// The compressor of points in chunks; those of layered chunks are greater.
+    /// The first compressor with chunks.
     const CHUNKED: u16 = 2;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));

@@ -48,11 +48,6 @@ impl<'a> Array<'a> {
         }
     }
 
-    /// Returns the number of bytes of the values.
-    pub(crate) fn bytes(&self) -> usize {
-        self.data.len()
-    }
-
     /// Returns the values, the last index running fastest. The type must be of the array's size.
     pub(crate) fn values<T: LittleEndian>(&self) -> Vec<T> {
         let Header { size, shape, is_big_endian, is_fortran, .. } = &self.header;
@@ -81,6 +76,9 @@ impl<'a> Array<'a> {
     /// Returns the columns of an array of records.
     #[cfg(feature = "more-formats")]
     pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {
+        if self.header.is_fortran && self.header.shape.len() > 1 {
+            return Err(FormatError::Unsupported("records in Fortran order; save np.ascontiguousarray(array)".into()));
+        }
         let mut at = 0;
         let mut columns = Vec::new();
         for field in &self.header.fields {

@@ -22,8 +22,14 @@ const LAYOUTS: &str =
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
-    // Values as they are, and as positions.
-    options.check(array.bytes(), 2)?;
+    // Values as they are, and widened: integers and columns to 8 bytes, and the result.
+    let values = array.header.len().unwrap_or(usize::MAX);
+    let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
+        ('u', 2, _) | ('f', _, [.., 3]) => 2 * array.header.size,
+        ('V', size, _) => 3 * size,
+        _ => 24,
+    };
+    options.check(values, bytes_each)?;
     let shape = match array.header.shape[..] {
         // A single channel.
         [height, width, 1] => vec![height, width],
@@ -35,16 +41,16 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (&[n], 'V', _) => of_records(&array, (n, 1)),
         #[cfg(feature = "more-formats")]
         (&[height, width], 'V', _) => of_records(&array, (width, height)),
-        (&[height, width], 'u' | 'i', 2..) => {
+        (&[height, width], 'u' | 'i', 2 | 4 | 8) if !is_long(height, width) => {
             validate_shape(width, height)?;
             match array.header.kind {
                 'u' if array.header.size == 2 => Ok(Contents::Depth(DepthImage { width, height, raw: array.values() })),
-                _ => depth_of_integers((width, height), integers(&array).into_iter(), notes),
+                _ => depth_of_integers((width, height), &integers(&array), notes),
             }
         }
         (&[n, 3], 'f', 8) => points_f64(n, 1, array.values()),
         (&[n, 3], 'f', 2 | 4) => points(n, 1, floats(&array)),
-        (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) => {
+        (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) && !is_long(width, height) => {
             validate_shape(width, height)?;
             Ok(Contents::DepthMetres { width, height, depth_m: floats(&array) })
         }
@@ -65,12 +71,18 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (shape, ..) => {
             let descr = &array.header.descr;
             let advice = match shape {
-                [.., 3] => "; convert integers to metres with array.astype('f4') times their unit",
+                [_, 3..=16] | [_, _, 3] => "; convert integers to metres with array.astype('f4') times their unit",
+                [3..=16, _] => "; points are rows: save array.T",
                 _ => "",
             };
             Err(FormatError::Unsupported(format!("an array of shape {shape:?} and type {descr}: {LAYOUTS}{advice}")))
         }
     }
+}
+
+/// Returns true if an array of integers, or a transposed one, is a table rather than an image.
+fn is_long(rows: usize, columns: usize) -> bool {
+    (3..=16).contains(&columns) && rows >= 16 * columns
 }
 
 /// Returns true if an array is a table with a row per point, not an image.

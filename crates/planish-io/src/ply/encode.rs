@@ -33,7 +33,12 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
         }
     }
     let parts = columns.into_iter().map(ply_columns);
-    let columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
+    let mut columns = parts.collect::<Result<Vec<_>, _>>()?.concat();
+    for (number, column) in (1..).zip(&mut columns) {
+        // White space would end the name.
+        let words: Vec<&str> = column.name.split_whitespace().collect();
+        column.name = if words.is_empty() { format!("column_{number}") } else { words.join("_") };
+    }
     let is_repeated = |(k, column): (usize, &Attribute)| columns[..k].iter().any(|other| other.name == column.name);
     if columns.iter().enumerate().any(is_repeated) {
         return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));

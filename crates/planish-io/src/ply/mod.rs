@@ -19,7 +19,7 @@ pub(super) use encode::encode;
 use header::{Element, Header, Kind, Storage};
 #[cfg(feature = "scans")]
 pub(crate) use parts::PlyReader;
-use records::{Layout, take_records, take_values};
+use records::{Layout, pass_over, take_records, take_values};
 use remarks::{GRID_INFOS, left_out, remarks_of};
 
 use super::columns::{cloud_from_columns, with_values};
@@ -155,6 +155,9 @@ fn read_binary_element(
     body: &mut &[u8],
     found: &mut Body,
 ) -> Result<(), FormatError> {
+    if !["range_grid", "camera"].contains(&element.name.as_str()) {
+        return (0..element.count).try_for_each(|_| pass_over(element, storage, body));
+    }
     let (mut cells, mut numbers) = (Vec::new(), Vec::new());
     for _ in 0..element.count {
         let mut cell = None;

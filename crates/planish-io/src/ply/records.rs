@@ -99,7 +99,26 @@ impl Layout {
     }
 }
 
-/// Splits one record off the front of a binary body. Visits each property with its values: one, or those of a list.
+/// Splits one record off the front of a binary body, without its values.
+pub(super) fn pass_over(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<()> {
+    for property in &element.properties {
+        let bytes = match property.kind {
+            Kind::Scalar(scalar) => Some(scalar.bytes()),
+            Kind::List { count, item } => {
+                take_number(count, storage, body).and_then(|count| (count as usize).checked_mul(item.bytes()))
+            }
+        };
+        let rest = bytes.and_then(|bytes| body.get(bytes..));
+        *body = rest.ok_or_else(|| ended(element))?;
+    }
+    Ok(())
+}
+
+fn ended(element: &Element) -> FormatError {
+    FormatError::Malformed(format!("the file ends within element {}", quoted(&element.name)))
+}
+
+/// Splits one record off the front of a binary body. Visits each property with its value or its list of values.
 pub(super) fn take_values(
     element: &Element,
     storage: Storage,
@@ -114,9 +133,8 @@ pub(super) fn take_values(
             // A negative count becomes 0.
             Kind::List { count, item } => (item, take_number(count, storage, body).map(|count| count as usize)),
         };
-        let ended = || FormatError::Malformed(format!("the file ends within element {}", quoted(&element.name)));
-        for _ in 0..count.ok_or_else(ended)? {
-            values.push(take_number(scalar, storage, body).ok_or_else(ended)?);
+        for _ in 0..count.ok_or_else(|| ended(element))? {
+            values.push(take_number(scalar, storage, body).ok_or_else(|| ended(element))?);
         }
         visit(k, &values);
     }
@@ -127,10 +145,13 @@ pub(super) fn take_values(
 fn take_number(scalar: Scalar, storage: Storage, body: &mut &[u8]) -> Option<f64> {
     let (value, rest) = body.split_at_checked(scalar.bytes())?;
     *body = rest;
-    match storage {
-        Storage::BigEndian => scalar.number(&value.iter().rev().copied().collect::<Vec<_>>()),
-        _ => scalar.number(value),
+    let mut little_endian = [0; 8];
+    let little_endian = &mut little_endian[..value.len()];
+    little_endian.copy_from_slice(value);
+    if storage == Storage::BigEndian {
+        little_endian.reverse();
     }
+    scalar.number(little_endian)
 }
 
 /// Splits the records of an element off the front of a binary body, in little-endian order.

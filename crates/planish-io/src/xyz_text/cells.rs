@@ -2,8 +2,8 @@
 
 /// What begins a comment.
 const COMMENTS: [char; 3] = ['#', '/', '%'];
-/// Words for a missing number; `nan` is a number.
-const MISSING: [&str; 7] = ["", "NA", "N/A", "null", "NULL", "None", "-"];
+/// Words for a missing number, in lower case; `nan` is a number.
+const MISSING: [&str; 6] = ["", "na", "n/a", "null", "none", "-"];
 
 /// Separator of the cells of a line.
 #[derive(Debug, Clone, Copy)]
@@ -16,6 +16,12 @@ pub(super) enum Separator {
 
 impl Separator {
     pub(super) fn of(line: &str) -> Self {
+        // A comment at the end may have other separators.
+        let line = line.split(" #").next().unwrap_or_default();
+        // Names may have spaces.
+        if line.contains('\t') && line.split('\t').any(|cell| cell.trim().contains(' ')) {
+            return Self::Mark('\t');
+        }
         let has_decimal_commas = || {
             let words: Vec<&str> = line.split_whitespace().collect();
             words.len() >= 3 && words.iter().all(|word| number_of(word).is_some())
@@ -28,9 +34,16 @@ impl Separator {
     }
 
     pub(super) fn cells(self, line: &str) -> Vec<&str> {
-        let mut cells: Vec<&str> = match self {
-            Self::Space => line.split_whitespace().collect(),
-            Self::Mark(mark) => line.split(mark).map(|cell| cell.trim().trim_matches('"').trim()).collect(),
+        let (mut cells, is_comment): (Vec<&str>, fn(&str) -> bool) = match self {
+            Self::Space => (line.split_whitespace().collect(), is_comment),
+            Self::Mark(mark) => {
+                let mut is_quoted = false;
+                let is_end = |c: char| {
+                    is_quoted ^= c == '"';
+                    c == mark && !is_quoted
+                };
+                (line.split(is_end).map(|cell| cell.trim().trim_matches('"').trim()).collect(), is_comment_in_cell)
+            }
         };
         // A comment may follow the last cell.
         if let Some(end) = cells.iter().position(|cell| is_comment(cell)) {
@@ -44,7 +57,7 @@ impl Separator {
         line.contains(COMMENTS)
             && match self {
                 Self::Space => line.split_whitespace().any(is_comment),
-                Self::Mark(mark) => line.split(mark).any(|cell| is_comment(cell.trim())),
+                Self::Mark(mark) => line.split(mark).any(|cell| is_comment_in_cell(cell.trim())),
             }
     }
 }
@@ -61,6 +74,11 @@ pub(super) fn is_comment(line: &str) -> bool {
     line.starts_with(COMMENTS)
 }
 
+/// Returns true for a cell that is a comment, not a colour such as #ff0000.
+fn is_comment_in_cell(cell: &str) -> bool {
+    cell == "#" || ["# ", "// ", "% "].iter().any(|mark| cell.starts_with(mark))
+}
+
 /// Returns a comment without its mark.
 pub(super) fn without_mark(line: &str) -> &str {
     line.trim_start_matches(COMMENTS)
@@ -70,9 +88,14 @@ pub(super) fn without_mark(line: &str) -> &str {
 pub(super) fn number_of(cell: &str) -> Option<f64> {
     let with_comma = || {
         let (whole, decimals) = cell.split_once(',')?;
+        let are_digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
         let has_decimals = decimals.starts_with(|c: char| c.is_ascii_digit());
-        if has_decimals && !whole.contains('.') { format!("{whole}.{decimals}").parse().ok() } else { None }
+        if has_decimals && are_digits(whole.trim_start_matches(['-', '+'])) {
+            format!("{whole}.{decimals}").parse().ok()
+        } else {
+            None
+        }
     };
-    let missing = || MISSING.contains(&cell).then_some(f64::NAN);
+    let missing = || MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word)).then_some(f64::NAN);
     cell.parse().ok().or_else(with_comma).or_else(missing)
 }

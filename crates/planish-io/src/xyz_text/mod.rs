@@ -46,11 +46,16 @@ struct Column {
 }
 
 impl Column {
-    fn push(&mut self, cell: &str, number: usize) -> FormatResult<()> {
+    fn push(&mut self, cell: &str, number: usize, is_needed: bool) -> FormatResult<()> {
         if self.is_text {
             return Ok(());
         }
         let Some(value) = number_of(cell) else {
+            // The column had only missing values so far.
+            if self.values.iter().all(|value| value.is_nan()) && !is_needed {
+                self.is_text = true;
+                return Ok(());
+            }
             return Err(FormatError::Malformed(format!("line {number}: {} is not a number", quoted(cell))));
         };
         // Numbers with a point or an exponent are rounded by nature.
@@ -88,6 +93,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         return Err(FormatError::Malformed("not lines of numbers: it is binary".into()));
     }
     let text = text_of(bytes);
+    // Lines of old Macs end otherwise.
+    let text = if text.contains('\n') { text } else { text.replace('\r', "\n").into() };
     let lines = (1..).zip(text.lines().map(str::trim));
     let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();
     let mut title = Title::read(&mut lines)?;
@@ -101,6 +108,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         let cells = separator.cells(first);
         columns.iter_mut().zip(cells).enumerate().for_each(|(k, (column, cell))| column.is_text = is_text(k, cell));
     }
+    let (mut points, mut has_decimal_commas) = (0usize, false);
     for (number, line) in lines {
         if is_comment(line) {
             title.comments += 1;
@@ -112,15 +120,19 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         if !(found == count || found == count + 1 && cells[count].is_empty()) {
             return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
         }
-        for (column, cell) in columns.iter_mut().zip(cells) {
-            column.push(cell, number)?;
+        points += 1;
+        has_decimal_commas |= cells.iter().any(|cell| cell.contains(','));
+        for (k, (column, cell)) in columns.iter_mut().zip(cells).enumerate() {
+            column.push(cell, number, title.is_axis(k))?;
         }
     }
-    let Title { names, stated, comments } = title;
+    if has_decimal_commas {
+        notes.push("commas are read as decimal points".into());
+    }
+    let Title { names, stated, comments, unit, .. } = title;
     if comments > 0 {
         notes.push(format!("{comments} {} dropped", if comments == 1 { "comment is" } else { "comments are" }));
     }
-    let points = columns[0].values.len();
     if let Some(stated) = stated.filter(|stated| *stated > points) {
         return Err(FormatError::Malformed(format!("truncated: it states {stated} points, but has {points}")));
     }
@@ -140,6 +152,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     });
     for (name, _) in names.iter().zip(&columns).filter(|(_, column)| column.is_rounded) {
         notes.push(format!("the column {} has integers beyond 2^53, which are rounded", brief(name)));
+    }
+    if let Some(unit) = unit.filter(|unit| options.unit != Some(*unit)) {
+        if options.unit.is_some() {
+            return Err(FormatError::Unsupported(format!("its names state the unit {}", unit.symbol)));
+        }
+        let axes = names.iter().zip(&mut columns).filter(|(name, _)| is_axis(name));
+        axes.for_each(|(_, column)| column.values.iter_mut().for_each(|value| *value *= unit.metres));
+        notes.push(format!("its names state the unit; lengths in {} become metres", unit.symbol));
     }
     let mut axes = names.iter().zip(&columns).filter(|(name, _)| is_axis(name));
     let is_far = axes.any(|(_, column)| column.values.iter().any(|value| value.is_finite() && value.abs() > FAR_M));

@@ -1,27 +1,37 @@
-//! The names of columns: those that a file gives them, or guessed from their number and values.
+//! Column names: from the file, or guessed from the number and the values of the columns.
+
+use super::super::{FormatResult, LengthUnit};
+use planish_core::FormatError;
 
 /// The length of a unit normal written with few digits.
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 
+/// Lines with more cells are not searched for names.
+const MOST_NAMED: usize = 1000;
+
 /// Other names of x, y and z: maps and surveys, ParaView, CloudCompare.
-const AXES: [[&str; 3]; 7] = [
+const AXES: [[&str; 3]; 9] = [
     ["easting", "northing", "elevation"],
     ["easting", "northing", "height"],
     ["east", "north", "height"],
     ["east", "north", "up"],
     ["points:0", "points:1", "points:2"],
+    ["points_0", "points_1", "points_2"],
+    ["points_m_xyz:0", "points_m_xyz:1", "points_m_xyz:2"],
     ["coord._x", "coord._y", "coord._z"],
     ["position_x", "position_y", "position_z"],
 ];
 
 /// Returns the names of the columns of a line, if it has x, y and z among them.
 pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
-    let full: Vec<String> = cells.iter().map(|cell| in_one_word(cell)).collect();
+    if cells.len() > MOST_NAMED {
+        return None;
+    }
     let short: Vec<String> = cells.iter().map(|cell| name_of(cell)).collect();
-    // Without its unit in brackets, a name may be that of another column too.
+    // Names may differ only in their brackets.
     let is_shared = |name: &String| short.iter().filter(|other| *other == name).count() > 1;
-    let mut names: Vec<String> =
-        short.iter().zip(full).map(|(name, full)| if is_shared(name) { full } else { name.clone() }).collect();
+    let name = |(name, cell): (&String, &&str)| if is_shared(name) { in_one_word(cell) } else { name.clone() };
+    let mut names: Vec<String> = short.iter().zip(cells).map(name).collect();
     let has = |names: &[String], axes: [&str; 3]| axes.iter().all(|axis| names.iter().any(|name| name == axis));
     if !has(&names, ["x", "y", "z"]) {
         let axes = AXES.into_iter().find(|axes| has(&names, *axes))?;
@@ -30,6 +40,20 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
         }
     }
     Some(names)
+}
+
+/// Returns the unit in the brackets behind the names of x, y and z.
+pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<LengthUnit>> {
+    let in_brackets = |cell: &str| {
+        let (_, rest) = cell.split_once(['[', '('])?;
+        rest.trim_end_matches([']', ')']).trim().to_ascii_lowercase().parse::<LengthUnit>().ok()
+    };
+    let axes = cells.iter().zip(names).filter(|(_, name)| ["x", "y", "z"].contains(&name.as_str()));
+    let units: Vec<Option<LengthUnit>> = axes.map(|(cell, _)| in_brackets(cell)).collect();
+    if units.windows(2).any(|pair| pair[0] != pair[1]) && units.iter().flatten().any(|unit| !unit.is_metre()) {
+        return Err(FormatError::Unsupported(format!("its coordinates are in different units: {}", cells.join(", "))));
+    }
+    Ok(units.into_iter().flatten().find(|unit| !unit.is_metre()))
 }
 
 fn in_one_word(cell: &str) -> String {

@@ -2,9 +2,9 @@
 
 use std::iter::Peekable;
 
-use super::super::{FormatResult, quoted};
+use super::super::{FormatResult, LengthUnit, quoted};
 use super::cells::{Separator, is_comment, number_of, without_empty_end, without_mark};
-use super::names::names_of;
+use super::names::{names_of, unit_of};
 use planish_core::FormatError;
 
 /// More columns than that are named.
@@ -17,6 +17,10 @@ pub(super) struct Title {
     /// The number of points, with which PTS begins; CloudCompare writes it under the names.
     pub(super) stated: Option<usize>,
     pub(super) comments: usize,
+    /// The unit that the names of x, y and z state.
+    pub(super) unit: Option<LengthUnit>,
+    /// Whether the names are in a comment, which may be prose.
+    is_in_comment: bool,
 }
 
 impl Title {
@@ -27,13 +31,18 @@ impl Title {
             let heading = without_mark(line);
             let cells = without_empty_end(Separator::of(heading).cells(heading));
             let count = if let [count] = cells[..] { count.parse().ok() } else { None };
-            if count.is_some() && !is_comment(line) {
+            if line.starts_with("sep=") {
+                // Excel's separator, which the lines show.
+            } else if count.is_some() && !is_comment(line) {
                 title.stated = count;
             } else if title.names.is_some() && !is_comment(line) {
                 break;
             } else if let Some(names) = names_of(&cells) {
-                check_names(&names)?;
-                title.names = Some(names);
+                if !is_comment(line) {
+                    check_names(&names)?;
+                }
+                title.unit = unit_of(&cells, &names)?;
+                (title.names, title.is_in_comment) = (Some(names), is_comment(line));
             } else if is_comment(line) {
                 title.comments += 1;
             } else if cells.iter().take(3).all(|cell| number_of(cell).is_some()) {
@@ -49,14 +58,19 @@ impl Title {
         Ok(title)
     }
 
-    /// Returns the number of columns, from the first line of points.
-    pub(super) fn columns(&self, first: Option<&str>, separator: Separator) -> FormatResult<usize> {
+    /// Returns the number of columns, from the first line of points. Names in a comment that does not fit are none.
+    pub(super) fn columns(&mut self, first: Option<&str>, separator: Separator) -> FormatResult<usize> {
         let first = first.map(|line| {
             let cells = separator.cells(line);
             // An empty last cell may have a name; otherwise each line ends with a separator.
             let is_named = self.names.as_ref().is_some_and(|names| names.len() == cells.len());
             if is_named { cells.len() } else { without_empty_end(cells).len() }
         });
+        let fits = |names: &Vec<String>| first.is_none_or(|first| first == names.len()) && check_names(names).is_ok();
+        if self.is_in_comment && !self.names.as_ref().is_some_and(fits) {
+            (self.names, self.unit) = (None, None);
+            self.comments += 1;
+        }
         match (&self.names, first) {
             (Some(names), Some(first)) if names.len() != first => {
                 Err(FormatError::Malformed(format!("{} names of columns above lines of {first} numbers", names.len())))

@@ -51,9 +51,17 @@ pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<
     let mut text = String::new();
     // Writing to a string does not fail.
     let _ = match heading {
-        Heading::Names => writeln!(text, "{}", names.join(",")),
+        Heading::Names => {
+            let quoted =
+                names.iter().map(|name| if name.contains([',', '"']) { format!("{name:?}") } else { name.clone() });
+            writeln!(text, "{}", quoted.collect::<Vec<_>>().join(","))
+        }
         Heading::Count => writeln!(text, "{}", points.len()),
-        Heading::Comment if columns.len() > 3 => writeln!(text, "# {}", names.join(" ")),
+        Heading::Comment if columns.len() > 3 => {
+            // Spaces would end a name.
+            let words = names.iter().map(|name| name.split_whitespace().collect::<Vec<_>>().join("_"));
+            writeln!(text, "# {}", words.collect::<Vec<_>>().join(" "))
+        }
         Heading::Comment => Ok(()),
     };
     let is_far = points.origin_m != [0.0; 3];

@@ -62,7 +62,7 @@ impl BagSource {
         self.next_as(Self::frame)
     }
 
-    /// Returns true if the messages are clouds, and the first readable one has no grid. It is passed over.
+    /// Returns true if the first readable message is an unorganized cloud. Skips that message.
     pub fn has_clouds_without_grid(&mut self) -> bool {
         /// Messages that may be damaged at the beginning.
         const TRIED: usize = 16;
@@ -162,7 +162,7 @@ impl BagSource {
     }
 }
 
-/// Returns the time of a message; that of the log if its stamp was never set.
+/// Returns the time stamp of a message, or the log time if the stamp was never set.
 fn seconds(header: &Header, log_time: u64) -> f64 {
     match header.stamp.seconds() {
         0.0 => 1e-9 * log_time as f64,

@@ -1,8 +1,8 @@
 //! RVL: lossless compression of depth by runs of holes and differences of neighbours (A. D. Wilson, Fast Lossless Depth
 //! Image Compression, 2017), as the transport `compressedDepth` stores it: width and height as 32 bits, then the code.
 //!
-//! Numbers are written in groups of three bits, lowest first, each with a bit that says whether more follow; eight
-//! groups make a 32-bit word, the first in its highest bits.
+//! Numbers are split into groups of three bits, lowest first. A fourth bit is set if more groups follow. Eight groups
+//! make a 32-bit word; the first is in its highest bits.
 
 use planish_core::{DepthImage, FormatError, internal::validate_shape};
 use planish_io::ReadOptions;
@@ -11,7 +11,7 @@ use planish_io::ReadOptions;
 const SIZE_BYTES: usize = 8;
 /// Groups in a word.
 const GROUPS: u32 = 8;
-/// A number of 32 bits has no more groups.
+/// The most groups of a 32-bit number.
 const MOST_GROUPS: u32 = 11;
 
 fn malformed(what: &str) -> FormatError {
@@ -78,7 +78,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, 
     Ok(DepthImage { width, height, raw })
 }
 
-/// A code that is written.
+/// An RVL encoder's output.
 #[derive(Default)]
 struct Code {
     bytes: Vec<u8>,

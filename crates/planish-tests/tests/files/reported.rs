@@ -1,4 +1,4 @@
-//! Files that other programs write, rebuilt from public reports of what was read wrongly or refused.
+//! Files of other programs, rebuilt from public reports of reading errors.
 
 use std::fs;
 
@@ -54,6 +54,8 @@ fn points_of_an_ascii_ply_may_extend_over_lines() {
         let (cloud, _) = cloud_as("a.ply", format!("{header}{body}").as_bytes());
         assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0], "{body:?}");
     }
+    let ind = format!("{header}1 2 3 -nan(ind)\n5 6 7 1.#QNAN\n");
+    assert!(cloud_as("a.ply", ind.as_bytes()).0.attribute("q").unwrap().values.get_f64(1).is_nan());
     // A value is missing, or superfluous.
     for body in ["1 2 3\n5 6 7 8\n4\n", "1 2 3 4\n5 6 7\n", "1 2 3 4 9\n5 6 7 8\n", "1 2 3 4\n5 6\n7 8 9\n"] {
         assert!(read_as("a.ply", format!("{header}{body}").as_bytes()).is_err(), "{body:?}");
@@ -125,6 +127,24 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
         let (cloud, _) = cloud_as("a.txt", text.as_bytes());
         assert_eq!(cloud.positions.get(1), [4.5, 5.5, 6.5], "{text:?}");
     }
+    // Units in the names.
+    let (cloud, notes) = cloud_as("a.csv", b"X (mm),Y (mm),Z (mm)\n1000,2000,3000\n");
+    assert_eq!((cloud.positions.get(0), notes[0].contains("mm become metres")), ([1.0, 2.0, 3.0], true));
+    assert!(read_as("a.csv", b"x [m],y [m],z [ft]\n1,2,3\n").unwrap_err().contains("different units"));
+    // Quotes, tabs, comments that are prose, colours, Excel's first line, line ends of old Macs.
+    for (text, fields) in [
+        ("x,y,z,label\n1,2,3,\"car, red\"\n5,6,7,\"a\"\n", 0),
+        ("x,y,z,label\n1,2,3,\n5,6,7,tree\n", 0),
+        ("x,y,z,color,i\n1,2,3,#ff0000,5\n5,6,7,#00ff00,6\n", 1),
+        ("# x y z in metres\n1 2 3\n5 6 7\n", 0),
+        ("Point ID\tX\tY\tZ\n1\t1\t2\t3\n2\t5\t6\t7\n", 1),
+        ("sep=;\nx;y;z\n1;2;3\n5;6;7\n", 0),
+        ("1 2 3 # a;b\n5 6 7\n", 0),
+        ("1,2,3\r5,6,7\r", 0),
+    ] {
+        let (cloud, _) = cloud_as("a.txt", text.as_bytes());
+        assert_eq!((cloud.positions.get(1), cloud.attributes.len()), ([5.0, 6.0, 7.0], fields), "{text:?}");
+    }
     // A comma and a space are no decimals.
     for text in ["0, 0, 0\n.5, .5, 1.5\n", "1, 2, 3, 4\n5, 6, 7, 8\n"] {
         assert_eq!(cloud_as("a.txt", text.as_bytes()).0.len(), 2, "{text:?}");
@@ -155,7 +175,7 @@ fn text_compressed_by_gzip_is_read() {
 fn a_colour_without_a_number_leaves_the_others() {
     let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3 1 0.5 0\nv 5 6 7 nan 0.5 1\n");
     assert_eq!(cloud.rgb().unwrap(), [[255, 128, 0], [0, 128, 255]]);
-    assert_eq!(notes, ["1 values of colours are no numbers; they become 0"]);
+    assert_eq!(notes, ["1 values of colours are missing; they become 0"]);
     let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3\nv 5 6 7 255 128 1\nv 1 1 1 1\n");
     assert_eq!(cloud.rgb().unwrap(), [[0; 3], [255, 128, 1], [0; 3]]);
     assert_eq!(notes, ["2 of 3 vertices have no colour; they are black"]);
@@ -223,6 +243,16 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
         let mut points = 0;
         let (_, notes) = io::read_in_parts(&path, 30, |part| points += part.len()).unwrap();
         assert_eq!((points, notes.len()), (40, 1));
+    }
+
+    for (minor, stated, note) in
+        [(2, 0u32, "states no points, but the file has 40"), (2, 30, "30 points, which are read")]
+    {
+        let mut fewer = las(minor, 1);
+        set(&mut fewer, 107, stated.to_le_bytes());
+        let (cloud, notes) = cloud_as("a.las", &fewer);
+        assert_eq!(cloud.len(), if stated == 0 { 40 } else { 30 });
+        assert!(notes[0].contains(note), "{notes:?}");
     }
 
     let mut newer = las(4, 6);
@@ -296,12 +326,15 @@ fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
     }
     // Waymo as mmdetection3d converts it: intensity, elongation, time.
     let waymo = file(&|i| vec![noise(i, 4), 1.5 * noise(i, 5), 1.55e15]);
-    assert!(read_as("a.bin", &waymo).unwrap_err().contains("--columns"));
+    assert!(read_as("a.bin", &waymo).unwrap_err().contains("number of columns"));
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.bin");
     fs::write(&path, &waymo).unwrap();
     let read = io::read_file(&path, &ReadOptions::default().with_columns(Some(6))).unwrap();
     assert_eq!(read.contents.shape(), (points, 1));
+    // Positions that could be colours or intensities as well.
+    let unit_cube = floats((0..3 * points).map(|i| noise(i, 1)));
+    assert!(read_as("a.bin", &unit_cube).unwrap_err().contains("number"));
     // Raw depth.
     let raw: Vec<u8> = (0..3072u16).flat_map(|i| (1500 + i % 700).to_le_bytes()).collect();
     assert!(read_as("a.bin", &raw).unwrap_err().contains("raw depth"));
@@ -321,7 +354,9 @@ fn points_at_the_sensor_are_holes() {
     };
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0; 3], [0.1, 0.1, 1.0]]), (2, 1));
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [0.1, 0.1, 1.0]]), (3, 1));
-    // A height map around the origin.
+    // Height maps around the origin.
+    assert_eq!(cloud(&[[0.0; 3], [1.0, 0.0, 0.1], [0.0, 1.0, 0.1], [1.0, 1.0, 0.2]]), (4, 0));
+    assert_eq!(cloud(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]), (4, 0));
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, -0.1]]), (4, 0));
 }
 
@@ -333,7 +368,7 @@ fn lengths_in_other_units_become_metres() {
     let path = folder.path().join("mm.ply");
     io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
     let read = |unit: &str| {
-        let options = ReadOptions::default().with_unit(io::LengthUnit::named(unit));
+        let options = ReadOptions::default().with_unit(Some(unit.parse().unwrap()));
         io::read_file(&path, &options).unwrap()
     };
     let FileRead { contents: Contents::General(found), notes, .. } = read("mm") else { panic!("points") };
@@ -345,7 +380,19 @@ fn lengths_in_other_units_become_metres() {
     let inch = read("inch").contents;
     let Contents::General(inch) = inch else { panic!("points") };
     assert_eq!(inch.positions.get(0), [2.54, 5.08, 25.4]);
-    assert_eq!(io::LengthUnit::named("furlong"), None);
+    assert!("furlong".parse::<io::LengthUnit>().unwrap_err().to_string().contains("mm, cm, m, inch or ft"));
+    // A LAS file has scales in its own unit.
+    let path = folder.path().join("mm.las");
+    fs::write(&path, las(2, 1)).unwrap();
+    let millimetres =
+        io::read_file(&path, &ReadOptions::default().with_unit(Some(io::LengthUnit::MILLIMETRE))).unwrap();
+    let Contents::General(found) = millimetres.contents else { panic!("points") };
+    assert_eq!(millimetres.notes.len(), 2);
+    let (again, _) = cloud_as("out.las", &written(&found, "out.las"));
+    for (axis, expected) in [637.012_24, 849.028_31, 0.431_66].into_iter().enumerate() {
+        let coordinates = [found.coordinate(axis, 0), again.coordinate(axis, 0)];
+        assert!(coordinates.iter().all(|found| (found - expected).abs() < 1e-5), "{coordinates:?} {expected}");
+    }
 }
 
 #[test]
@@ -440,7 +487,7 @@ fn vertices_of_an_off_have_their_normals_and_colours() {
         ("OFF\n3 0 0\n1 2 3\n5 6 7\n", "states 3 vertices, but has 2"),
         ("OFF\n2 0 0\n1 2 3\n5 6\n", "line 4"),
         ("4OFF\n1 0 0\n1 2 3 4\n", "not the beginning of an OFF"),
-        ("OFF\nmany\n", "no numbers of vertices"),
+        ("OFF\nmany\n", "numbers of vertices, faces and edges are expected"),
         ("OFF\n999999999999 0 0\n", "vertices in a file of"),
     ] {
         let error = read_as("a.off", text.as_bytes()).unwrap_err();

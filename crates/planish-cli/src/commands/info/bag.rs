@@ -42,7 +42,7 @@ struct TopicInfo<'a> {
 }
 
 pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
-    let survey = Survey::of(file, &args.memory.read_options())?;
+    let survey = Survey::of(file, &args.reading.read_options())?;
     let topics = survey.topics.iter().map(|topic| TopicInfo {
         topic: &topic.name,
         type_name: topic.kind.type_name(),

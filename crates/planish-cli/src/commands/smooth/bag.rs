@@ -81,7 +81,9 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         ("--min-range", args.smoothing.min_range.is_some()),
         ("--max-range", args.smoothing.max_range.is_some()),
         ("--format", writes && args.format.is_some()),
-        ("--max-memory", !(reads && writes) && args.memory.max_memory.is_some()),
+        ("--max-memory", !(reads && writes) && args.reading.max_memory.is_some()),
+        ("--unit", args.reading.unit.is_some()),
+        ("--columns", args.reading.columns.is_some()),
         ("--depth-units-per-metre", reads && args.camera.depth_units_per_metre.is_some()),
     ] {
         if is_given {
@@ -94,13 +96,13 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
 fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let mut settings = args.smoothing.settings()?;
     settings.outputs = Some(args.outputs());
-    let mut smoother = MessageSmoother::new(settings)?.with_read_options(args.memory.read_options());
+    let mut smoother = MessageSmoother::new(settings)?.with_read_options(args.reading.read_options());
     let options = SmoothBagOptions::default()
         .with_topics(args.topics.topic.clone())
         .with_camera_info_topic(args.topics.camera_info_topic.clone())
         .with_camera(args.camera.camera_of_any_shape()?)
         .with_points_topic(args.points_topic.clone())
-        .with_read_options(args.memory.read_options());
+        .with_read_options(args.reading.read_options());
     let bar =
         ProgressBar::new(0).with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} messages, {eta} left")?);
     let mut tell = |done, total: Option<u64>| {

@@ -1,4 +1,4 @@
-//! Clouds without a grid of a recording, each into a file of its own.
+//! Smooths the unorganized clouds of a recording into one file each.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -14,7 +14,8 @@ use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Smooths the clouds of a recording's topic into a folder; `None` if the first message is no cloud without a grid.
+/// Smooths the clouds of a recording's topic into a folder; `None` if the first readable message is
+/// something else.
 pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings) -> Result<Option<ExitCode>> {
     let topic = args.topics.topic.first().map(String::as_str);
     let camera_topic = args.topics.camera_info_topic.as_deref();

@@ -223,7 +223,7 @@ fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     // Each has buffers on the device.
     let devices = worker.session.devices().len().max(1);
     let threads = if engine == Some(Engine::Gpu) { threads.min(WORKERS_OF_A_GPU * devices) } else { threads };
-    let in_memory = worker.args.memory.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
+    let in_memory = worker.args.reading.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
     Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
 

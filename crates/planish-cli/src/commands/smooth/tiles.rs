@@ -4,11 +4,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use planish::tiles::{self, TileOptions};
 use planish::{CloudChoice, CloudRadius, Progress};
 use planish_bench::errln;
 
+use super::super::checks::refuse_unit;
 use super::super::checks::report_notes;
 use super::super::ms_since;
 use super::memory::NeedsMemory;
@@ -23,9 +24,7 @@ impl Worker<'_> {
         if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {
             return Ok(None);
         }
-        if self.args.memory.unit.is_some_and(|unit| !unit.is_metre()) {
-            bail!("{}: larger than --max-memory; --unit applies to files that fit it", input.display());
-        }
+        refuse_unit(&self.args.reading, input)?;
         if self.beside > 1 {
             return Err(NeedsMemory(format!(
                 "{}: too large for one of several workers; smoothed alone",

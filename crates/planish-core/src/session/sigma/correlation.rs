@@ -41,14 +41,16 @@ pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usiz
 /// Returns the sum of the products of two rows, and of their mean squares where both count.
 fn sums([a, a_counts]: [&[f32]; 2], [b, b_counts]: [&[f32]; 2]) -> [f64; 2] {
     let (mut products, mut squares) = ([0.0f32; PARTS], [0.0f32; PARTS]);
-    let rows = a.chunks_exact(PARTS).zip(b.chunks_exact(PARTS));
-    let rows = rows.zip(a_counts.chunks_exact(PARTS).zip(b_counts.chunks_exact(PARTS)));
-    for ((a, b), (a_counts, b_counts)) in rows {
-        for k in 0..PARTS {
-            // Values are 0 where they do not count.
-            products[k] += a[k] * b[k];
-            squares[k] += 0.5 * (a[k] * a[k] + b[k] * b[k]) * (a_counts[k] * b_counts[k]);
-        }
+    let mut add = |k: usize, (a, b): (f32, f32), counts: f32| {
+        // Values are 0 where they do not count.
+        products[k] += a * b;
+        squares[k] += 0.5 * (a * a + b * b) * counts;
+    };
+    let whole = a.len() / PARTS * PARTS;
+    for at in (0..whole).step_by(PARTS) {
+        let [a, b, a_counts, b_counts] = [a, b, a_counts, b_counts].map(|row| &row[at..at + PARTS]);
+        (0..PARTS).for_each(|k| add(k, (a[k], b[k]), a_counts[k] * b_counts[k]));
     }
+    (whole..a.len()).for_each(|i| add(i - whole, (a[i], b[i]), a_counts[i] * b_counts[i]));
     [products, squares].map(|parts| parts.iter().map(|part| f64::from(*part)).sum())
 }

@@ -1,4 +1,4 @@
-//! What is computed for each pixel of a row. Plain loops, compiled for each instruction set where they are called.
+//! Loops over the pixels of a row. Callers compile them for each instruction set.
 
 use super::{
     BIAS_DEVIATIONS, BIAS_HALF_PX, BIAS_WEIGHT, CLIP, FIXED_SHARE, HALF_PX, LEAST_DEVIATION_M, MOST_SHARE,
@@ -13,7 +13,7 @@ pub(super) struct ErrorModel {
     pub(super) gain: f32,
     /// The least variance of residuals.
     pub(super) least_variance: f32,
-    /// The variance of the mean over a small window, as a share of that of a residual.
+    /// The variance of the mean over a small window, relative to the variance of one residual.
     pub(super) variance_of_mean: f32,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn set_residuals(
     }
 }
 
-/// Marks the pixels of a row whose range differs from that of the pixel to the right or below by a step.
+/// Marks the pixels of a row with a step to the pixel on the right or below.
 #[inline(always)]
 pub(super) fn mark_steps(steps: &mut [u8], [here_m, below_m]: [&[f32]; 2], deviations_m: &[f32]) {
     let last = here_m.len().saturating_sub(1);

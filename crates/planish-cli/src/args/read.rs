@@ -2,8 +2,10 @@
 
 use planish::io::{LengthUnit, ReadOptions};
 
+use super::CameraArgs;
+
 #[derive(clap::Args)]
-pub struct MemoryArgs {
+pub struct ReadArgs {
     /// Memory limit for file and point data, such as 500M or 4G [default: 2G]
     ///
     /// The program needs about 50 MB in addition, and LAZ another 100 MB. `smooth` and `info` process larger LAS, LAZ
@@ -13,22 +15,23 @@ pub struct MemoryArgs {
     /// Unit of points and of floating-point depth in files that state none: mm, cm, m, inch or ft [default: m]
     ///
     /// They become metres.
-    #[arg(long, value_name = "UNIT", value_parser = parse_unit, hide_short_help = true, help_heading = super::INPUT)]
+    #[arg(long, value_name = "UNIT", hide_short_help = true, help_heading = super::INPUT)]
     pub unit: Option<LengthUnit>,
     /// Number of columns of a lidar's .bin, such as 4 for KITTI [default: found from its values]
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
     pub columns: Option<usize>,
 }
 
-impl MemoryArgs {
+impl ReadArgs {
+    /// Returns the options for files, and depth images of this camera.
+    pub fn options(&self, camera: &CameraArgs) -> ReadOptions {
+        self.read_options().with_depth_units_per_metre(camera.depth_units_per_metre)
+    }
+
     pub fn read_options(&self) -> ReadOptions {
         let default = ReadOptions::default().with_unit(self.unit).with_columns(self.columns);
         self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
     }
-}
-
-fn parse_unit(text: &str) -> Result<LengthUnit, String> {
-    LengthUnit::named(text).ok_or_else(|| "a unit is one of mm, cm, m, inch and ft".to_owned())
 }
 
 /// Parses a number of bytes, such as 500M or 4G.
