@@ -81,6 +81,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     names.extend(if has_normals { &["normal_x", "normal_y", "normal_z"][..] } else { &[] });
     names.extend(if prefix.contains('C') { &["red", "green", "blue"][..] } else { &[] });
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
+    let mut largest = 0.0f64;
     for _ in 0..count {
         let (number, line) = lines.next().ok_or_else(|| {
             FormatError::Malformed(format!("truncated: it states {count} vertices, but has {}", columns[0].len()))
@@ -89,11 +90,11 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         let values = values.filter(|values| values.len() >= names.len()).ok_or_else(|| {
             FormatError::Malformed(format!("line {number}: {} is no vertex of {} numbers", quoted(line), names.len()))
         })?;
+        // Alpha may follow the colours.
+        largest = values[3 + 3 * usize::from(has_normals)..].iter().copied().fold(largest, f64::max);
         columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
-    let is_share =
-        columns[3 + 3 * usize::from(has_normals)..].iter().flatten().all(|value| (0.0..=1.0).contains(value));
-    let scale = if is_share { 255.0 } else { 1.0 };
+    let scale = if largest <= 1.0 { 255.0 } else { 1.0 };
     let typed = |(name, values): (&str, Vec<f64>)| match name {
         "red" | "green" | "blue" => {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();

@@ -32,6 +32,15 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     let is_shared = |name: &String| short.iter().filter(|other| *other == name).count() > 1;
     let name = |(name, cell): (&String, &&str)| if is_shared(name) { in_one_word(cell) } else { name.clone() };
     let mut names: Vec<String> = short.iter().zip(cells).map(name).collect();
+    // Alone, r is a range or a reflectance.
+    let letters = ["r", "g", "b"];
+    if !letters.iter().all(|letter| cells.iter().any(|cell| cell.trim().eq_ignore_ascii_case(letter))) {
+        for (name, cell) in names.iter_mut().zip(cells) {
+            if let Some(letter) = letters.iter().find(|letter| cell.trim().eq_ignore_ascii_case(letter)) {
+                *name = (*letter).to_owned();
+            }
+        }
+    }
     let has = |names: &[String], axes: [&str; 3]| axes.iter().all(|axis| names.iter().any(|name| name == axis));
     if !has(&names, ["x", "y", "z"]) {
         let axes = AXES.into_iter().find(|axes| has(&names, *axes))?;

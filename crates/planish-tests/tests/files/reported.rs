@@ -127,6 +127,9 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
         let (cloud, _) = cloud_as("a.txt", text.as_bytes());
         assert_eq!(cloud.positions.get(1), [4.5, 5.5, 6.5], "{text:?}");
     }
+    // A range or a reflectance is no red.
+    assert_eq!(names(&cloud_as("a.csv", b"x,y,z,r\n1,2,3,4\n5,6,7,8\n").0), ["r"]);
+    assert_eq!(names(&cloud_as("a.csv", b"x,y,z,R,G,B\n1,2,3,4,5,6\n").0), ["red", "green", "blue"]);
     // Units in the names.
     let (cloud, notes) = cloud_as("a.csv", b"X (mm),Y (mm),Z (mm)\n1000,2000,3000\n");
     assert_eq!((cloud.positions.get(0), notes[0].contains("mm become metres")), ([1.0, 2.0, 3.0], true));
@@ -480,6 +483,8 @@ fn vertices_of_an_off_have_their_normals_and_colours() {
     let (cloud, _) = cloud_as("a.off", OFF.as_bytes());
     assert_eq!(names(&cloud), ["normal_x", "normal_y", "normal_z", "red", "green", "blue"]);
     assert_eq!((cloud.positions.get(1), cloud.rgb().unwrap()[1]), ([5.0, 6.0, 7.0], [0, 255, 0]));
+    let (dark, _) = cloud_as("a.off", b"COFF\n2 0 0\n1 2 3 0 0 1 255\n5 6 7 1 0 1 255\n");
+    assert_eq!(dark.rgb().unwrap(), [[0, 0, 1], [1, 0, 1]]);
     for text in ["OFF 2 0 0\n1 2 3\n5 6 7\n", "OFF2 0 0\n1 2 3\n5 6 7\n"] {
         assert_eq!(cloud_as("a.off", text.as_bytes()).0.len(), 2, "{text}");
     }
