@@ -17,7 +17,6 @@ use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 use super::format::las_or_laz;
 use super::length_unit::{LengthUnit, unit_of_geo_keys, unit_of_wkt};
 use super::{Format, FormatResult, ReadOptions};
-use planish_core::internal::middle;
 use planish_core::{Attribute, AttributeValues, CoordinateSteps, FormatError, PointCloud, Precision, Provenance, Xyz};
 pub(crate) use stream::LasReader;
 use writer::LasWriter;
@@ -29,6 +28,8 @@ use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_r
 
 /// Resolution of coordinates in new files, if it fits: finer than any scanner measures.
 const SCALE_M: f64 = 1e-5;
+/// Points of which the median is taken.
+const SAMPLE: usize = 1000;
 /// The most that 32 bits hold, with room to move points.
 const LARGEST_INTEGER: f64 = 2e9;
 
@@ -118,13 +119,11 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
             .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
         let (low, high) =
             integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        // In the middle of most points, on a whole metre, so that as few digits as possible are lost to f32.
-        let integer = |i: usize| {
-            let place = i * record + at;
-            i32::from_le_bytes([raw[place], raw[place + 1], raw[place + 2], raw[place + 3]])
-        };
-        let most = middle(raw.len() / record, |i| transform.direct(integer(i)));
-        let middle = most.map_or(0.0, |[low, high]| low.midpoint(high).round());
+        // At the median point, on a whole metre: near most points f32 loses the fewest digits, and strays do not count.
+        let step = (raw.len() / record).div_ceil(SAMPLE).max(1);
+        let mut sample: Vec<i32> = integers.clone().step_by(step).collect();
+        sample.sort_unstable();
+        let middle = sample.get(sample.len() / 2).map_or(0.0, |&integer| transform.direct(integer).round());
         let values: Vec<f32> = integers.clone().map(|value| (transform.direct(value) - middle) as f32).collect();
         // Check whether f32 is too coarse for the file's integers.
         let widest = (transform.direct(high) - middle).abs().max((transform.direct(low) - middle).abs());

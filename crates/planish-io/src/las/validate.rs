@@ -143,7 +143,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     if size != record {
         return Some(Err(FormatError::Malformed(format!("points of {record} bytes, which are compressed as {size}"))));
     }
-    check_layers(bytes, &description, record)
+    check_table(bytes, &description, record, points)
 }
 
 /// Returns the size of an item of a compressed point, as the decoder reads it whatever the file states.
@@ -158,12 +158,16 @@ fn item_bytes(item: &LazItem) -> usize {
     }
 }
 
-/// Refuses layers that are larger than their chunk: from version 3 on each chunk begins with a point, the number of
-/// points, and the sizes of the layers of which the others consist.
-fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record: usize) -> Option<FormatResult<()>> {
-    if description.items().iter().all(|item| item.version() < 3) {
-        return Some(Ok(()));
-    }
+/// Refuses chunks whose bytes or points the file does not have, and layers that are larger than their chunk: from
+/// version 3 on each chunk begins with a point, the number of points, and the sizes of the layers of which the others
+/// consist. The decoder allocates what the table states.
+fn check_table(
+    bytes: &(impl FileBytes + ?Sized),
+    description: &LazVlr,
+    record: usize,
+    points: u64,
+) -> Option<FormatResult<()>> {
+    let has_layers = description.items().iter().any(|item| item.version() >= 3);
     let layers = |item: &LazItem| match item.item_type() {
         LazItemType::Point14 => 9,
         LazItemType::RGBNIR14 => 2,
@@ -175,9 +179,9 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
     // The decoder of the table trusts its input like that of the points.
     let table = catch_unwind(AssertUnwindSafe(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok()));
     let table = table.ok()??;
-    let mut at = points_at + ChunkTable::OFFSET_SIZE as u64;
+    let (mut at, mut stated) = (points_at + ChunkTable::OFFSET_SIZE as u64, 0u64);
     for chunk in &table {
-        if chunk.byte_count > 0 {
+        if has_layers && chunk.byte_count > 0 {
             let sizes_at = usize::try_from(at).ok()?.checked_add(record + 4)?;
             let sizes = bytes.read(sizes_at, 4 * layers)?;
             let size = |size: &[u8]| size.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
@@ -187,7 +191,18 @@ fn check_layers(bytes: &(impl FileBytes + ?Sized), description: &LazVlr, record:
                 return Some(Err(FormatError::Malformed(text)));
             }
         }
-        at = at.checked_add(chunk.byte_count).filter(|&end| end <= bytes.size() as u64)?;
+        let Some(end) = at.checked_add(chunk.byte_count).filter(|&end| end <= bytes.size() as u64) else {
+            let (count, size) = (chunk.byte_count, bytes.size());
+            let text = format!("a chunk of {count} bytes from byte {at} on, in a file of {size} bytes");
+            return Some(Err(FormatError::Malformed(text)));
+        };
+        at = end;
+        stated = stated.saturating_add(chunk.point_count);
+    }
+    // Chunks of one size may be larger than their points.
+    if description.uses_variable_size_chunks() && stated != points {
+        let text = format!("the header states {points} points, but its chunks {stated}");
+        return Some(Err(FormatError::Malformed(text)));
     }
     Some(Ok(()))
 }

@@ -296,7 +296,67 @@ fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
     table.write_to(&mut bytes, &description).unwrap();
     bytes.extend([0; 64]);
     let error = refused(&bytes, Format::Laz);
-    assert!(error.contains("1000 points of") && error.contains("in a file of"), "{error}");
+    assert!(error.contains("a chunk of") && error.contains("in a file of"), "{error}");
+}
+
+/// Returns points in LAZ of this point format, with another table of chunks.
+fn with_table(format: u8, chunk_size: Option<u32>, change: impl Fn(&mut ChunkTableEntry)) -> Vec<u8> {
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(format).unwrap();
+    builder.point_format.is_compressed = true;
+    let mut writer = las::Writer::new(Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
+    for i in 0..1000 {
+        let gps_time = writer.header().point_format().has_gps_time.then_some(f64::from(i));
+        writer.write_point(las::Point { x: 0.01 * f64::from(i), gps_time, ..Default::default() }).unwrap();
+    }
+    writer.close().unwrap();
+    let mut bytes = writer.into_inner().unwrap().into_inner();
+    let number = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let points_at = number(&bytes, 96) as usize;
+    let record_at = bytes.windows(14).position(|window| window == b"laszip encoded").unwrap() + 52;
+    let description = LazVlr::from_buffer(&bytes[record_at..points_at]).unwrap();
+    let mut reader = Cursor::new(&bytes);
+    reader.set_position(points_at as u64);
+    let mut chunk = ChunkTable::read_from(reader, &description).unwrap()[0];
+    change(&mut chunk);
+    if let Some(chunk_size) = chunk_size {
+        bytes[record_at + 12..record_at + 16].copy_from_slice(&chunk_size.to_le_bytes());
+    }
+    let description = LazVlr::from_buffer(&bytes[record_at..points_at]).unwrap();
+    let mut table = ChunkTable::default();
+    table.push(chunk);
+    let table_at = number(&bytes, points_at) as usize;
+    bytes.truncate(table_at);
+    table.write_to(&mut bytes, &description).unwrap();
+    bytes
+}
+
+#[test]
+fn tables_of_chunks_that_state_more_than_the_file_has_are_refused_before_anything_is_allocated() {
+    for format in [1, 6] {
+        io::decode(&with_table(format, None, |_| ()), Some(Format::Laz)).unwrap();
+        let all = |chunk: &mut ChunkTableEntry| chunk.point_count = 1000;
+        io::decode(&with_table(format, Some(u32::MAX), all), Some(Format::Laz)).unwrap();
+        let points = |chunk: &mut ChunkTableEntry| chunk.point_count = 2_147_483_647;
+        let error = refused(&with_table(format, Some(u32::MAX), points), Format::Laz);
+        assert!(error.contains("states 1000 points, but its chunks 2147483647"), "{error}");
+    }
+    let bytes = |chunk: &mut ChunkTableEntry| chunk.byte_count = 0x7fff_0000;
+    let error = refused(&with_table(1, None, bytes), Format::Laz);
+    assert!(error.contains("a chunk of 2147418112 bytes"), "{error}");
+}
+
+#[test]
+fn strays_at_the_origin_cost_the_other_points_no_digits() {
+    let mut cloud = PointCloud::new((0..3000).map(|i| [0.01 * (i % 50) as f32, 0.01 * (i / 50) as f32, 0.0]).collect());
+    cloud.origin_m = [637_000.0, 5_400_000.0, 300.0];
+    for i in 0..45 {
+        cloud.positions.set(66 * i, [-637_000.0, -5_400_000.0, -300.0]);
+    }
+    let bytes = io::encode_cloud(Format::Las, &cloud, Encoding::Binary).unwrap();
+    let Contents::General(found) = io::decode(&bytes, Some(Format::Las)).unwrap().1 else { panic!("points") };
+    assert!(found.origin_m[1] > 5_399_000.0, "{:?}", found.origin_m);
+    assert!((found.positions.x()[1] - found.positions.x()[2]).abs() > 0.009);
 }
 
 #[test]
