@@ -110,30 +110,24 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
 
 /// Appends a value; `None` if the word is not of this type.
 fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
+    if push_plain(values, word).is_some() {
+        return Some(());
+    }
+    // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs integers as 255.0.
+    let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));
+    match (word.split_once('.'), is_nan) {
+        (_, true) => push_plain(values, "nan"),
+        (Some((whole, decimals)), _) if decimals.bytes().all(|byte| byte == b'0') => push_plain(values, whole),
+        _ => None,
+    }
+}
+
+fn push_plain(values: &mut AttributeValues, word: &str) -> Option<()> {
     fn parsed<T: FromStr>(values: &mut Vec<T>, word: &str) -> Option<()> {
         values.push(word.parse().ok()?);
         Some(())
     }
-    with_values!(&mut *values, values => parsed(values, word)).or_else(|| push_unusual(values, word))
-}
-
-/// Appends NaN as Microsoft's compiler writes it (`-nan(ind)`, `1.#QNAN`), or an integer with decimals (`255.0`).
-fn push_unusual(values: &mut AttributeValues, word: &str) -> Option<()> {
-    let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));
-    let number: f64 = if is_nan { f64::NAN } else { word.parse().ok()? };
-    match values {
-        AttributeValues::F32(values) => values.push(number as f32),
-        AttributeValues::F64(values) => values.push(number),
-        // Casts stop at the ends of a type.
-        values => {
-            let one = values.of_f64(vec![number]);
-            if one.get_f64(0) != number {
-                return None;
-            }
-            values.extend_from(&one, &[0], 1);
-        }
-    }
-    Some(())
+    with_values!(values, values => parsed(values, word))
 }
 
 /// Writes a line for each point. Every float gets the shortest text that reads back to the same bits.
