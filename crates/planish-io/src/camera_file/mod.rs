@@ -209,7 +209,8 @@ mod tests {
             "cam0:\n  camera_model: pinhole\n  intrinsics: [525, 525, 319.5, 239.5]\n  distortion_model: radtan\n  \
              distortion_coeffs: [0, 0, 0, 0]\n  resolution: [640, 480]\n",
         ];
-        for text in files {
+        let has_xml = cfg!(feature = "more-formats");
+        for text in files.into_iter().filter(|text| has_xml || !text.starts_with('<')) {
             let camera = read(text).camera;
             assert_eq!(camera.with_shape((640, 480)), kinect, "{text}");
         }

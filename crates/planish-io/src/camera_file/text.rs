@@ -1,9 +1,12 @@
 //! The text of a camera file as a JSON value, whatever its syntax.
 
-use serde_json::{Map, Value};
+#[cfg(feature = "more-formats")]
+use serde_json::Map;
+use serde_json::Value;
 
 use super::super::{FormatResult, brief};
 use super::malformed;
+#[cfg(feature = "more-formats")]
 use super::value::names;
 
 /// Parses JSON, YAML, OpenCV's XML, lines of `name = value`, or numbers alone.
@@ -14,6 +17,7 @@ pub(super) fn parse(text: &str) -> FormatResult<Value> {
     if text.starts_with(['{', '[']) {
         return serde_json::from_str(text).or_else(|error| numbers(text).ok_or_else(|| not_a_camera(&error)));
     }
+    #[cfg(feature = "more-formats")]
     if text.starts_with('<') {
         return Ok(Value::Object(xml(text)));
     }
@@ -46,6 +50,7 @@ fn numbers(text: &str) -> Option<Value> {
 }
 
 /// Returns the numbers of OpenCV's XML by their names: `<name>1</name>`, and matrices with a part `<data>`.
+#[cfg(feature = "more-formats")]
 fn xml(text: &str) -> Map<String, Value> {
     let value = |name: &str| {
         // The name may be followed by the type of a matrix.

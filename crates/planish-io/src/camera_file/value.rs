@@ -287,6 +287,7 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
 }
 
 /// Iterates over the names of a camera's numbers.
+#[cfg(feature = "more-formats")]
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
     let all = [WIDTH, HEIGHT, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     all.into_iter().flatten().copied().chain(SINGLE)
