@@ -62,7 +62,8 @@ pub(super) fn decode(
             bytes.len()
         )));
     }
-    options.check(bytes.len(), 2)?;
+    // Columns, and wider copies of those that are guessed.
+    options.check(bytes.len(), 4)?;
     let column = |k: usize| -> Vec<f32> {
         let value =
             |point: &[u8]| f32::from_le_bytes([point[4 * k], point[4 * k + 1], point[4 * k + 2], point[4 * k + 3]]);
@@ -168,9 +169,7 @@ impl Sample {
             _ => all(3..6, is_byte) || all(3..6, is_share_of_bytes) || self.has_normals(),
         }
     }
-}
 
-impl Sample {
     /// Returns true if columns 4 to 6 of six are unit vectors.
     fn has_normals(&self) -> bool {
         let is_unit = |p: &[f32]| ((p[3] * p[3] + p[4] * p[4] + p[5] * p[5]).sqrt() - 1.0).abs() < 0.02;

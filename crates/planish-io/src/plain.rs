@@ -58,7 +58,8 @@ fn decode(bytes: &[u8], unit: impl Fn([u8; 2]) -> u16) -> Option<String> {
     (rest.is_empty() && text.chars().all(is_text)).then_some(text)
 }
 
-#[cfg(all(test, feature = "more-formats"))]
+#[cfg(test)]
+#[cfg(feature = "more-formats")]
 mod tests {
     use std::io::Write;
 

@@ -235,6 +235,7 @@ mod tests {
             let camera = read(&text).camera;
             assert_eq!((camera.fx, camera.cy, camera.depth_units_per_metre), (525.0, 239.5, units), "{text}");
         }
+        let has_xml = cfg!(feature = "more-formats");
         for more in [
             r#""is_fisheye":true"#,
             r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#,
@@ -245,6 +246,9 @@ mod tests {
         }
         let fisheye = "%YAML:1.0\nfisheye_model: 1\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n";
         assert!(parse_camera(fisheye, None).unwrap_err().to_string().contains("fisheye"));
+        let fisheye = "<opencv_storage><fisheye_model>1</fisheye_model><camera_matrix type_id=\"opencv-matrix\"><data>525 0 \
+                       319.5 0 525 239.5 0 0 1</data></camera_matrix></opencv_storage>";
+        assert!(!has_xml || parse_camera(fisheye, None).unwrap_err().to_string().contains("fisheye"));
         let distorted = read(&format!(r#"{{{CAMERA},"dist":[0.1,0.01,0,0,0]}}"#)).camera;
         assert_eq!(distorted.distortion.radial[0], 0.1);
         let hostile = format!("<{}", "a><".repeat(200_000));

@@ -290,7 +290,7 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
 #[cfg(feature = "more-formats")]
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
     let all = [WIDTH, HEIGHT, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
-    all.into_iter().flatten().copied().chain(SINGLE)
+    all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE)
 }
 
 /// Returns a name that no camera has.
