@@ -80,13 +80,21 @@ const BINNING: [&[&str]; 2] = [&["binning_x"], &["binning_y"]];
 /// Keys of nested cameras.
 const NESTED: [&str; 4] = ["intrinsic", "intrinsics", "camera", "depth"];
 
-/// Named numbers.
-struct Names<'a>(&'a Map<String, Value>);
+/// Named numbers of a camera, and of the object around it, which may state the unit of depth.
+struct Names<'a> {
+    own: &'a Map<String, Value>,
+    outer: Option<&'a Map<String, Value>>,
+}
 
 impl<'a> Names<'a> {
+    fn get(&self, name: &str) -> Option<(&'a str, &'a Value)> {
+        let own = self.own.get_key_value(name).filter(|(_, value)| !value.is_null());
+        let outer = || self.outer?.get_key_value(name).filter(|(_, value)| !value.is_null() && !value.is_object());
+        own.or_else(outer).map(|(name, value)| (name.as_str(), value))
+    }
+
     fn value(&self, names: &[&str]) -> Option<(&'a str, &'a Value)> {
-        let found = names.iter().find_map(|name| self.0.get_key_value(*name).filter(|(_, value)| !value.is_null()));
-        found.map(|(name, value)| (name.as_str(), value))
+        names.iter().find_map(|name| self.get(name))
     }
 
     fn number(&self, names: &[&str]) -> FormatResult<Option<f64>> {
@@ -131,19 +139,14 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
         return Ok(CameraFile { camera, states_units: false, notes: Vec::new() });
     }
     let Value::Object(map) = value else { return Err(lacking()) };
-    let has_intrinsics =
-        [FX, MATRIX, FOUR].iter().any(|names| Names(map).value(names).is_some_and(|(_, v)| !v.is_object()));
     let nested = NESTED.iter().find_map(|name| map.get(*name).and_then(Value::as_object));
-    if let Some(nested) = nested.filter(|_| !has_intrinsics) {
-        let mut nested = nested.clone();
-        if let Some(scale) = nested.remove(REPLICA_SCALE) {
-            nested.insert(SCALE[0].to_owned(), scale);
-        }
-        // The outer object may state the unit of depth.
-        for (name, value) in map.iter().filter(|(_, value)| !value.is_object()) {
-            nested.entry(name.clone()).or_insert_with(|| value.clone());
-        }
-        return camera_of(&Value::Object(nested));
+    let (own, outer) = match nested {
+        Some(nested) if !has_intrinsics(map) => (nested, Some(map)),
+        _ => (map, None),
+    };
+    let names = Names { own, outer };
+    if has_intrinsics(own) {
+        return of_names(&names, lacking);
     }
     let mut of_images = map.values().filter(|value| value.get("cam_K").is_some() || value.get("intrinsics").is_some());
     if let Some(first) = of_images.next() {
@@ -154,7 +157,15 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
         }
         return Ok(camera);
     }
-    of_names(&Names(map), lacking)
+    of_names(&names, lacking)
+}
+
+/// Returns true if an object has the focal length or a matrix itself.
+fn has_intrinsics(map: &Map<String, Value>) -> bool {
+    [FX, MATRIX, FOUR]
+        .iter()
+        .flat_map(|names| names.iter())
+        .any(|name| map.get(*name).is_some_and(|v| !v.is_object() || v.get("data").is_some()))
 }
 
 fn of_names(names: &Names<'_>, lacking: impl Fn() -> FormatError) -> FormatResult<CameraFile> {
@@ -171,7 +182,8 @@ fn of_names(names: &Names<'_>, lacking: impl Fn() -> FormatError) -> FormatResul
         }
     };
     let mut camera = Camera::new(shape, focal_length, centre).with_distortion(distortion(names)?);
-    let (units, scale) = (names.number(UNITS)?, names.number(SCALE)?);
+    let replica = if names.outer.is_some() { names.own.get(REPLICA_SCALE).and_then(Value::as_f64) } else { None };
+    let (units, scale) = (names.number(UNITS)?, names.number(SCALE)?.or(replica));
     if let Some(units) = units {
         camera = camera.with_depth_units_per_metre(units);
     } else if let Some(scale) = scale {
@@ -229,7 +241,7 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
         false => names.numbers(DISTORTION)?.unwrap_or_default(),
     };
     let is_true = |value: &Value| value.as_bool() == Some(true) || value.as_f64().is_some_and(|number| number != 0.0);
-    if let Some(name) = FISHEYE.iter().find(|name| names.0.get(**name).is_some_and(is_true)) {
+    if let Some(name) = FISHEYE.iter().find(|name| names.get(name).is_some_and(|(_, value)| is_true(value))) {
         return Err(FormatError::Unsupported(format!("a fisheye camera ({name}); rectify the images first")));
     }
     // A fisheye with coefficients of 0 still is not a pinhole camera. An inverse distortion with coefficients of 0 is.
@@ -240,8 +252,8 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
         KNOWN_MODELS.contains(&model) || are_zero && model.ends_with("brown_conrady")
     };
     let (name, prefix) = MODEL_OF_REALSENSE;
-    let of_realsense = names.0.get(name).and_then(Value::as_str).filter(|model| model.starts_with(prefix));
-    let mut models = MODEL.iter().filter_map(|name| names.0.get(*name)?.as_str()).chain(of_realsense);
+    let of_realsense = names.get(name).and_then(|(_, model)| model.as_str()).filter(|model| model.starts_with(prefix));
+    let mut models = MODEL.iter().filter_map(|name| names.get(name)?.1.as_str()).chain(of_realsense);
     if let Some(model) = models.find(|model| !is_known(model)) {
         return Err(FormatError::Unsupported(format!(
             "the distortion model {}: only plumb_bob and rational_polynomial are supported; rectify the images first",
@@ -274,8 +286,8 @@ fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
 fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
     let binning = [names.pixels(BINNING[0])?.unwrap_or(0).max(1), names.pixels(BINNING[1])?.unwrap_or(0).max(1)];
     let (mut offset, mut size) = ([0, 0], (camera.width, camera.height));
-    if let Some(Value::Object(region)) = names.0.get(REGION) {
-        let region = Names(region);
+    if let Some(Value::Object(region)) = names.own.get(REGION) {
+        let region = Names { own: region, outer: None };
         let pixels = |name: &str| region.pixels(&[name]).map(Option::unwrap_or_default);
         let whole = (pixels("width")?, pixels("height")?);
         // A region of nothing is the whole image.
