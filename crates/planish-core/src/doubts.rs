@@ -53,6 +53,27 @@ pub enum Doubt {
         /// The camera.
         camera: Camera,
     },
+    /// Pixels are lost, since the model of the lens shows nothing there.
+    Lens {
+        /// The share of pixels, 0 to 1.
+        lost: f32,
+    },
+}
+
+/// Returns doubts about a camera's lens; some microseconds of work.
+pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
+    /// Share of pixels that a lens may lose at the corners without a word.
+    const FEW: f32 = 0.01;
+    const COLUMNS: usize = 32;
+    let Camera { width, height, fx, fy, cx, cy, distortion, .. } = *camera;
+    if distortion.is_none() {
+        return None;
+    }
+    let place = |i: usize, size: usize| (i as f64 + 0.5) / COLUMNS as f64 * size as f64 - 0.5;
+    let seen = |i: usize| [(place(i % COLUMNS, width) - cx) / fx, (place(i / COLUMNS, height) - cy) / fy];
+    let lost = (0..COLUMNS * COLUMNS).filter(|&i| distortion.undistort(seen(i)).is_none()).count();
+    let lost = lost as f32 / (COLUMNS * COLUMNS) as f32;
+    (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
 /// Returns doubts about a frame; none for unorganized clouds, since any scanner may have measured them.
@@ -143,6 +164,12 @@ impl fmt::Display for Doubt {
             Self::FocalLength { camera: Camera { width, height, fx, .. } } => {
                 write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; is it in pixels?")
             }
+            Self::Lens { lost } => write!(
+                f,
+                "{:.0} % of the pixels are holes: the distortion of the lens has no ray there; are its coefficients \
+                 those of this image?",
+                100.0 * lost
+            ),
         }
     }
 }
@@ -150,11 +177,25 @@ impl fmt::Display for Doubt {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Distortion;
     use crate::frame::{DepthView, IntoFrame};
 
     fn of(raw: u16, camera: Camera) -> Vec<Doubt> {
         let raw = vec![raw; camera.width * camera.height];
         doubts(DepthView::new(&raw, &camera).unwrap().into_frame().unwrap())
+    }
+
+    #[test]
+    fn a_lens_that_shows_nothing_is_doubtful() {
+        let kinect = Camera::kinect_v1();
+        assert_eq!(doubt_about_lens(&kinect), None);
+        let of = |coefficients: &[f64]| {
+            doubt_about_lens(&kinect.with_distortion(Distortion::from_opencv(coefficients).unwrap()))
+        };
+        assert_eq!(of(&[0.1, -0.2, 0.001, 0.002, 0.05]), None);
+        // Folds at 0.37 focal lengths; half the width is 0.61.
+        let Some(Doubt::Lens { lost }) = of(&[-0.9, 0.0, 0.0, 0.0]) else { panic!("no doubt") };
+        assert!((0.3..0.9).contains(&lost), "{lost}");
     }
 
     #[test]

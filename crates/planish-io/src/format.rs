@@ -23,11 +23,8 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     ),
     (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
     (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),
-    (
-        &["vtk", "vtp", "glb", "gltf", "fbx", "3ds", "dae", "wrl", "x3d"],
-        "a mesh: convert it to PLY (MeshLab, or open3d.io)",
-    ),
-    (&["exr", "hdr", "dpt", "h5", "hdf5", "mat", "parquet"], "an array of another program: save it as .npy or .npz"),
+    (&["vtk", "vtp", "fbx", "3ds", "dae", "wrl", "x3d"], "a mesh: convert it to PLY (MeshLab, or open3d.io)"),
+    (&["hdr", "dpt", "h5", "hdf5", "mat", "parquet"], "an array of another program: save it as .npy or .npz"),
     (&["ptg"], "a scanner's own format: convert it to E57 (CloudCompare) to keep its poses"),
 ];
 
@@ -73,12 +70,16 @@ pub enum Format {
     Stl,
     /// The vertices of an OFF; read, not written.
     Off,
+    /// The vertices of a glTF or GLB; read, not written.
+    Gltf,
     /// Leica's scans as text; read, not written.
     Ptx,
     /// Depth in Netpbm's 16-bit grey; read, not written.
     Pgm,
     /// Depth in Netpbm's floats; read, not written.
     Pfm,
+    /// Depth in OpenEXR; read, not written.
+    Exr,
 }
 
 impl Format {
@@ -101,15 +102,17 @@ impl Format {
             Self::Obj => "OBJ",
             Self::Stl => "STL",
             Self::Off => "OFF",
+            Self::Gltf => "glTF",
             Self::Ptx => "PTX",
             Self::Pgm => "PGM",
             Self::Pfm => "PFM",
+            Self::Exr => "EXR",
         }
     }
 
     /// Returns false for formats that are only read.
     pub fn is_written(self) -> bool {
-        !matches!(self, Self::Obj | Self::Stl | Self::Off | Self::Ptx | Self::Pgm | Self::Pfm)
+        !matches!(self, Self::Obj | Self::Stl | Self::Off | Self::Gltf | Self::Ptx | Self::Pgm | Self::Pfm | Self::Exr)
     }
 
     /// Returns the format of a file's extension.
@@ -131,9 +134,11 @@ impl Format {
             "obj" => Some(Self::Obj),
             "stl" => Some(Self::Stl),
             "off" => Some(Self::Off),
+            "gltf" | "glb" => Some(Self::Gltf),
             "ptx" => Some(Self::Ptx),
             "pgm" => Some(Self::Pgm),
             "pfm" => Some(Self::Pfm),
+            "exr" => Some(Self::Exr),
             _ => None,
         }
     }
@@ -144,11 +149,11 @@ impl Format {
         Self::of_extension(path).or_else(|| if is_gzip { Self::of_extension(&path.with_extension("")) } else { None })
     }
 
-    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj, .off and .stl are
-    /// ambiguous and excluded.
+    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj, .off, .stl, .gltf
+    /// and .glb are ambiguous and excluded.
     pub fn is_of_frames(path: &Path) -> bool {
         let may_be_anything = |extension: &std::ffi::OsStr| {
-            ["txt", "csv", "obj", "off", "stl"].iter().any(|name| extension.eq_ignore_ascii_case(name))
+            ["txt", "csv", "obj", "off", "stl", "gltf", "glb"].iter().any(|name| extension.eq_ignore_ascii_case(name))
         };
         let is_frame = Self::of_extension(path).is_some() && !is_origin_mask(path);
         is_frame && !path.extension().is_some_and(may_be_anything)
@@ -169,6 +174,10 @@ impl Format {
             Some(Self::Npz)
         } else if starts(b"ASTM-E57") {
             Some(Self::E57)
+        } else if starts(b"glTF") {
+            Some(Self::Gltf)
+        } else if starts(b"\x76\x2f\x31\x01") {
+            Some(Self::Exr)
         } else if starts(b"LASF") {
             Some(las_or_laz(bytes))
         } else if starts(b"# .PCD") || starts(b"VERSION") || starts(b"FIELDS") {
@@ -207,11 +216,12 @@ pub enum Encoding {
 }
 
 /// Returns the error for a format that is disabled in this build.
-#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) fn left_out(format: Format) -> FormatError {
     let feature = match format {
         Format::Npz => "npz",
         Format::DepthTiff => "tiff",
+        Format::Exr => "exr",
         Format::Las | Format::Laz | Format::E57 => "scans",
         _ => "more-formats",
     };

@@ -21,6 +21,8 @@ mod camera_file;
 mod columns;
 mod contents;
 mod convert;
+#[cfg(feature = "exr")]
+mod depth_exr;
 mod depth_png;
 #[cfg(feature = "tiff")]
 mod depth_tiff;
@@ -29,6 +31,8 @@ mod e57;
 mod error_text;
 mod format;
 mod frame_files;
+#[cfg(feature = "more-formats")]
+mod gltf;
 mod input;
 #[cfg(feature = "more-formats")]
 mod kitti;
@@ -71,7 +75,7 @@ pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, depth_of_integers, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
 pub(crate) use error_text::{brief, quoted, text_of};
-#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
 pub use format::{Encoding, Format, WRITTEN};
 pub use frame_files::frame_files;

@@ -9,11 +9,13 @@ use planish_core::PointCloud;
 use planish_core::{Camera, DepthFrame, FormatError, IoError, OrganizedCloud};
 
 use super::contents::{Contents, DepthSummary, organized_if_grid};
+#[cfg(feature = "exr")]
+use super::depth_exr;
 #[cfg(feature = "tiff")]
 use super::depth_tiff;
 #[cfg(feature = "scans")]
 use super::e57;
-#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 use super::format::left_out;
 use super::format::{self, Encoding, Format};
 use super::input::{FormatResult, ReadOptions, read_bytes};
@@ -28,7 +30,7 @@ use super::ply::PlyReader;
 use super::records::RecordReader;
 use super::{depth_png, meaning, mesh, npy, pcd, ply, xyz_text};
 #[cfg(feature = "more-formats")]
-use super::{kitti, netpbm, ptx};
+use super::{gltf, kitti, netpbm, ptx};
 
 /// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
@@ -123,9 +125,9 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError
         if let (None, None, Some(what)) = (Format::of_contents(&bytes), announced, format::what_converts(path)) {
             return Err(FormatError::Unsupported(what.into()));
         }
-        let mut beside = Beside::default();
+        let mut beside = Beside { folder: path.parent(), ..Beside::default() };
         let (format, contents) = decode_plain(&bytes, announced, options, &mut beside)?;
-        let Beside { camera, notes } = beside;
+        let Beside { camera, notes, .. } = beside;
         let encoding = match format {
             Format::Pcd => pcd::encoding(&bytes),
             Format::Ply => ply::encoding(&bytes),
@@ -146,9 +148,11 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     decode_plain(&plain(bytes, options)?, announced, options, &mut Beside::default())
 }
 
-/// A file's camera and notes.
+/// What belongs to a file beside its contents.
 #[derive(Default)]
-struct Beside {
+struct Beside<'a> {
+    /// The file's folder, for formats of several files.
+    folder: Option<&'a Path>,
     camera: Option<Camera>,
     notes: Vec<String>,
 }
@@ -158,7 +162,7 @@ fn decode_plain(
     bytes: &[u8],
     announced: Option<Format>,
     options: &ReadOptions,
-    beside: &mut Beside,
+    beside: &mut Beside<'_>,
 ) -> FormatResult<(Format, Contents)> {
     let notes = &mut beside.notes;
     if bytes.is_empty() {
@@ -168,7 +172,7 @@ fn decode_plain(
     let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
         FormatError::Unsupported(
             "not a point cloud or depth image; supported are PCD, PLY, LAS, LAZ, E57, PTX, XYZ text, CSV, NPY, NPZ, \
-             lidar .bin, OBJ, OFF, STL, 16-bit PNG and PGM, TIFF, PFM"
+             lidar .bin, OBJ, OFF, STL, glTF, 16-bit PNG and PGM, TIFF, EXR, PFM"
                 .into(),
         )
     })?;
@@ -203,7 +207,17 @@ fn decode_plain(
         Format::Pgm => netpbm::decode_pgm(bytes, options),
         #[cfg(feature = "more-formats")]
         Format::Pfm => netpbm::decode_pfm(bytes, options),
-        #[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+        #[cfg(feature = "more-formats")]
+        Format::Gltf => Ok(Contents::General(gltf::decode(bytes, beside.folder, options, notes)?)),
+        #[cfg(feature = "exr")]
+        Format::Exr => depth_exr::decode(bytes, options, notes),
+        #[cfg(not(all(
+            feature = "exr",
+            feature = "more-formats",
+            feature = "npz",
+            feature = "scans",
+            feature = "tiff"
+        )))]
         _ => Err(left_out(format)),
     }?;
     if let Contents::Organized(cloud) = &mut contents {

@@ -9,7 +9,7 @@ use super::depth_png::encode_png;
 use super::depth_tiff;
 #[cfg(feature = "more-formats")]
 use super::kitti;
-#[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+#[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 use super::left_out;
 #[cfg(feature = "npz")]
 use super::npz;
@@ -59,14 +59,22 @@ pub fn encode_cloud<'a>(
         Format::KittiBin => kitti::encode(cloud, false),
         #[cfg(feature = "more-formats")]
         Format::NuScenesBin => kitti::encode(cloud, true),
-        Format::Obj | Format::Stl | Format::Off => Err(FormatError::Unsupported(
+        Format::Obj | Format::Stl | Format::Off | Format::Gltf => Err(FormatError::Unsupported(
             "a mesh needs faces, which points lack; end the name in .ply, which meshing programs read".into(),
         )),
         Format::Ptx => Err(FormatError::Unsupported("PTX can be read but not written; end the name in .e57".into())),
-        Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm => Err(FormatError::Unsupported(
-            "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
-        )),
-        #[cfg(not(all(feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
+        Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm | Format::Exr => {
+            Err(FormatError::Unsupported(
+                "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
+            ))
+        }
+        #[cfg(not(all(
+            feature = "exr",
+            feature = "more-formats",
+            feature = "npz",
+            feature = "scans",
+            feature = "tiff"
+        )))]
         _ => Err(left_out(format)),
     }
 }

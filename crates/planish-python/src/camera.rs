@@ -15,12 +15,12 @@ use crate::errors::{frame, to_py, warn};
 pub struct PyCamera(pub Camera);
 
 /// Arguments from which pickle recreates a camera.
-type Arguments = (usize, usize, f64, f64, f64, f64, f64, Vec<f64>);
+type Arguments = (usize, usize, f64, f64, f64, f64, f64, Vec<f64>, &'static str);
 
 #[pymethods]
 impl PyCamera {
     #[new]
-    #[pyo3(signature = (width, height, fx, fy, cx=None, cy=None, depth_units_per_metre=1000.0, distortion=None))]
+    #[pyo3(signature = (width, height, fx, fy, cx=None, cy=None, depth_units_per_metre=1000.0, distortion=None, distortion_model=""))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         width: usize,
@@ -31,16 +31,15 @@ impl PyCamera {
         cy: Option<f64>,
         depth_units_per_metre: f64,
         distortion: Option<Vec<f64>>,
+        distortion_model: &str,
     ) -> PyResult<Self> {
         let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
         let principal = [cx.unwrap_or_else(|| middle(width)), cy.unwrap_or_else(|| middle(height))];
         let mut camera = Camera::new((width, height), [fx, fy], principal);
         camera.depth_units_per_metre = depth_units_per_metre;
         if let Some(coefficients) = distortion {
-            camera.distortion = Distortion::from_opencv(&coefficients).ok_or_else(|| {
-                let count = coefficients.len();
-                PyValueError::new_err(format!("distortion has {count} coefficients: OpenCV's 4, 5 or 8 are expected"))
-            })?;
+            camera.distortion = Distortion::of_model(distortion_model, &coefficients)
+                .map_err(|error| PyValueError::new_err(format!("distortion: {error}")))?;
         }
         camera.validate().map_err(frame)?;
         Ok(Self(camera))
@@ -103,7 +102,12 @@ impl PyCamera {
 
     #[getter]
     fn distortion(&self) -> Vec<f64> {
-        if self.0.distortion.is_none() { Vec::new() } else { self.0.distortion.to_opencv().to_vec() }
+        if self.0.distortion.is_none() { Vec::new() } else { self.0.distortion.coefficients() }
+    }
+
+    #[getter]
+    fn distortion_model(&self) -> &'static str {
+        self.0.distortion.model()
     }
 
     fn __repr__(&self) -> String {
@@ -114,6 +118,9 @@ impl PyCamera {
         }
         if !self.0.distortion.is_none() {
             text += &format!(", distortion={:?}", self.distortion());
+            if self.distortion_model() == "equidistant" {
+                text += ", distortion_model=\"equidistant\"";
+            }
         }
         text + ")"
     }
@@ -127,6 +134,6 @@ impl PyCamera {
     fn __getnewargs__(&self) -> Arguments {
         let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre, .. } = self.0;
         let distortion = if self.0.distortion.is_none() { vec![0.0; 4] } else { self.distortion() };
-        (width, height, fx, fy, cx, cy, depth_units_per_metre, distortion)
+        (width, height, fx, fy, cx, cy, depth_units_per_metre, distortion, self.distortion_model())
     }
 }

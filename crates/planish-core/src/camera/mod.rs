@@ -172,7 +172,7 @@ impl Camera {
         if self.distortion.is_none() {
             return [self.fx as f32 * x + self.cx as f32, self.fy as f32 * y + self.cy as f32];
         }
-        let ([x, y], _) = self.distortion.distort(f64::from(x), f64::from(y));
+        let [x, y] = self.distortion.distort(f64::from(x), f64::from(y));
         [(self.fx * x + self.cx) as f32, (self.fy * y + self.cy) as f32]
     }
 
@@ -180,8 +180,7 @@ impl Camera {
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
         // False for a NaN.
         (z > 0.0).then(|| {
-            let [x, y] =
-                if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z).0 };
+            let [x, y] = if self.distortion.is_none() { [x / z, y / z] } else { self.distortion.distort(x / z, y / z) };
             [self.fx * x + self.cx, self.fy * y + self.cy]
         })
     }

@@ -1,7 +1,7 @@
 //! Builds a session, and reports doubts about its frames.
 
 use super::{Chosen, Session, SessionEvent};
-use crate::doubts::doubts;
+use crate::doubts::{doubt_about_lens, doubts};
 use crate::engines::SmootherOptions;
 use crate::fleet::FleetDevice;
 use crate::frame::Frame;
@@ -61,7 +61,10 @@ impl Session {
 
     /// Reports each doubt about frames once.
     pub(super) fn doubt(&mut self, frame: Frame<'_>) {
-        for doubt in doubts(frame) {
+        let camera = frame.camera().copied();
+        let of_lens = (camera != self.doubted_camera).then(|| camera.as_ref().and_then(doubt_about_lens)).flatten();
+        self.doubted_camera = camera;
+        for doubt in doubts(frame).into_iter().chain(of_lens) {
             if !self.doubts.contains(&doubt) {
                 self.doubts.push(doubt);
                 self.events.push(SessionEvent::Doubtful(doubt));

@@ -22,6 +22,7 @@ mod watch;
 
 use std::collections::VecDeque;
 
+use crate::camera::Camera;
 use crate::cpu::CloudEstimate;
 use crate::doubts::Doubt;
 use crate::engines::{Engine, SmootherOptions};
@@ -102,6 +103,8 @@ pub struct Session {
     sight: Option<Sight>,
     /// Doubts reported for earlier frames.
     doubts: Vec<Doubt>,
+    /// The camera whose lens was looked at.
+    doubted_camera: Option<Camera>,
     /// For results that the session finishes.
     finish: Option<Box<dyn Finishing>>,
     is_live: bool,
@@ -177,6 +180,7 @@ impl Session {
             video: OverTime::default(),
             sight: None,
             doubts: Vec::new(),
+            doubted_camera: None,
             finish: None,
             is_live: false,
             is_single: false,

@@ -1,8 +1,8 @@
 //! COLMAP's `cameras.txt`.
 
 use super::super::{FormatResult, quoted};
-use super::{distortion_of, malformed};
-use planish_core::{Camera, FormatError};
+use super::malformed;
+use planish_core::{Camera, Distortion, FormatError};
 
 /// COLMAP's list of cameras: `ID MODEL WIDTH HEIGHT PARAMETERS`. Its pixel centres are at half coordinates.
 pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult<Camera>> {
@@ -47,17 +47,20 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
         ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], vec![]),
         ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => ([f, f], [cx, cy], vec![k1, 0.0, 0.0, 0.0]),
         ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], vec![k1, k2, 0.0, 0.0]),
-        ("OPENCV", &[fx, fy, cx, cy, ref d @ ..]) if d.len() == 4 => ([fx, fy], [cx, cy], d.to_vec()),
+        ("OPENCV" | "OPENCV_FISHEYE", &[fx, fy, cx, cy, ref d @ ..]) if d.len() == 4 => {
+            ([fx, fy], [cx, cy], d.to_vec())
+        }
         ("FULL_OPENCV", &[fx, fy, cx, cy, ref d @ ..]) if d.len() == 8 => ([fx, fy], [cx, cy], d.to_vec()),
         (model, _) => {
             return Err(FormatError::Unsupported(format!(
-                "COLMAP's camera model {} with {} parameters: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV \
-                 and FULL_OPENCV are supported",
+                "COLMAP's camera model {} with {} parameters: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, \
+                 OPENCV, OPENCV_FISHEYE and FULL_OPENCV are supported",
                 quoted(model),
                 parameters.len()
             )));
         }
     };
     let camera = Camera::new((width, height), focal_length, centre.map(|c| c - 0.5));
-    Ok(camera.with_distortion(distortion_of(&distortion)?))
+    let model = if words[1] == "OPENCV_FISHEYE" { words[1] } else { "OPENCV" };
+    Ok(camera.with_distortion(Distortion::of_model(model, &distortion)?))
 }

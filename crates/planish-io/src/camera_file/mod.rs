@@ -14,7 +14,7 @@ pub use colmap::colmap_camera;
 use colmap::from_colmap;
 #[cfg(feature = "npz")]
 pub(super) use matrix::{Intrinsics, intrinsics_of};
-use planish_core::{Camera, Distortion, FormatError, IoError};
+use planish_core::{Camera, FormatError, IoError};
 
 const HELP: &str = "expected a camera file: JSON with fx, fy, cx, cy or a matrix (Open3D, NeRF, BOP and others), the YAML \
                     of a ROS camera_info, OpenCV's YAML or XML, a 3x3 or 4x4 matrix as text, or COLMAP's cameras.txt";
@@ -95,7 +95,8 @@ pub fn camera_to_json(camera: &Camera) -> String {
         "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "depth_units_per_metre": depth_units_per_metre
     });
     if !distortion.is_none() {
-        json["distortion"] = serde_json::json!(distortion.to_opencv());
+        json["distortion"] = serde_json::json!(distortion.coefficients());
+        json["distortion_model"] = serde_json::json!(distortion.model());
     }
     json.to_string()
 }
@@ -104,24 +105,10 @@ fn malformed(what: String) -> FormatError {
     FormatError::Malformed(format!("{what}; {HELP}"))
 }
 
-fn distortion_of(coefficients: &[f64]) -> FormatResult<Distortion> {
-    // Further coefficients of OpenCV, of thin prisms and tilted sensors, are often all zero.
-    let significant = coefficients.iter().rposition(|coefficient| *coefficient != 0.0).map_or(0, |last| last + 1);
-    let used = match (significant, coefficients.len()) {
-        (0, _) => return Ok(Distortion::NONE),
-        (0..=8, 8..) => &coefficients[..8],
-        _ => coefficients,
-    };
-    Distortion::from_opencv(used).ok_or_else(|| {
-        malformed(format!(
-            "{} distortion coefficients; 4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6) are supported",
-            coefficients.len()
-        ))
-    })
-}
-
 #[cfg(test)]
 mod tests {
+    use planish_core::Distortion;
+
     use super::*;
 
     const SHAPE: Option<(usize, usize)> = Some((640, 480));
@@ -162,7 +149,7 @@ mod tests {
         assert_eq!(parse_camera(info, SHAPE).unwrap(), expected);
         let single = r#"{"fx":525,"fy":525,"cx":319.5,"cy":239.5,"k1":0.1,"k2":-0.2,"p1":0.001,"p2":0.002,"k3":0.03}"#;
         assert_eq!(parse_camera(single, SHAPE).unwrap(), expected);
-        let fisheye = info.replace("plumb_bob", "equidistant");
+        let fisheye = info.replace("plumb_bob", "ftheta");
         assert!(parse_camera(&fisheye, SHAPE).unwrap_err().to_string().contains("rectify"));
     }
 
@@ -235,24 +222,45 @@ mod tests {
             let camera = read(&text).camera;
             assert_eq!((camera.fx, camera.cy, camera.depth_units_per_metre), (525.0, 239.5, units), "{text}");
         }
-        let has_xml = cfg!(feature = "more-formats");
-        for more in [
-            r#""is_fisheye":true"#,
-            r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#,
-            r#""distortion_model":"equidistant","D":[0,0,0,0]"#,
+        for (more, problem) in [
+            (r#""is_fisheye":true"#, "the 4 of a fisheye"),
+            (r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#, "rectify"),
+            (r#""distortion_model":"equidistant","D":[0,0,0,0,0]"#, "the 4 of a fisheye"),
+            (r#""camera_model":"omni","distortion_model":"radtan","dist":[0.1,0,0,0]"#, "omni"),
         ] {
             let error = parse_camera(&format!("{{{CAMERA},{more}}}"), None).unwrap_err().to_string();
-            assert!(error.contains("rectify"), "{error}");
+            assert!(error.contains(problem), "{error}");
         }
-        let fisheye = "%YAML:1.0\nfisheye_model: 1\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n";
-        assert!(parse_camera(fisheye, None).unwrap_err().to_string().contains("fisheye"));
-        let fisheye = "<opencv_storage><fisheye_model>1</fisheye_model><camera_matrix type_id=\"opencv-matrix\"><data>525 0 \
-                       319.5 0 525 239.5 0 0 1</data></camera_matrix></opencv_storage>";
-        assert!(!has_xml || parse_camera(fisheye, None).unwrap_err().to_string().contains("fisheye"));
         let distorted = read(&format!(r#"{{{CAMERA},"dist":[0.1,0.01,0,0,0]}}"#)).camera;
-        assert_eq!(distorted.distortion.radial[0], 0.1);
+        assert_eq!(distorted.distortion.coefficients()[0], 0.1);
         let hostile = format!("<{}", "a><".repeat(200_000));
         assert!(parse_camera(&hostile, None).is_err());
+    }
+
+    #[test]
+    fn a_fisheye_is_read_from_the_files_of_other_programs_and_from_ours() {
+        let files = [
+            "%YAML:1.0\nfisheye_model: 1\ncamera_matrix: {data: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}\n\
+             distortion_coefficients: {rows: 4, cols: 1, data: [0.1, 0.02, 0, -0.01]}\n",
+            r#"{"fl_x":525,"fl_y":525,"cx":319.5,"cy":239.5,"k1":0.1,"k2":0.02,"k4":-0.01,"camera_model":"OPENCV_FISHEYE"}"#,
+            r#"{"fl_x":525,"fl_y":525,"cx":319.5,"cy":239.5,"k1":0.1,"k2":0.02,"k4":-0.01,"is_fisheye":true}"#,
+            "width: 640\nheight: 480\nk: [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]\ndistortion_model: equidistant\n\
+             d: [0.1, 0.02, 0, -0.01]\n",
+            "cam0:\n  camera_model: pinhole\n  intrinsics: [525, 525, 319.5, 239.5]\n  distortion_model: equidistant\n  \
+             distortion_coeffs: [0.1, 0.02, 0, -0.01]\n  resolution: [640, 480]\n",
+            "1 OPENCV_FISHEYE 640 480 525 525 320 240 0.1 0.02 0 -0.01\n",
+            "Camera.type: \"KannalaBrandt8\"\nCamera.fx: 525\nCamera.fy: 525\nCamera.cx: 319.5\nCamera.cy: 239.5\n\
+             Camera.k1: 0.1\nCamera.k2: 0.02\nCamera.k3: 0\nCamera.k4: -0.01\n",
+            "<opencv_storage><fisheye_model>1</fisheye_model><camera_matrix type_id=\"opencv-matrix\"><data>525 0 319.5 0 525 \
+             239.5 0 0 1</data></camera_matrix><distortion_coefficients type_id=\"opencv-matrix\"><data>0.1 0.02 0 -0.01\
+             </data></distortion_coefficients></opencv_storage>",
+        ];
+        let has_xml = cfg!(feature = "more-formats");
+        for text in files.into_iter().filter(|text| has_xml || !text.starts_with('<')) {
+            let camera = read(text).camera;
+            assert_eq!(camera.distortion, Distortion::Equidistant([0.1, 0.02, 0.0, -0.01]), "{text}");
+            assert_eq!(parse_camera(&camera_to_json(&camera), SHAPE).unwrap(), camera.with_shape((640, 480)));
+        }
     }
 
     #[test]

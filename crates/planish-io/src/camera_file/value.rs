@@ -4,7 +4,7 @@ use serde_json::{Map, Value};
 
 use super::super::{FormatResult, quoted};
 use super::matrix::{Intrinsics, intrinsics_of};
-use super::{CameraFile, distortion_of, malformed};
+use super::{CameraFile, malformed};
 use planish_core::{Camera, Distortion, FormatError};
 
 const WIDTH: &[&str] = &["width", "image_width", "w", "depthWidth", "Camera.width"];
@@ -43,22 +43,10 @@ const DISTORTION: &[&str] = &[
     "D",
     "d",
 ];
-const MODEL: &[&str] = &["distortion_model", "camera_model", "Camera.type"];
+const MODEL: &str = "distortion_model";
+const CAMERA_MODEL: [&str; 2] = ["camera_model", "Camera.type"];
 /// The key of librealsense. Other programs store a camera's name under it.
 const MODEL_OF_REALSENSE: (&str, &str) = ("model", "distortion.");
-/// Names of cameras without distortion, and of the distortion that is removed.
-const KNOWN_MODELS: [&str; 10] = [
-    "",
-    "none",
-    "pinhole",
-    "simple_pinhole",
-    "opencv",
-    "plumb_bob",
-    "rational_polynomial",
-    "radtan",
-    "radial-tangential",
-    "brown_conrady",
-];
 /// Marks of a fisheye.
 const FISHEYE: [&str; 2] = ["is_fisheye", "fisheye_model"];
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
@@ -231,36 +219,44 @@ fn not_intrinsics(numbers: &[f64]) -> FormatError {
 }
 
 fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
-    let single = SINGLE.map(|name| names.number(&[name]));
-    let mut coefficients = Vec::new();
-    for number in single {
-        coefficients.push(number?);
-    }
-    let coefficients = match coefficients.iter().any(Option::is_some) {
-        true => coefficients.into_iter().map(Option::unwrap_or_default).collect(),
-        false => names.numbers(DISTORTION)?.unwrap_or_default(),
-    };
+    let (key, prefix) = MODEL_OF_REALSENSE;
+    let text = |key: &str| names.get(key).and_then(|(_, model)| model.as_str());
+    let of_realsense = text(key).filter(|model| model.starts_with(prefix));
     let is_true = |value: &Value| value.as_bool() == Some(true) || value.as_f64().is_some_and(|number| number != 0.0);
-    if let Some(name) = FISHEYE.iter().find(|name| names.get(name).is_some_and(|(_, value)| is_true(value))) {
-        return Err(FormatError::Unsupported(format!("a fisheye camera ({name}); rectify the images first")));
+    let is_fisheye = FISHEYE.iter().any(|name| names.get(name).is_some_and(|(_, value)| is_true(value)));
+    // A pinhole as the model of the camera says nothing about its lens.
+    let of_camera = CAMERA_MODEL.iter().filter_map(|key| text(key)).filter(|name| !is_pinhole(name));
+    let mut models: Vec<&str> = text(MODEL).into_iter().chain(of_realsense).chain(of_camera).collect();
+    if is_fisheye {
+        models.insert(0, "fisheye");
     }
-    // A fisheye with coefficients of 0 still is not a pinhole camera. An inverse distortion with coefficients of 0 is.
-    let are_zero = coefficients.iter().all(|coefficient| *coefficient == 0.0);
-    let is_known = |model: &&str| {
-        let model = model.to_ascii_lowercase();
-        let model = model.strip_prefix("distortion.").unwrap_or(&model);
-        KNOWN_MODELS.contains(&model) || are_zero && model.ends_with("brown_conrady")
+    let mut single = [None; SINGLE.len()];
+    for (name, number) in SINGLE.iter().zip(&mut single) {
+        *number = names.number(&[name, &format!("Camera.{name}"), &format!("Camera1.{name}")])?;
+    }
+    let [k1, k2, p1, p2, k3, k4, ..] = single.map(Option::unwrap_or_default);
+    let listed = names.numbers(DISTORTION)?.unwrap_or_default();
+    let is_single = single.iter().any(Option::is_some);
+    let of_model = |model: &str| {
+        let is_fisheye = matches!(Distortion::of_model(model, &[0.0; 4]), Ok(Distortion::Equidistant(_)));
+        let coefficients = match is_single {
+            true if is_fisheye && [p1, p2] == [0.0; 2] => vec![k1, k2, k3, k4],
+            true => single.map(Option::unwrap_or_default).to_vec(),
+            false => listed.clone(),
+        };
+        Distortion::of_model(model, &coefficients).map_err(|error| match error {
+            FormatError::Malformed(text) => malformed(text),
+            other => other,
+        })
     };
-    let (name, prefix) = MODEL_OF_REALSENSE;
-    let of_realsense = names.get(name).and_then(|(_, model)| model.as_str()).filter(|model| model.starts_with(prefix));
-    let mut models = MODEL.iter().filter_map(|name| names.get(name)?.1.as_str()).chain(of_realsense);
-    if let Some(model) = models.find(|model| !is_known(model)) {
-        return Err(FormatError::Unsupported(format!(
-            "the distortion model {}: only plumb_bob and rational_polynomial are supported; rectify the images first",
-            quoted(model)
-        )));
-    }
-    distortion_of(&coefficients)
+    let first = of_model(models.first().copied().unwrap_or_default())?;
+    models.iter().try_for_each(|model| of_model(model).map(drop))?;
+    Ok(first)
+}
+
+/// Returns true for the name of a camera without the model of its lens.
+fn is_pinhole(name: &str) -> bool {
+    ["pinhole", "simple_pinhole"].iter().any(|pinhole| name.eq_ignore_ascii_case(pinhole))
 }
 
 /// Returns the number of depth units in a metre, of a scale that may be its inverse.
@@ -307,9 +303,11 @@ pub(super) fn names() -> impl Iterator<Item = &'static str> {
 
 /// Returns a name that no camera has.
 pub(super) fn unknown_key(value: &Value) -> Option<String> {
-    let known = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, MODEL, UNITS, SCALE];
+    let known = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     let is_known = |name: &str| {
-        known.iter().any(|names| names.contains(&name))
+        name == MODEL
+            || CAMERA_MODEL.contains(&name)
+            || known.iter().any(|names| names.contains(&name))
             || SINGLE.contains(&name)
             || NESTED.contains(&name)
             || BINNING.iter().any(|names| names.contains(&name))

@@ -26,7 +26,9 @@ class Camera:
     depth_units_per_metre : float
         What a raw depth value of 1 m is: 1000 for millimetres.
     distortion : sequence of float, optional
-        OpenCV's 4, 5 or 8 coefficients (k1, k2, p1, p2, k3, ...).
+        OpenCV's 4, 5 or 8 coefficients (k1, k2, p1, p2, k3, ...), or the 4 of a fisheye.
+    distortion_model : str
+        ROS's, OpenCV's or Kalibr's name of the model; "equidistant" for a fisheye. OpenCV's model by default.
     """
 
     def __new__(
@@ -39,6 +41,7 @@ class Camera:
         cy: float | None = None,
         depth_units_per_metre: float = 1000.0,
         distortion: list[float] | None = None,
+        distortion_model: str = "",
     ) -> Camera: ...
     @staticmethod
     def kinect_v1() -> Camera:
@@ -62,6 +65,8 @@ class Camera:
     def depth_units_per_metre(self) -> float: ...
     @property
     def distortion(self) -> list[float]: ...
+    @property
+    def distortion_model(self) -> str: ...
 
 class Engine:
     def __new__(cls, settings: dict[str, Any], is_single: bool) -> Engine: ...

@@ -9,8 +9,8 @@ impl CameraInfo {
     /// millimetres.
     ///
     /// # Errors
-    /// If the message is of an image of another size, is not calibrated, or has a distortion other than `plumb_bob` or
-    /// `rational_polynomial`.
+    /// If the message is of an image of another size, is not calibrated, or has a distortion other than `plumb_bob`,
+    /// `rational_polynomial` or `equidistant`.
     pub fn camera(&self, (width, height): (usize, usize), is_rectified: bool) -> Result<Camera, FormatError> {
         let unusable = |text: String| FormatError::Unsupported(format!("camera_info {text}"));
         let (roi, binning) = (self.roi, [self.binning_x.max(1), self.binning_y.max(1)]);
@@ -49,35 +49,20 @@ impl CameraInfo {
     }
 
     fn distortion(&self) -> Result<Distortion, FormatError> {
-        let unusable = |text: String| FormatError::Unsupported(format!("camera_info {text}"));
-        if self.d.iter().all(|coefficient| *coefficient == 0.0) {
-            return Ok(Distortion::NONE);
-        }
-        match self.distortion_model.as_str() {
-            "plumb_bob" | "rational_polynomial" | "" => {
-                let count = self.d.len();
-                Distortion::from_opencv(&self.d)
-                    .ok_or_else(|| unusable(format!("has {count} coefficients of distortion; 4, 5 or 8 are supported")))
-            }
-            other => Err(unusable(format!(
-                "has the distortion {}; only plumb_bob and rational_polynomial are supported; rectify the images \
-                 first (image_proc), and use image_rect",
-                planish_io::internal::quoted(other)
-            ))),
-        }
+        Distortion::of_model(&self.distortion_model, &self.d).map_err(|error| {
+            FormatError::Unsupported(format!("camera_info: {error}; images of image_proc (image_rect) are rectified"))
+        })
     }
 
     /// Returns the message of a camera.
     pub fn of_camera(header: Header, camera: &Camera) -> Self {
         let &Camera { width, height, fx, fy, cx, cy, distortion, .. } = camera;
-        let all = distortion.to_opencv();
-        let is_rational = all[5..].iter().any(|coefficient| *coefficient != 0.0);
         Self {
             header,
             height: height as u32,
             width: width as u32,
-            distortion_model: if is_rational { "rational_polynomial" } else { "plumb_bob" }.into(),
-            d: all[..if is_rational { 8 } else { 5 }].to_vec(),
+            distortion_model: distortion.model().into(),
+            d: distortion.coefficients(),
             k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
             r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
@@ -123,7 +108,7 @@ mod tests {
     #[test]
     fn rectified_images_are_seen_through_p_and_others_through_k_and_d() {
         let raw = info().camera((640, 480), false).unwrap();
-        assert_eq!((raw.fx, raw.cx, raw.distortion.radial[0]), (525.0, 319.5, 0.1));
+        assert_eq!((raw.fx, raw.cx, raw.distortion.coefficients()[0]), (525.0, 319.5, 0.1));
         let rectified = info().camera((640, 480), true).unwrap();
         assert_eq!((rectified.fx, rectified.cx), (500.0, 310.0));
         assert!(rectified.distortion.is_none());
@@ -145,7 +130,9 @@ mod tests {
 
     #[test]
     fn what_is_not_understood_is_refused() {
-        let fisheye = CameraInfo { distortion_model: "equidistant".into(), ..info() };
+        let fisheye = CameraInfo { distortion_model: "equidistant".into(), d: vec![0.01, 0.0, 0.0, 0.0], ..info() };
+        assert_eq!(fisheye.camera((640, 480), false).unwrap().distortion.model(), "equidistant");
+        let fisheye = CameraInfo { distortion_model: "ftheta".into(), ..info() };
         assert!(fisheye.camera((640, 480), false).unwrap_err().to_string().contains("image_rect"));
         assert!(fisheye.camera((640, 480), true).is_ok());
         let unsized_info = CameraInfo { height: 0, width: 0, ..info() };

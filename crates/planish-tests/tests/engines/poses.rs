@@ -267,16 +267,20 @@ fn depth_in_metres_and_with_strides_is_the_same_frame() {
 
 #[test]
 fn depth_through_a_distorted_lens_agrees_on_all_engines() {
-    let distortion = Distortion::from_opencv(&[0.12, -0.25, 1e-3, -5e-4, 0.08]).unwrap();
+    let brown_conrady = Distortion::from_opencv(&[0.12, -0.25, 1e-3, -5e-4, 0.08]).unwrap();
+    let fisheye = Distortion::of_model("equidistant", &[-0.02, 0.01, 0.002, -0.001]).unwrap();
     let camera = small_camera();
     let cloud = simulated(4, false, camera);
     let raw: Vec<u16> = cloud.positions().z().iter().map(|&z| camera.raw_depth(z)).collect();
-    let camera = camera.with_distortion(distortion);
-    let frame = DepthFrame::new(camera, raw).unwrap();
-    let straight = frame.deproject().unwrap();
-    assert!((straight.positions().x()[300] - cloud.positions().x()[300]).abs() > 1e-3, "the lens bends");
     let outputs = Outputs::ALL.with_depth(true);
-    for params in [FrameParams::paper(), FrameParams::default().with_stride(1)] {
+    for (distortion, params) in [
+        (brown_conrady, FrameParams::paper()),
+        (brown_conrady, FrameParams::default().with_stride(1)),
+        (fisheye, FrameParams::default()),
+    ] {
+        let frame = DepthFrame::new(camera.with_distortion(distortion), raw.clone()).unwrap();
+        let straight = frame.deproject().unwrap();
+        assert!((straight.positions().x()[300] - cloud.positions().x()[300]).abs() > 1e-3, "the lens bends");
         let expected = TestEngine::REFERENCE.smooth_to(&frame, params, outputs);
         let radii = radii_m(&straight, params);
         for (name, engine) in engines() {

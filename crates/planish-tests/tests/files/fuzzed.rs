@@ -39,6 +39,8 @@ fn check(target: &str, bytes: &[u8]) {
         "off" => Format::Off,
         "pgm" => Format::Pgm,
         "pfm" => Format::Pfm,
+        "exr" => Format::Exr,
+        "gltf" => Format::Gltf,
         "text" => Format::Text,
         "bin" => Format::KittiBin,
         other => panic!("no check for the target {other}"),

@@ -69,16 +69,7 @@ fn intrinsics(entry: &Entry) -> Result<Camera, String> {
             entry.intrinsics.len()
         ));
     };
-    let distortion = match distortion {
-        "radtan" => Distortion::from_opencv(distortion_coeffs)
-            .ok_or_else(|| format!("{} distortion coefficients, but radtan has 4", distortion_coeffs.len()))?,
-        "none" => Distortion::NONE,
-        other => {
-            return Err(format!(
-                "unsupported distortion model {other:?}; only radtan and none are supported; rectify the images first"
-            ));
-        }
-    };
+    let distortion = Distortion::of_model(distortion, distortion_coeffs).map_err(|error| error.to_string())?;
     let [width, height] = resolution.unwrap_or([0, 0]);
     let camera = Camera::new((width, height), [fx, fy], [cx, cy]).with_distortion(distortion);
     camera.with_shape((width.max(1), height.max(1))).validate().map_err(|error| error.to_string())?;
@@ -145,7 +136,7 @@ cam2:
     #[test]
     fn models_that_are_not_understood_name_the_camera() {
         for (from, to, said) in [
-            ("distortion_model: radtan", "distortion_model: equidistant", "rectify"),
+            ("distortion_model: radtan", "distortion_model: fov", "rectify"),
             ("camera_model: pinhole", "camera_model: omni", "pinhole"),
             ("intrinsics: [461.6, 460.3, 363.0, 248.1]", "intrinsics: [461.6]", "1 intrinsics"),
             ("intrinsics: [461.6, 460.3, 363.0, 248.1]", "intrinsics: [-461.6, 460.3, 363.0, 248.1]", "fx"),

@@ -115,7 +115,7 @@ mod tests {
         let given = intrinsics(BROWN_CONRADY, COEFFICIENTS);
         let camera = camera_of(&given, 0.001, false).unwrap();
         assert_eq!(camera.depth_units_per_metre, 1000.0);
-        assert_eq!(camera.distortion.to_opencv()[..5], COEFFICIENTS.map(f64::from));
+        assert_eq!(camera.distortion.coefficients()[..5], COEFFICIENTS.map(f64::from));
         // rs2_project_point_to_pixel (2.59) of the direction (0.9, -0.5, 1) for models 1 and 2, in units of the focal
         // length.
         let (r2, [k1, k2, p1, p2, k3]) = (0.9f64 * 0.9 + 0.25, COEFFICIENTS.map(f64::from));

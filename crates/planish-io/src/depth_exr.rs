@@ -1,0 +1,170 @@
+//! OpenEXR images as renderers write them: the channel of depth, in metres.
+
+use std::io::Cursor;
+
+use exr::image::{AnyChannel, AnyChannels, FlatSamples, Layer};
+use exr::meta::MetaData;
+use exr::prelude::{ReadChannels, ReadLayers};
+
+use super::{Contents, FormatResult, ReadOptions, brief, quoted};
+use planish_core::{FormatError, internal::validate_shape};
+
+/// Renderers write 1e10, or the largest value of a type, where a ray meets nothing.
+const NOTHING: f32 = 1e9;
+const NOTHING_IN_HALF: f32 = 65504.0;
+
+fn damaged(error: exr::error::Error) -> FormatError {
+    FormatError::Malformed(format!("damaged or unsupported EXR: {}", brief(&error.to_string())))
+}
+
+pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<Contents> {
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
+    let mut needed = 0u64;
+    for header in &meta.headers {
+        if header.deep {
+            return Err(FormatError::Unsupported("an EXR of deep pixels; render a flat depth channel".into()));
+        }
+        let (width, height) = (header.layer_size.0, header.layer_size.1);
+        validate_shape(width, height)?;
+        needed = needed.saturating_add((width * height) as u64 * header.channels.bytes_per_pixel as u64);
+    }
+    options.check(usize::try_from(needed).unwrap_or(usize::MAX), 2)?;
+    let image = exr::image::read::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(damaged)?;
+    let (layer, channel) = channel_of_depth(&image.layer_data)?;
+    if (channel.sampling.0, channel.sampling.1) != (1, 1) {
+        return Err(FormatError::Unsupported("an EXR whose depth has fewer pixels than the image".into()));
+    }
+    let others: Vec<String> = names(&image.layer_data).filter(|name| *name != full_name(layer, channel)).collect();
+    if !others.is_empty() {
+        let (read, dropped) = (full_name(layer, channel), others.join(", "));
+        notes.push(format!("depth read from the channel {}; dropped: {}", quoted(&read), brief(&dropped)));
+    }
+    let nothing = if matches!(channel.sample_data, FlatSamples::F16(_)) { NOTHING_IN_HALF } else { NOTHING };
+    // The part of the image that is stored may be smaller, or reach beyond it.
+    let window = image.attributes.display_window;
+    let (width, height) = (window.size.0, window.size.1);
+    validate_shape(width, height)?;
+    options.check(width * height, 4)?;
+    let offset = layer.attributes.layer_position - window.position;
+    let stored = layer.size.0.max(1);
+    let mut depth_m = vec![f32::NAN; width * height];
+    for (i, value) in channel.sample_data.values_as_f32().enumerate() {
+        let (u, v) = ((i % stored) as i64 + i64::from(offset.0), (i / stored) as i64 + i64::from(offset.1));
+        if (0..width as i64).contains(&u) && (0..height as i64).contains(&v) && value < nothing {
+            depth_m[v as usize * width + u as usize] = value;
+        }
+    }
+    Ok(Contents::DepthMetres { width, height, depth_m })
+}
+
+type Channel = AnyChannel<FlatSamples>;
+type ChannelLayer = Layer<AnyChannels<FlatSamples>>;
+
+fn full_name(layer: &ChannelLayer, channel: &Channel) -> String {
+    match &layer.attributes.layer_name {
+        Some(name) if name.as_slice() != b"" => format!("{name}.{}", channel.name),
+        _ => channel.name.to_string(),
+    }
+}
+
+fn channels(layers: &[ChannelLayer]) -> impl Iterator<Item = (&ChannelLayer, &Channel)> {
+    layers.iter().flat_map(|layer| layer.channel_data.list.iter().map(move |channel| (layer, channel)))
+}
+
+fn names(layers: &[ChannelLayer]) -> impl Iterator<Item = String> {
+    channels(layers).map(|(layer, channel)| full_name(layer, channel))
+}
+
+/// Finds the channel of depth: by its name, or the only one, or one of three that are equal.
+fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Channel)> {
+    let is_depth = |name: &str| {
+        let mut words = name.rsplit('.');
+        let last = words.next().unwrap_or_default();
+        let before = words.next().unwrap_or_default();
+        matches!(last, "z" | "depth") || matches!(last, "v" | "y" | "r") && before == "depth"
+    };
+    let named = channels(layers).find(|(layer, channel)| is_depth(&full_name(layer, channel).to_ascii_lowercase()));
+    if let Some(found) = named {
+        return Ok(found);
+    }
+    let mut all = channels(layers).filter(|(_, channel)| !matches!(&channel.name.to_string()[..], "A" | "a"));
+    let same = |a: &Channel, b: &Channel| {
+        a.sample_data.values_as_f32().map(f32::to_bits).eq(b.sample_data.values_as_f32().map(f32::to_bits))
+    };
+    if let Some(first) = all.next()
+        && all.all(|(_, other)| same(first.1, other))
+    {
+        return Ok(first);
+    }
+    let names: Vec<String> = names(layers).collect();
+    Err(FormatError::Unsupported(format!(
+        "an EXR with the channels {}; depth is the one named Z, Depth or depth.V, or the only one",
+        quoted(&names.join(", "))
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use exr::prelude::{Encoding, IntegerBounds, LayerAttributes, Vec2, WritableImage};
+
+    use super::*;
+
+    fn image(channels: &[(&str, FlatSamples)], size: (usize, usize), display: IntegerBounds) -> Vec<u8> {
+        let list = channels.iter().map(|(name, samples)| AnyChannel::new(*name, samples.clone())).collect();
+        let attributes = LayerAttributes { layer_position: Vec2(1, 0), ..LayerAttributes::default() };
+        let layer = Layer::new(size, attributes, Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(list));
+        let mut image = exr::image::Image::from_layer(layer);
+        image.attributes.display_window = display;
+        let mut bytes = Cursor::new(Vec::new());
+        image.write().non_parallel().to_buffered(&mut bytes).unwrap();
+        bytes.into_inner()
+    }
+
+    fn read(bytes: &[u8]) -> FormatResult<(Vec<f32>, Vec<String>)> {
+        let mut notes = Vec::new();
+        match decode(bytes, &ReadOptions::default(), &mut notes)? {
+            Contents::DepthMetres { depth_m, .. } => Ok((depth_m, notes)),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_channel_of_depth_is_found_and_placed_in_the_image() {
+        let floats = |values: [f32; 4]| FlatSamples::F32(values.to_vec());
+        let whole = IntegerBounds::new((1, 0), (2, 2));
+        let z = ("View.Depth.Z", floats([1.0, 2.0, 3.0, 1e10]));
+        let bytes = image(&[("R", floats([0.0; 4])), z.clone()], (2, 2), whole);
+        let (depth_m, notes) = read(&bytes).unwrap();
+        assert!(depth_m[..3] == [1.0, 2.0, 3.0] && depth_m[3].is_nan());
+        assert!(notes[0].contains("View.Depth.Z") && notes[0].contains('R'), "{notes:?}");
+        // A window of the image that was rendered, and one channel of any name.
+        let bytes = image(&[("Y", floats([1.0, 2.0, 3.0, 4.0]))], (2, 2), IntegerBounds::new((0, 0), (3, 2)));
+        let (depth_m, notes) = read(&bytes).unwrap();
+        assert_eq!((depth_m.len(), &depth_m[1..3], &depth_m[4..]), (6, &[1.0, 2.0][..], &[3.0, 4.0][..]));
+        assert!(depth_m[0].is_nan() && notes.is_empty());
+        let grey: Vec<_> = ["R", "G", "B"].map(|name| (name, floats([1.0, 2.0, 3.0, 4.0]))).into();
+        assert_eq!(read(&image(&grey, (2, 2), whole)).unwrap().0, [1.0, 2.0, 3.0, 4.0]);
+    }
+
+    #[test]
+    fn colours_and_damage_are_refused() {
+        let colour: Vec<_> =
+            [("R", 1.0), ("G", 2.0), ("B", 3.0)].map(|(name, value)| (name, FlatSamples::F32(vec![value; 4]))).into();
+        let bytes = image(&colour, (2, 2), IntegerBounds::new((1, 0), (2, 2)));
+        assert!(read(&bytes).unwrap_err().to_string().contains("B, G, R"));
+        for at in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0xff;
+            let _ = read(&damaged);
+            assert!(read(&bytes[..at]).is_err(), "cut at {at}");
+        }
+    }
+}

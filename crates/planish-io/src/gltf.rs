@@ -1,0 +1,481 @@
+//! The vertices of glTF 2.0, as JSON or as GLB, with normals and colours, where the nodes of the scene place them.
+
+use std::path::{Component, Path};
+
+use base64::Engine as _;
+use glam::{DMat4, DQuat, DVec3};
+use serde::Deserialize;
+
+use super::columns::cloud_from_columns;
+use super::{FormatResult, ReadOptions, brief, quoted, read_bytes};
+use planish_core::{Attribute, FormatError, PointCloud, Precision};
+
+const MAGIC: &[u8] = b"glTF";
+const JSON: u32 = 0x4e4f_534a;
+const BINARY: u32 = 0x004e_4942;
+
+/// More nodes inside each other are a loop.
+const DEEPEST: usize = 64;
+/// Vertices are placed once for each node that shows them.
+const MOST_PLACED: usize = 1 << 16;
+
+const BYTE: u32 = 5121;
+const SHORT: u32 = 5123;
+const FLOAT: u32 = 5126;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Document {
+    #[serde(default)]
+    buffers: Vec<Buffer>,
+    #[serde(default)]
+    buffer_views: Vec<View>,
+    #[serde(default)]
+    accessors: Vec<Accessor>,
+    #[serde(default)]
+    meshes: Vec<Mesh>,
+    #[serde(default)]
+    nodes: Vec<Node>,
+    #[serde(default)]
+    scenes: Vec<Scene>,
+    scene: Option<usize>,
+    #[serde(default)]
+    extensions_required: Vec<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Buffer {
+    uri: Option<String>,
+    byte_length: usize,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct View {
+    buffer: usize,
+    #[serde(default)]
+    byte_offset: usize,
+    byte_length: usize,
+    byte_stride: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: Option<usize>,
+    #[serde(default)]
+    byte_offset: usize,
+    component_type: u32,
+    count: usize,
+    #[serde(rename = "type")]
+    kind: String,
+    sparse: Option<serde_json::Value>,
+}
+
+#[derive(Deserialize)]
+struct Mesh {
+    primitives: Vec<Primitive>,
+}
+
+#[derive(Deserialize)]
+struct Primitive {
+    #[serde(default)]
+    attributes: Attributes,
+}
+
+#[derive(Deserialize, Default)]
+struct Attributes {
+    #[serde(rename = "POSITION")]
+    position: Option<usize>,
+    #[serde(rename = "NORMAL")]
+    normal: Option<usize>,
+    #[serde(rename = "COLOR_0")]
+    colour: Option<usize>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    mesh: Option<usize>,
+    #[serde(default)]
+    children: Vec<usize>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct Scene {
+    #[serde(default)]
+    nodes: Vec<usize>,
+}
+
+fn malformed(what: impl std::fmt::Display) -> FormatError {
+    FormatError::Malformed(format!("damaged glTF: {}", brief(&what.to_string())))
+}
+
+/// Returns true if the contents are JSON with the version of a glTF.
+pub(super) fn is_gltf(bytes: &[u8]) -> bool {
+    bytes.starts_with(MAGIC)
+}
+
+/// Reads all vertices of the scene; `folder` has the buffers that are files of their own.
+pub(super) fn decode(
+    bytes: &[u8],
+    folder: Option<&Path>,
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> FormatResult<PointCloud> {
+    let (json, binary) = if is_gltf(bytes) { chunks(bytes)? } else { (bytes, None) };
+    let document: Document = serde_json::from_slice(json).map_err(malformed)?;
+    if let Some(extension) = document.extensions_required.iter().find(|name| !name.starts_with("KHR_materials")) {
+        return Err(FormatError::Unsupported(format!(
+            "a glTF that needs the extension {}: export it without compression and quantization",
+            quoted(extension)
+        )));
+    }
+    let mut left = options.max_memory_bytes;
+    let mut buffers = Vec::new();
+    for (i, buffer) in document.buffers.iter().enumerate() {
+        let data = match &buffer.uri {
+            None if i == 0 => binary.unwrap_or_default().to_vec(),
+            None => return Err(malformed(format!("buffer {i} has no contents"))),
+            Some(uri) => contents_of(uri, folder, &options.with_max_memory_bytes(left))?,
+        };
+        if data.len() < buffer.byte_length {
+            return Err(malformed(format!("buffer {i} has {} bytes of {}", data.len(), buffer.byte_length)));
+        }
+        left = left.saturating_sub(data.len() as u64);
+        buffers.push(data);
+    }
+    let file = File { document: &document, buffers: &buffers, options };
+    let mut vertices = Vertices::default();
+    let placed = file.placed()?;
+    for (mesh, placing) in &placed {
+        let mesh = document.meshes.get(*mesh).ok_or_else(|| malformed(format!("there is no mesh {mesh}")))?;
+        mesh.primitives.iter().try_for_each(|primitive| file.add(primitive, placing, &mut vertices))?;
+    }
+    vertices.cloud(notes)
+}
+
+/// Returns the parts of a GLB: JSON and binary.
+fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
+    let number = |at: usize| {
+        let four = bytes.get(at..at + 4).and_then(|four| <[u8; 4]>::try_from(four).ok());
+        four.map(u32::from_le_bytes).ok_or_else(|| malformed("the file is truncated"))
+    };
+    let version = number(4)?;
+    if version != 2 {
+        return Err(FormatError::Unsupported(format!("version {version} of glTF; version 2 is read")));
+    }
+    let (mut json, mut binary, mut at) = (None, None, 12);
+    while at < bytes.len() {
+        let (length, kind) = (number(at)? as usize, number(at + 4)?);
+        let chunk = bytes.get(at + 8..at + 8 + length).ok_or_else(|| malformed("the file is truncated"))?;
+        match kind {
+            JSON => json = json.or(Some(chunk)),
+            BINARY => binary = binary.or(Some(chunk)),
+            _ => {}
+        }
+        // Chunks begin at multiples of four bytes.
+        at += 8 + length.next_multiple_of(4);
+    }
+    json.map(|json| (json, binary)).ok_or_else(|| malformed("no JSON"))
+}
+
+/// Returns the bytes of a buffer: in the text itself, or in a file of the same folder or below.
+fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> FormatResult<Vec<u8>> {
+    if let Some(data) = uri.strip_prefix("data:") {
+        let (_, text) = data.split_once(";base64,").ok_or_else(|| malformed("a data URI that is not base64"))?;
+        options.check(text.len(), 1)?;
+        let padding = base64::engine::DecodePaddingMode::Indifferent;
+        let config = base64::engine::GeneralPurposeConfig::new().with_decode_padding_mode(padding);
+        let decoder = base64::engine::GeneralPurpose::new(&base64::alphabet::STANDARD, config);
+        return decoder.decode(text).map_err(malformed);
+    }
+    let name = uri.replace("%20", " ");
+    let is_below = Path::new(&name).components().all(|part| matches!(part, Component::Normal(_)));
+    match folder {
+        Some(folder) if is_below => {
+            let path = folder.join(&name);
+            read_bytes(&path, options).map_err(|error| match error {
+                FormatError::TooLarge { .. } => error,
+                error => FormatError::Unsupported(format!(
+                    "its points are in {}, which cannot be read: {error}",
+                    quoted(&name)
+                )),
+            })
+        }
+        _ => Err(FormatError::Unsupported(format!(
+            "its points are in another file, {}; save it as one file (GLB)",
+            quoted(&name)
+        ))),
+    }
+}
+
+struct File<'a> {
+    document: &'a Document,
+    buffers: &'a [Vec<u8>],
+    options: &'a ReadOptions,
+}
+
+impl File<'_> {
+    /// Returns the meshes of the scene and their places; all meshes as they are, if there is no scene.
+    fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
+        let Document { scenes, scene, nodes, meshes, .. } = self.document;
+        let roots: Vec<usize> = match scenes.get(scene.unwrap_or(0)) {
+            Some(scene) => scene.nodes.clone(),
+            None => return Ok((0..meshes.len()).map(|mesh| (mesh, DMat4::IDENTITY)).collect()),
+        };
+        let mut found = Vec::new();
+        let mut open: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|root| (root, DMat4::IDENTITY, 0)).collect();
+        let mut visits = 0;
+        while let Some((i, parent, depth)) = open.pop() {
+            let node = nodes.get(i).ok_or_else(|| malformed(format!("there is no node {i}")))?;
+            visits += 1;
+            if depth > DEEPEST || visits > MOST_PLACED {
+                return Err(malformed("its nodes are a loop, or too many"));
+            }
+            let place = parent * node.place();
+            found.extend(node.mesh.map(|mesh| (mesh, place)));
+            open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
+        }
+        Ok(found)
+    }
+
+    fn add(&self, primitive: &Primitive, place: &DMat4, vertices: &mut Vertices) -> FormatResult<()> {
+        let Attributes { position, normal, colour } = primitive.attributes;
+        let Some(position) = position else { return Ok(()) };
+        let positions = self.values(position, &[FLOAT], &["VEC3"])?;
+        let count = positions.len() / 3;
+        // Coordinates in f64, normals, colours.
+        self.options.check(vertices.positions.len() / 3 + count, 8 * 6 + 4 * 6 + 3)?;
+        let same = |values: Vec<f64>, components: usize| {
+            if values.len() == components * count {
+                Ok(values)
+            } else {
+                Err(malformed("attributes of different lengths"))
+            }
+        };
+        for xyz in positions.as_chunks::<3>().0 {
+            vertices.positions.extend(place.transform_point3(DVec3::from(*xyz)).to_array());
+        }
+        let before = vertices.positions.len() / 3 - count;
+        if let Some(normal) = normal {
+            let normals = same(self.values(normal, &[FLOAT], &["VEC3"])?, 3)?;
+            let turn = glam::DMat3::from_mat4(*place).inverse().transpose();
+            vertices.normals.resize(3 * before, f32::NAN);
+            for xyz in normals.as_chunks::<3>().0 {
+                let turned = (turn * DVec3::from(*xyz)).normalize_or_zero();
+                vertices.normals.extend(turned.to_array().map(|value| value as f32));
+            }
+        }
+        if let Some(colour) = colour {
+            let components = if self.accessor(colour)?.kind == "VEC4" { 4 } else { 3 };
+            let colours = same(self.values(colour, &[FLOAT, BYTE, SHORT], &["VEC3", "VEC4"])?, components)?;
+            vertices.colours.resize(3 * before, 0);
+            let bytes = colours.chunks_exact(components).flat_map(|all| &all[..3]);
+            vertices.colours.extend(bytes.map(|value| (255.0 * value).round() as u8));
+            vertices.coloured += count;
+        }
+        Ok(())
+    }
+
+    fn accessor(&self, i: usize) -> FormatResult<&Accessor> {
+        self.document.accessors.get(i).ok_or_else(|| malformed(format!("there is no accessor {i}")))
+    }
+
+    /// Returns the numbers of an accessor; integers as shares of their largest value.
+    fn values(&self, i: usize, types: &[u32], kinds: &[&str]) -> FormatResult<Vec<f64>> {
+        let accessor = self.accessor(i)?;
+        let Accessor { buffer_view, byte_offset, component_type, count, kind, sparse } = accessor;
+        if !types.contains(component_type) || !kinds.contains(&&kind[..]) {
+            return Err(FormatError::Unsupported(format!(
+                "a glTF with vertices of {} of type {component_type}; floats are read",
+                quoted(kind)
+            )));
+        }
+        if sparse.is_some() {
+            return Err(FormatError::Unsupported("a glTF with sparse vertices; export it again without them".into()));
+        }
+        let components = if kind == "VEC4" { 4 } else { 3 };
+        let size = match *component_type {
+            BYTE => 1,
+            SHORT => 2,
+            _ => 4,
+        };
+        let view = buffer_view.and_then(|view| self.document.buffer_views.get(view));
+        let view = view.ok_or_else(|| malformed(format!("accessor {i} has no data")))?;
+        let data = self.buffers.get(view.buffer).and_then(|data| {
+            data.get(view.byte_offset..view.byte_offset.checked_add(view.byte_length)?)?.get(*byte_offset..)
+        });
+        let data = data.ok_or_else(|| malformed(format!("accessor {i} is outside its buffer")))?;
+        let each = components * size;
+        let stride = view.byte_stride.unwrap_or(each);
+        // The last one may end before the stride does.
+        let before_last = stride.checked_mul(count.saturating_sub(1));
+        let needed = before_last.and_then(|bytes| bytes.checked_add(each)).unwrap_or(usize::MAX);
+        if *count == 0 || stride < each || needed > data.len() {
+            return Err(malformed(format!("accessor {i} has {count} elements, which its buffer has not")));
+        }
+        self.options.check(*count, 8 * components)?;
+        let mut values = Vec::with_capacity(count * components);
+        for element in (0..*count).map(|k| &data[k * stride..k * stride + each]) {
+            values.extend(element.chunks_exact(size).map(|bytes| match *bytes {
+                [byte] => f64::from(byte) / 255.0,
+                [a, b] => f64::from(u16::from_le_bytes([a, b])) / 65535.0,
+                [a, b, c, d] => f64::from(f32::from_le_bytes([a, b, c, d])),
+                _ => f64::NAN,
+            }));
+        }
+        Ok(values)
+    }
+}
+
+impl Node {
+    fn place(&self) -> DMat4 {
+        let Self { matrix, translation, rotation, scale, .. } = self;
+        match matrix {
+            Some(matrix) => DMat4::from_cols_array(matrix),
+            None => DMat4::from_scale_rotation_translation(
+                DVec3::from(scale.unwrap_or([1.0; 3])),
+                DQuat::from_array(rotation.unwrap_or([0.0, 0.0, 0.0, 1.0])),
+                DVec3::from(translation.unwrap_or_default()),
+            ),
+        }
+    }
+}
+
+/// The vertices so far; normals and colours may end before the positions.
+#[derive(Default)]
+struct Vertices {
+    positions: Vec<f64>,
+    normals: Vec<f32>,
+    colours: Vec<u8>,
+    coloured: usize,
+}
+
+impl Vertices {
+    fn cloud(mut self, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+        let count = self.positions.len() / 3;
+        if count == 0 {
+            return Err(FormatError::Malformed("a glTF without vertices".into()));
+        }
+        let axis = |values: &[f64], axis: usize| values.iter().skip(axis).step_by(3).copied().collect::<Vec<f64>>();
+        let mut columns = Vec::new();
+        for (k, name) in ["x", "y", "z"].into_iter().enumerate() {
+            columns.push(Attribute { name: name.into(), count: 1, values: axis(&self.positions, k).into() });
+        }
+        if !self.normals.is_empty() {
+            self.normals.resize(3 * count, f32::NAN);
+            for (k, name) in ["normal_x", "normal_y", "normal_z"].into_iter().enumerate() {
+                let values: Vec<f32> = self.normals.iter().skip(k).step_by(3).copied().collect();
+                columns.push(Attribute { name: name.into(), count: 1, values: values.into() });
+            }
+        }
+        if !self.colours.is_empty() {
+            self.colours.resize(3 * count, 0);
+            if self.coloured < count {
+                notes.push(format!("{} of {count} vertices have no colour; they are black", count - self.coloured));
+            }
+            for (k, name) in ["red", "green", "blue"].into_iter().enumerate() {
+                let values: Vec<u8> = self.colours.iter().skip(k).step_by(3).copied().collect();
+                columns.push(Attribute { name: name.into(), count: 1, values: values.into() });
+            }
+        }
+        let mut cloud = cloud_from_columns(columns)?;
+        cloud.position_columns.precision = Precision::AsNeeded;
+        Ok(cloud)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two triangles' corners with normals and colours, in a scene of two nodes.
+    fn document(buffer: &str) -> String {
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0,1]}}],
+            "nodes":[{{"mesh":0,"translation":[10,0,0]}},{{"children":[2],"scale":[2,2,2]}},
+                     {{"mesh":0,"rotation":[0,0,0.7071067811865476,0.7071067811865476]}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":1,"COLOR_0":2}}}}]}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"}},
+                         {{"bufferView":0,"byteOffset":12,"componentType":5126,"count":2,"type":"VEC3"}},
+                         {{"bufferView":1,"componentType":5121,"normalized":true,"count":2,"type":"VEC4"}}],
+            "bufferViews":[{{"buffer":0,"byteLength":48,"byteStride":24}},{{"buffer":0,"byteOffset":48,"byteLength":8}}],
+            "buffers":[{buffer}]}}"#
+        )
+    }
+
+    fn data() -> Vec<u8> {
+        let floats = [1.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0];
+        floats.into_iter().flat_map(f32::to_le_bytes).chain([255, 0, 0, 255, 0, 51, 0, 255]).collect()
+    }
+
+    fn glb(json: &str, data: &[u8]) -> Vec<u8> {
+        let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+        let chunk =
+            |kind: u32, bytes: &[u8]| [&(bytes.len() as u32).to_le_bytes()[..], &kind.to_le_bytes(), bytes].concat();
+        let body = [chunk(JSON, json.as_bytes()), chunk(BINARY, data)].concat();
+        [MAGIC, &2u32.to_le_bytes(), &(12 + body.len() as u32).to_le_bytes(), &body].concat()
+    }
+
+    fn read(bytes: &[u8]) -> FormatResult<PointCloud> {
+        decode(bytes, None, &ReadOptions::default(), &mut Vec::new())
+    }
+
+    #[test]
+    fn vertices_stand_where_their_nodes_place_them() {
+        let cloud = read(&glb(&document(r#"{"byteLength":56}"#), &data())).unwrap();
+        // The scene's nodes come from the last to the first.
+        let expected = [[0.0, 2.0, 0.0], [-4.0, 0.0, 0.0], [11.0, 0.0, 0.0], [10.0, 2.0, 0.0]];
+        for (i, place) in expected.iter().enumerate() {
+            let off = (0..3).map(|axis| (cloud.coordinate(axis, i) - place[axis]).abs()).fold(0.0, f64::max);
+            assert!(off < 1e-6, "{i}: {:?}", cloud.positions.get(i));
+        }
+        let value = |name: &str, i: usize| {
+            cloud.attributes.iter().find(|attribute| attribute.name == name).unwrap().values.get_f64(i)
+        };
+        assert!((value("normal_y", 0) - 1.0).abs() < 1e-6 && (value("normal_x", 2) - 1.0).abs() < 1e-6);
+        assert_eq!((value("red", 0), value("green", 1), value("blue", 3)), (255.0, 51.0, 0.0));
+    }
+
+    #[test]
+    fn buffers_are_read_from_the_text_and_from_files_below_and_from_no_others() {
+        let text = base64::engine::general_purpose::STANDARD.encode(data());
+        let inside = format!(r#"{{"byteLength":56,"uri":"data:application/octet-stream;base64,{text}"}}"#);
+        assert_eq!(read(document(&inside).as_bytes()).unwrap().len(), 4);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("mesh 1.bin"), data()).unwrap();
+        let beside = |uri: &str| {
+            let json = document(&format!(r#"{{"byteLength":56,"uri":"{uri}"}}"#));
+            decode(json.as_bytes(), Some(folder.path()), &ReadOptions::default(), &mut Vec::new())
+        };
+        assert_eq!(beside("mesh%201.bin").unwrap().len(), 4);
+        for (uri, problem) in [("other.bin", "other.bin"), ("../mesh.bin", "one file"), ("/etc/passwd", "one file")] {
+            assert!(beside(uri).unwrap_err().to_string().contains(problem), "{uri}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_refused() {
+        let whole = glb(&document(r#"{"byteLength":56}"#), &data());
+        assert!((0..whole.len()).all(|length| read(&whole[..length]).is_err()));
+        for (from, to, problem) in [
+            (r#""count":2"#, r#""count":3"#, "which its buffer has not"),
+            (r#""count":2"#, r#""count":18446744073709551615"#, "which its buffer has not"),
+            (r#""byteStride":24"#, r#""byteStride":4"#, "which its buffer has not"),
+            (r#""children":[2]"#, r#""children":[1]"#, "a loop"),
+            (r#""mesh":0"#, r#""mesh":7"#, "no mesh 7"),
+            (r#""componentType":5126"#, r#""componentType":5123"#, "floats are read"),
+            (r#""scene":0"#, r#""extensionsRequired":["KHR_draco_mesh_compression"]"#, "KHR_draco"),
+            (r#""byteOffset":48"#, r#""byteOffset":49"#, "outside its buffer"),
+        ] {
+            let json = document(r#"{"byteLength":56}"#).replace(from, to);
+            let error = read(&glb(&json, &data())).unwrap_err().to_string();
+            assert!(error.contains(problem), "{to}: {error}");
+        }
+    }
+}
