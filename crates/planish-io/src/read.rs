@@ -152,6 +152,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
 #[derive(Default)]
 struct Beside<'a> {
     /// The file's folder, for formats of several files.
+    #[cfg_attr(not(feature = "more-formats"), allow(dead_code))]
     folder: Option<&'a Path>,
     camera: Option<Camera>,
     notes: Vec<String>,

@@ -28,8 +28,12 @@ const RECORD_HEADER: usize = 54;
 const WAVEFORMS: u16 = 1 << 1 | 1 << 2;
 /// The bit of the format that compressed points have.
 const COMPRESSED: u8 = 0x80;
-/// The latest version that is read, LAS 1.4.
-const LATEST: [u8; 2] = [1, 4];
+/// LAS 1.4, and the latest version that is read, which adds to its header only.
+const EXTENDED_SINCE: [u8; 2] = [1, 4];
+const LATEST: [u8; 2] = [1, 5];
+/// The bit of the encoding for times that count from another moment, and the place of that, in millions of seconds.
+const TIME_OFFSET: u16 = 1 << 6;
+const TIME_OFFSET_AT: usize = 391;
 
 /// A corrected header, and notes on the corrections.
 pub(super) struct Repaired {
@@ -44,20 +48,28 @@ impl Repaired {
         let version: [u8; 2] = read_at(file, VERSION)?;
         let [major, minor] = version;
         if major != LATEST[0] {
-            let text = format!("its version is {major}.{minor}; LAS 1.0 to 1.4 are read");
+            let text = format!("its version is {major}.{minor}; LAS 1.0 to 1.5 are read");
             return Some(Err(FormatError::Malformed(text)));
         }
         if version > LATEST {
-            let text = format!("LAS {major}.{minor} is newer than what is read, LAS 1.0 to 1.4; save it as LAS 1.4");
+            let text = format!("LAS {major}.{minor} is newer than what is read, LAS 1.0 to 1.5; save it as LAS 1.4");
             return Some(Err(FormatError::Unsupported(text)));
         }
         let mut repaired = Self { head: file.read(0, size)?, notes: Vec::new() };
         repaired.count_records(file)?;
-        if version >= LATEST {
+        if version >= EXTENDED_SINCE {
             repaired.count_points(file)?;
             repaired.count_extended_records(file)?;
         }
         repaired.compare_points(file)?;
+        if version == LATEST {
+            repaired.set(VERSION, &EXTENDED_SINCE);
+            repaired.notes.push("read as LAS 1.4, which has all of its fields of points".into());
+            let offset = i16::from_le_bytes(read_at(file, TIME_OFFSET_AT)?);
+            if u16::from_le_bytes(read_at(file, ENCODING)?) & TIME_OFFSET != 0 && offset != 0 {
+                repaired.notes.push(format!("its GPS times count from {offset} million seconds, which is not kept"));
+            }
+        }
         if u16::from_le_bytes(read_at(file, ENCODING)?) & WAVEFORMS != 0 {
             repaired.notes.push("its waveforms are dropped; the points keep only where they were".into());
         }

@@ -136,6 +136,13 @@ pub(super) struct Element {
     pub(super) properties: Vec<Property>,
 }
 
+impl Element {
+    /// Returns true if a property is a list.
+    pub(super) fn has_lists(&self) -> bool {
+        self.properties.iter().any(|property| matches!(property.kind, Kind::List { .. }))
+    }
+}
+
 /// What a header states.
 #[derive(Debug, Clone)]
 pub(super) struct Header {

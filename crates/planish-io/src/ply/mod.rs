@@ -33,7 +33,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         check_size(element, bytes.len())?;
         options.check(element.count, 8 * element.properties.len())?;
     }
-    let mut columns = empty_columns(vertex)?;
+    let mut columns = empty_columns(vertex);
     let Body { cells, camera } = match header.storage {
         Storage::Ascii => read_text(&header, &bytes[at..], &mut columns)?,
         _ => read_binary(&header, &bytes[at..], &mut columns)?,
@@ -108,7 +108,11 @@ fn read_text_element(
 ) -> Result<(), FormatError> {
     let name = element.name.as_str();
     if name == "vertex" {
-        return body.read(columns, element.count);
+        if !element.has_lists() {
+            return body.read(columns, element.count);
+        }
+        let scalars = records::text_without_lists(element, body)?;
+        return text::Body::new(scalars.as_bytes())?.read(columns, element.count);
     }
     let mut cells = Vec::new();
     for _ in 0..element.count {
@@ -134,10 +138,14 @@ fn read_binary(header: &Header, mut body: &[u8], columns: &mut [Attribute]) -> R
     let mut found = Body::default();
     for (element, is_needed) in elements_to_read(header) {
         if element.name == "vertex" {
-            // `empty_columns` has refused lists.
-            let Some(layout) = Layout::of(element) else { return malformed("a vertex property is a list") };
-            let records = take_records(&layout, element.count, header.storage, &mut body)?;
-            layout.append(columns, &records)?;
+            if let Some(layout) = Layout::of(element) {
+                let records = take_records(&layout, element.count, header.storage, &mut body)?;
+                layout.append(columns, &records)?;
+                continue;
+            }
+            let scalars = records::without_lists(element, header.storage, &mut body)?;
+            let layout = Layout::of_scalars(element);
+            layout.append(columns, &take_records(&layout, element.count, header.storage, &mut &scalars[..])?)?;
             continue;
         }
         match read_binary_element(element, header.storage, &mut body, &mut found) {
@@ -227,15 +235,13 @@ fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     Ok(())
 }
 
-fn empty_columns(vertex: &Element) -> Result<Vec<Attribute>, FormatError> {
+/// Returns an empty column for each property that is a number.
+fn empty_columns(vertex: &Element) -> Vec<Attribute> {
     let column = |property: &header::Property| match property.kind {
-        Kind::Scalar(scalar) => Ok(Attribute { name: property.name.clone(), count: 1, values: scalar.empty() }),
-        Kind::List { .. } => Err(FormatError::Unsupported(format!(
-            "the vertex property {} is a list; only scalars are supported",
-            quoted(&property.name)
-        ))),
+        Kind::Scalar(scalar) => Some(Attribute { name: property.name.clone(), count: 1, values: scalar.empty() }),
+        Kind::List { .. } => None,
     };
-    vertex.properties.iter().map(column).collect()
+    vertex.properties.iter().filter_map(column).collect()
 }
 
 /// Puts the values of the vertices on the grid.

@@ -27,7 +27,7 @@ pub(crate) struct VertexHeader {
     axes: [usize; 3],
     pose: SensorPose,
     remarks: Remarks,
-    left_out: Option<String>,
+    left_out: Vec<String>,
 }
 
 /// Reads the vertices of an unorganized cloud some at a time.
@@ -104,7 +104,7 @@ impl RecordReader for PlyReader {
             return unsupported("a PLY whose vertices do not come first");
         }
         check_size(vertex, bytes)?;
-        let mut columns = empty_columns(vertex)?;
+        let mut columns = empty_columns(vertex);
         rename_normals(&mut columns);
         let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with lists in its vertices") };
         let axes = axes_of(&columns)?;
@@ -138,7 +138,7 @@ impl RecordReader for PlyReader {
     }
 
     fn notes(&self) -> Vec<String> {
-        self.header.left_out.iter().cloned().collect()
+        self.header.left_out.clone()
     }
 
     fn points(&self) -> usize {

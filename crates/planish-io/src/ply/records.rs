@@ -1,7 +1,7 @@
 //! Vertices as consecutive little-endian records of scalars, as in binary files.
 
 use super::super::columns::with_values;
-use super::super::{FormatResult, quoted};
+use super::super::{FormatResult, quoted, text};
 use super::common::malformed;
 use super::header::{Element, Kind, Scalar, Storage};
 use planish_core::{Attribute, AttributeValues, FormatError};
@@ -25,13 +25,19 @@ pub(super) struct Layout {
 impl Layout {
     /// Of an element; `None` if it has a list.
     pub(super) fn of(element: &Element) -> Option<Self> {
+        (!element.has_lists()).then(|| Self::of_scalars(element))
+    }
+
+    /// Of the numbers of an element, without its lists.
+    pub(super) fn of_scalars(element: &Element) -> Self {
         let mut layout = Self { fields: Vec::new(), record: 0 };
         for property in &element.properties {
-            let Kind::Scalar(scalar) = property.kind else { return None };
-            layout.fields.push(Field { at: layout.record, scalar });
-            layout.record += scalar.bytes();
+            if let Kind::Scalar(scalar) = property.kind {
+                layout.fields.push(Field { at: layout.record, scalar });
+                layout.record += scalar.bytes();
+            }
         }
-        Some(layout)
+        layout
     }
 
     /// Returns the number of values of a record.
@@ -101,6 +107,24 @@ impl Layout {
 
 /// Splits one record off the front of a binary body, without its values.
 pub(super) fn pass_over(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<()> {
+    take_scalars(element, storage, body, |_| ())
+}
+
+/// Splits the records of an element off the front of a binary body. Returns their numbers without their lists.
+pub(super) fn without_lists(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<Vec<u8>> {
+    let mut scalars = Vec::new();
+    (0..element.count)
+        .try_for_each(|_| take_scalars(element, storage, body, |bytes| scalars.extend_from_slice(bytes)))?;
+    Ok(scalars)
+}
+
+/// Splits one record off the front of a binary body. Visits the bytes of its numbers; lists are passed over.
+fn take_scalars(
+    element: &Element,
+    storage: Storage,
+    body: &mut &[u8],
+    mut visit: impl FnMut(&[u8]),
+) -> FormatResult<()> {
     for property in &element.properties {
         let bytes = match property.kind {
             Kind::Scalar(scalar) => Some(scalar.bytes()),
@@ -108,10 +132,39 @@ pub(super) fn pass_over(element: &Element, storage: Storage, body: &mut &[u8]) -
                 take_number(count, storage, body).and_then(|count| (count as usize).checked_mul(item.bytes()))
             }
         };
-        let rest = bytes.and_then(|bytes| body.get(bytes..));
-        *body = rest.ok_or_else(|| ended(element))?;
+        let (value, rest) = bytes.and_then(|bytes| body.split_at_checked(bytes)).ok_or_else(|| ended(element))?;
+        if matches!(property.kind, Kind::Scalar(_)) {
+            visit(value);
+        }
+        *body = rest;
     }
     Ok(())
+}
+
+/// Takes the lines of an element from a text body, one for each record. Returns them without their lists.
+pub(super) fn text_without_lists(element: &Element, body: &mut text::Body<'_>) -> FormatResult<String> {
+    let mut scalars = String::new();
+    for _ in 0..element.count {
+        let (number, line) = body.line().ok_or_else(|| ended(element))?;
+        let mut words = line.split_ascii_whitespace();
+        for property in &element.properties {
+            let word = words.next();
+            let is_complete = match property.kind {
+                Kind::Scalar(_) => {
+                    scalars.extend(word.into_iter().flat_map(|word| [word, " "]));
+                    word.is_some()
+                }
+                Kind::List { .. } => word
+                    .and_then(|count| count.parse::<usize>().ok())
+                    .is_some_and(|count| count.checked_sub(1).is_none_or(|last| words.nth(last).is_some())),
+            };
+            if !is_complete {
+                return malformed(format!("line {number}: no {} where a vertex needs it", quoted(&property.name)));
+            }
+        }
+        scalars.push('\n');
+    }
+    Ok(scalars)
 }
 
 fn ended(element: &Element) -> FormatError {

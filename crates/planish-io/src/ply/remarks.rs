@@ -1,7 +1,7 @@
 //! Other contents of a PLY header: free text, which is kept, and elements, which are dropped.
 
 use super::super::brief;
-use super::header::Header;
+use super::header::{Header, Kind};
 use planish_core::Provenance;
 
 /// Header lines of a PLY file, except lines that state a grid.
@@ -22,11 +22,17 @@ impl Remarks {
     }
 }
 
-/// Returns a note about dropped elements.
-pub(super) fn left_out(header: &Header) -> Option<String> {
+/// Returns notes about dropped elements and lists.
+pub(super) fn left_out(header: &Header) -> Vec<String> {
+    let properties = header.element("vertex").map_or(&[][..], |vertex| &vertex.properties);
+    let lists = properties.iter().filter(|property| matches!(property.kind, Kind::List { .. }));
+    let lists: Vec<String> = lists.map(|property| brief(&property.name)).collect();
     let others = header.elements.iter().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
     let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
-    (!others.is_empty()).then(|| format!("other elements than vertices are dropped: {}", others.join(", ")))
+    let of_elements =
+        (!others.is_empty()).then(|| format!("other elements than vertices are dropped: {}", others.join(", ")));
+    let of_lists = (!lists.is_empty()).then(|| format!("lists of the vertices are dropped: {}", lists.join(", ")));
+    of_elements.into_iter().chain(of_lists).collect()
 }
 
 /// Returns the free text of the header.

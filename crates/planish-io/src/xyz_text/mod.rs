@@ -101,7 +101,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let first = lines.peek().map(|(_, line)| *line);
     let separator = first.map_or(Separator::Space, Separator::of);
     let count = title.columns(first, separator)?;
-    options.check(bytes.len() / (2 * count) + 1, 8 * count)?;
+    let line_ends = text.bytes().filter(|byte| *byte == b'\n').count();
+    options.check(line_ends + 1, 8 * count)?;
     let mut columns: Vec<Column> = (0..count).map(|_| Column::default()).collect();
     if let Some(first) = first {
         let is_text = |k: usize, cell: &str| !title.is_axis(k) && number_of(cell).is_none();

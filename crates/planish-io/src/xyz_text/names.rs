@@ -28,8 +28,8 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
         return None;
     }
     let short: Vec<String> = cells.iter().map(|cell| name_of(cell)).collect();
-    // Names may differ only in their brackets.
-    let is_shared = |name: &String| short.iter().filter(|other| *other == name).count() > 1;
+    // Names may differ only in their brackets, or in their capitals.
+    let is_shared = |name: &String| short.iter().filter(|other| other.eq_ignore_ascii_case(name)).count() > 1;
     let name = |(name, cell): (&String, &&str)| if is_shared(name) { in_one_word(cell) } else { name.clone() };
     let mut names: Vec<String> = short.iter().zip(cells).map(name).collect();
     // Alone, r is a range or a reflectance.
@@ -66,12 +66,41 @@ pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<L
 }
 
 fn in_one_word(cell: &str) -> String {
-    cell.to_ascii_lowercase().split_whitespace().collect::<Vec<_>>().join("_")
+    cell.split_whitespace().collect::<Vec<_>>().join("_")
 }
 
-/// Converts a column header to the field name of other formats, without its unit.
+/// Names that mean the same in every format, without regard to capitals and units.
+const KNOWN: [&str; 25] = [
+    "x",
+    "y",
+    "z",
+    "red",
+    "green",
+    "blue",
+    "alpha",
+    "rgb",
+    "rgba",
+    "intensity",
+    "reflectance",
+    "normal_x",
+    "normal_y",
+    "normal_z",
+    "curvature",
+    "confidence",
+    "classification",
+    "label",
+    "ring",
+    "time",
+    "timestamp",
+    "gps_time",
+    "return_number",
+    "number_of_returns",
+    "point_source_id",
+];
+
+/// Converts a column header to the field name of other formats. Known names lose capitals and units.
 fn name_of(cell: &str) -> String {
-    let name = in_one_word(cell.split(['[', '(']).next().unwrap_or(cell));
+    let name = in_one_word(cell.split(['[', '(']).next().unwrap_or(cell)).to_ascii_lowercase();
     match name.as_str() {
         "r" => "red".into(),
         "g" => "green".into(),
@@ -79,12 +108,21 @@ fn name_of(cell: &str) -> String {
         "nx" => "normal_x".into(),
         "ny" => "normal_y".into(),
         "nz" => "normal_z".into(),
-        _ => name,
+        known if KNOWN.contains(&known) || AXES.iter().flatten().any(|axis| *axis == known) => name,
+        _ => in_one_word(cell),
     }
 }
 
 pub(super) fn is_byte(value: f64) -> bool {
     (0.0..=255.0).contains(&value) && value.fract() == 0.0
+}
+
+/// Returns true if the first of four columns of bytes is an intensity and not the last one: the channels of a colour
+/// differ less from each other.
+fn is_intensity_first(columns: &[&[f64]]) -> bool {
+    let are_bytes = |k: usize| columns[k].iter().all(|value| is_byte(*value));
+    let difference = |a: usize, b: usize| columns[a].iter().zip(columns[b]).map(|(a, b)| (a - b).abs()).sum::<f64>();
+    (1..4).all(are_bytes) && (!are_bytes(0) || difference(2, 3) < 0.5 * difference(0, 1))
 }
 
 /// Guesses the names of columns from their number and values. In a file that states its number of points, such as PTS,
@@ -101,6 +139,10 @@ pub(crate) fn guessed_names(columns: &[&[f64]], is_pts: bool) -> Vec<String> {
         let at = names.len();
         let left = columns.len() - at;
         if is_pts && at == 3 && left >= 4 && colours(4) && !normals(at) {
+            names.push("intensity");
+            continue;
+        }
+        if at == 3 && left == 4 && is_intensity_first(&columns[3..]) && !normals(at) {
             names.push("intensity");
             continue;
         }

@@ -4,6 +4,7 @@
 //! Messages are types of [`ros`](crate::ros).
 
 mod decompress;
+mod parts;
 mod records;
 mod schemas;
 mod smooth;
@@ -24,8 +25,14 @@ pub use writer::BagWriter;
 /// The bytes that a recording in MCAP begins with.
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 
-/// Returns true if a file is a recording in MCAP, by its first bytes.
+/// Returns true if a path is a recording in MCAP: a file by its first bytes, or a folder of rosbag2 with such files.
 pub fn is_bag(path: &Path) -> bool {
+    is_recording(path)
+        || path.join("metadata.yaml").is_file() && parts::parts_of(path).is_ok_and(|parts| !parts.is_empty())
+}
+
+/// Returns true if a file begins as a recording does.
+fn is_recording(path: &Path) -> bool {
     use std::io::Read;
     let mut first = [0; 8];
     path.is_file()
@@ -33,32 +40,23 @@ pub fn is_bag(path: &Path) -> bool {
         && first == MAGIC
 }
 
-/// Resolves the name of a recording: the file, or the only .mcap in a folder written by rosbag2.
+/// Resolves the name of a recording: the file, the only .mcap in a folder of rosbag2, or the folder itself if it has
+/// several, which are read one after another.
 ///
 /// # Errors
-/// If a folder of rosbag2 has several, or one of another kind.
+/// If a folder of rosbag2 has recordings of another kind only.
 pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     if !path.join("metadata.yaml").is_file() {
         return Ok(path.to_path_buf());
     }
     let at = |error: std::io::Error| IoError { path: path.to_path_buf(), problem: error.into() };
-    let files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
-    let mut bags: Vec<PathBuf> = files.filter(|file| is_bag(file)).collect();
-    bags.sort();
-    match &bags[..] {
+    match &parts::parts_of(path).map_err(at)?[..] {
         [] => {
             let mut files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
             files.find_map(|file| refuse_other_bags(&file).err()).map_or_else(|| Ok(path.to_path_buf()), Err)
         }
         [only] => Ok(only.clone()),
-        [first, ..] => Err(IoError {
-            path: path.to_path_buf(),
-            problem: FormatError::Unsupported(format!(
-                "a recording in {} files; name one of them, such as {}",
-                bags.len(),
-                first.display()
-            )),
-        }),
+        _ => Ok(path.to_path_buf()),
     }
 }
 

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::parts::{Numbers, parts_of};
 use super::{decompress, of_mcap};
 use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
@@ -33,21 +34,26 @@ pub(super) enum Next {
 pub(super) struct Records {
     file: BufReader<File>,
     reader: LinearReader,
+    options: ReadOptions,
+    /// Files that follow.
+    rest: std::vec::IntoIter<PathBuf>,
+    numbers: Numbers,
 }
 
 impl Records {
-    /// From the beginning.
+    /// From the beginning, file after file.
     pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
-        let file = File::open(path).map_err(|error| IoError { path: path.to_path_buf(), problem: error.into() })?;
-        let options = reader_options(options).with_validate_chunk_crcs(true);
-        let mut reader = LinearReader::new_with_options(options);
-        let registered = decompress::register(&mut reader).map_err(of_mcap);
-        registered.map_err(|problem| IoError { path: path.to_path_buf(), problem })?;
-        Ok(Self { file: BufReader::new(file), reader })
+        let opened = || -> Result<_, FormatError> {
+            let mut rest = parts_of(path)?.into_iter();
+            let first = rest.next().unwrap_or_else(|| path.to_path_buf());
+            let (file, reader) = open_data(&first, options)?;
+            Ok(Self { file, reader, options: *options, rest, numbers: Numbers::default() })
+        };
+        opened().map_err(IoError::at(path))
     }
 
     /// From the summary on, if there is one.
-    fn open_summary(path: &Path, options: &ReadOptions) -> Option<Self> {
+    fn open_summary(path: &Path, options: &ReadOptions, numbers: Numbers) -> Option<Self> {
         /// The footer's opcode and length, its two offsets and its checksum, and the magic bytes.
         const FOOTER_BYTES: i64 = 1 + 8 + 20 + 8;
         let mut file = File::open(path).ok()?;
@@ -59,12 +65,30 @@ impl Records {
             return None;
         }
         file.seek(SeekFrom::Start(start)).ok()?;
-        let options = reader_options(options).with_skip_start_magic(true);
-        Some(Self { file: BufReader::new(file), reader: LinearReader::new_with_options(options) })
+        let reader = LinearReader::new_with_options(reader_options(options).with_skip_start_magic(true));
+        Some(Self { file: BufReader::new(file), reader, options: *options, rest: Vec::new().into_iter(), numbers })
     }
 
     /// Returns the next record; the indices of chunks are left out.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
+        loop {
+            match self.next_of_file()? {
+                Next::Record(record) => {
+                    if let Some(record) = self.numbers.renumbered(record)? {
+                        return Ok(Next::Record(record));
+                    }
+                }
+                Next::End => {
+                    let Some(next) = self.rest.next() else { return Ok(Next::End) };
+                    (self.file, self.reader) = open_data(&next, &self.options)?;
+                    self.numbers.next_file();
+                }
+                other => return Ok(other),
+            }
+        }
+    }
+
+    fn next_of_file(&mut self) -> Result<Next, FormatError> {
         loop {
             // With overflow checks the reader panics on a record that reaches beyond its chunk.
             let reader = &mut self.reader;
@@ -95,6 +119,14 @@ impl Records {
             }
         }
     }
+}
+
+/// Opens the data section of a file.
+fn open_data(path: &Path, options: &ReadOptions) -> Result<(BufReader<File>, LinearReader), FormatError> {
+    let file = File::open(path)?;
+    let mut reader = LinearReader::new_with_options(reader_options(options).with_validate_chunk_crcs(true));
+    decompress::register(&mut reader).map_err(of_mcap)?;
+    Ok((BufReader::new(file), reader))
 }
 
 fn beyond_its_chunk() -> FormatError {
@@ -170,10 +202,28 @@ pub(super) struct Summary {
 }
 
 impl Summary {
-    /// Reads it; `None` if the recording has none, or a damaged one.
+    /// Reads those of all files; `None` if one has none, or a damaged one.
     pub(super) fn of(path: &Path, options: &ReadOptions) -> Option<Self> {
-        let mut records = Records::open_summary(path, options)?;
-        let mut summary = Self::default();
+        let (mut summary, mut numbers) = (Self::default(), Numbers::default());
+        let mut with_counts = 0;
+        let files = parts_of(path).ok()?;
+        for file in &files {
+            let before = summary.messages.take();
+            numbers = summary.add(Records::open_summary(file, options, numbers)?)?;
+            numbers.next_file();
+            with_counts += usize::from(summary.messages.is_some());
+            if let (Some((of_channels, all)), Some((before, all_before))) = (&mut summary.messages, before) {
+                before.into_iter().for_each(|(id, count)| *of_channels.entry(id).or_default() += count);
+                *all += all_before;
+            }
+        }
+        summary.messages = summary.messages.filter(|_| with_counts == files.len());
+        Some(summary)
+    }
+
+    /// Adds the summary of a file, and returns the numbers so far.
+    fn add(&mut self, mut records: Records) -> Option<Numbers> {
+        let summary = self;
         loop {
             match records.next().ok()? {
                 Next::Record(Record::Schema { header, .. }) => {
@@ -195,7 +245,7 @@ impl Summary {
                 Next::End => {
                     let of_channels = summary.messages.iter().flat_map(|(of_channels, _)| of_channels.keys());
                     summary.is_partial |= of_channels.into_iter().any(|id| !summary.channels.contains_key(id));
-                    return Some(summary);
+                    return Some(records.numbers);
                 }
                 Next::CutOff => return None,
             }
@@ -208,7 +258,8 @@ impl Summary {
 pub(super) fn first_compression(path: &Path) -> Option<String> {
     /// Both times, the size without compression and the checksum of a chunk.
     const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;
-    let mut file = BufReader::new(File::open(path).ok()?);
+    let first = parts_of(path).ok()?.into_iter().next()?;
+    let mut file = BufReader::new(File::open(first).ok()?);
     file.seek(SeekFrom::Start(super::MAGIC.len() as u64)).ok()?;
     loop {
         let mut start = [0; 9];

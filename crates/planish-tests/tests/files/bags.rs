@@ -53,6 +53,51 @@ fn smooth(input: &Path, output: &Path) -> Result<SmoothBagReport, Error> {
 }
 
 #[test]
+fn a_recording_in_several_files_is_one() {
+    let folder = TempDir::new().unwrap();
+    let bag = folder.path().join("bag");
+    std::fs::create_dir(&bag).unwrap();
+    std::fs::write(bag.join("metadata.yaml"), "rosbag2_bagfile_information: {}\n").unwrap();
+    let frames = frames(small_camera());
+    // Ten is after two, and the second has other channels before those of the first.
+    for (part, frames) in [("b_0", &frames[..1]), ("b_2", &frames[1..3]), ("b_10", &frames[3..])] {
+        let mut writer = BagWriter::create(&bag.join(part).with_extension("mcap")).unwrap();
+        for frame in frames {
+            if part == "b_2" {
+                let (cloud, timestamp_s) = (frame.deproject().unwrap(), frame.timestamp_s);
+                writer.add(&OwnedFrame::Cloud { cloud, timestamp_s }).unwrap();
+            }
+            writer.add(&OwnedFrame::Depth(frame.clone())).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+    assert!(is_bag(&bag));
+    let survey = Survey::of(&bag, &ReadOptions::default()).unwrap();
+    let images = survey.topics.iter().find(|topic| topic.name.ends_with("image_rect")).unwrap();
+    assert_eq!((images.messages, survey.messages), (Some(4), Some(10)));
+    let of = |path: &Path| {
+        let mut source = BagSource::open(path, Some("/camera/depth/image_rect"), None, None).unwrap();
+        std::iter::from_fn(|| source.next_frame().unwrap()).collect::<Vec<_>>()
+    };
+    let raw = |frame: &OwnedFrame| match frame {
+        OwnedFrame::Depth(frame) => (frame.timestamp_s, frame.raw.clone()),
+        other => panic!("{other:?}"),
+    };
+    let found: Vec<_> = of(&bag).iter().map(raw).collect();
+    let expected: Vec<_> = frames.iter().map(|frame| (frame.timestamp_s, frame.raw.clone())).collect();
+    assert_eq!(found, expected);
+    let output = folder.path().join("smooth.mcap");
+    let options = SmoothBagOptions::default().with_topics(vec!["/camera/depth/image_rect".into()]);
+    let report = smooth_bag(&bag, &output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ()).unwrap();
+    assert_eq!((report.topics[0].smoothed, report.copied, report.cut_off), (4, 6, None));
+    let smoothed = Survey::of(&output, &ReadOptions::default()).unwrap();
+    let told =
+        |survey: &Survey| survey.topics.iter().map(|topic| (topic.name.clone(), topic.messages)).collect::<Vec<_>>();
+    assert_eq!((told(&smoothed), &smoothed.others), (told(&survey), &survey.others));
+    assert_eq!(of(&output).len(), 4);
+}
+
+#[test]
 fn depth_comes_back_with_camera_and_time_stamps() {
     let folder = TempDir::new().unwrap();
     let distortion = Distortion::from_opencv(&[0.1, -0.2, 1e-3, 2e-3, 0.05]).unwrap();

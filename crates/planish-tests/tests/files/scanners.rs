@@ -335,7 +335,7 @@ fn vertices_of_meshes_are_points() {
 fn files_of_other_programs_say_what_converts_them() {
     let folder = tempfile::tempdir().unwrap();
     for (name, expected) in
-        [("scan.fls", "export E57"), ("run.bag", "ROS"), ("mesh.glb", "PLY"), ("a.ptg", "CloudCompare")]
+        [("scan.fls", "export E57"), ("run.bag", "ROS"), ("mesh.fbx", "PLY"), ("a.ptg", "CloudCompare")]
     {
         let path = folder.path().join(name);
         std::fs::write(&path, [7u8; 64]).unwrap();

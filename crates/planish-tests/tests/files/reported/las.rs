@@ -73,9 +73,31 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     }
 
     let mut newer = las(4, 6);
-    newer[25] = 5;
+    newer[25] = 6;
     let error = read_as("a.las", &newer).unwrap_err();
-    assert!(error.contains("LAS 1.5 is newer than what is read, LAS 1.0 to 1.4"), "{error}");
+    assert!(error.contains("LAS 1.6 is newer than what is read, LAS 1.0 to 1.5"), "{error}");
+}
+
+#[test]
+fn las_1_5_is_read_as_1_4() {
+    let bytes = las(4, 6);
+    let (expected, _) = cloud_as("a.las", &bytes);
+    // Its header has the range of times and their offset behind what 1.4 has.
+    let mut newer = [&bytes[..375], &[0; 18], &bytes[375..]].concat();
+    newer[25] = 5;
+    newer[6] |= 1 << 6;
+    set(&mut newer, 94, 393u16.to_le_bytes());
+    let points_at = u32::from_le_bytes(bytes[96..100].try_into().unwrap());
+    set(&mut newer, 96, (points_at + 18).to_le_bytes());
+    set(&mut newer, 107, 0u32.to_le_bytes());
+    set(&mut newer, 247, 40u64.to_le_bytes());
+    set(&mut newer, 391, 1400i16.to_le_bytes());
+    let (cloud, notes) = cloud_as("a.las", &newer);
+    assert_eq!((cloud.len(), &cloud.attributes), (40, &expected.attributes));
+    assert!(notes[0].contains("LAS 1.4") && notes[1].contains("1400 million"), "{notes:?}");
+    for name in ["out.las", "out.laz"] {
+        assert_eq!(cloud_as(name, &written(&cloud, name)).0.len(), 40);
+    }
 }
 
 #[test]

@@ -55,6 +55,44 @@ fn names_of_ply_properties_are_any_text_without_spaces_and_come_back() {
             let Contents::General(again) = io::read(&path).unwrap().1 else { panic!("points") };
             assert_eq!(again.attributes, cloud.attributes, "{name}");
         }
+        let (again, _) = cloud_as("a.csv", &written(&cloud, "out.csv"));
+        assert_eq!(names(&again), [name], "through CSV");
+    }
+}
+
+#[test]
+fn lists_of_vertices_are_dropped_with_a_note() {
+    let header = |storage: &str| {
+        format!(
+            "ply\nformat {storage} 1.0\nelement vertex 2\nproperty float x\nproperty list uchar int seen_by\nproperty float \
+             y\nproperty float z\nend_header\n"
+        )
+    };
+    let ascii = header("ascii") + "1 2 8 9 2 3\n4 0 5 6\n";
+    let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_be_bytes()).collect::<Vec<u8>>();
+    let (one, two) = ([floats(&[1.0]), vec![1, 0, 0, 0, 9], floats(&[2.0, 3.0])].concat(), floats(&[4.0]));
+    let binary = [header("binary_big_endian").into_bytes(), one, two, vec![0], floats(&[5.0, 6.0])].concat();
+    for bytes in [ascii.as_bytes(), &binary] {
+        let (cloud, notes) = cloud_as("a.ply", bytes);
+        assert_eq!((cloud.positions.get(0), cloud.positions.get(1)), ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0]));
+        assert_eq!(notes, ["lists of the vertices are dropped: seen_by"]);
+        assert!(read_as("a.ply", &bytes[..bytes.len() - 3]).is_err());
+    }
+}
+
+#[test]
+fn intensity_before_colour_is_told_from_colour_before_intensity() {
+    let line = |i: u32, first: bool| {
+        let (grey, intensity) = (40 + 3 * (i % 60), (97 * i) % 251);
+        let colour = format!("{} {} {}", grey, grey + 4, grey + 9);
+        let cells = if first { format!("{intensity} {colour}") } else { format!("{colour} {intensity}") };
+        format!("{i} {} 1.5 {cells}\n", i / 7)
+    };
+    for (first, expected) in
+        [(true, ["intensity", "red", "green", "blue"]), (false, ["red", "green", "blue", "intensity"])]
+    {
+        let text: String = (0..100).map(|i| line(i, first)).collect();
+        assert_eq!(names(&cloud_as("a.txt", text.as_bytes()).0), expected);
     }
 }
 
