@@ -4,12 +4,14 @@
 //! Messages are types of [`ros`](crate::ros).
 
 mod decompress;
+mod foxglove;
 mod parts;
 mod records;
 mod schemas;
 mod smooth;
 mod source;
 mod survey;
+mod wire;
 mod writer;
 
 use std::path::{Path, PathBuf};

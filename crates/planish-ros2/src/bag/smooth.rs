@@ -12,9 +12,9 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 use super::of_mcap;
 use super::records::{Next, Records};
 use super::schemas::{CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
-use super::survey::{Channels, Chosen, MessageKind, Survey};
+use super::survey::{Channel, Channels, Chosen, MessageKind, Survey};
 use super::writer::channel_metadata;
-use crate::ros::{DepthMessage, MessageError, MessageSmoother, PointCloud2, from_cdr, to_cdr};
+use crate::ros::{MessageError, MessageSmoother, PointCloud2, to_cdr};
 use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError};
 use planish_io::{ReadOptions, internal::AtomicFile};
 
@@ -333,12 +333,13 @@ impl Copy<'_> {
         header: MessageHeader,
         data: &[u8],
     ) -> Result<(), CopyError> {
-        let Some((topic, kind)) = self.channels.get(header.channel_id).cloned() else {
+        let Some(channel) = self.channels.get(header.channel_id).cloned() else {
             self.copied += 1;
             return Ok(writer.write_to_known_channel(&header, data)?);
         };
-        self.chosen.iter_mut().for_each(|chosen| chosen.note_camera(&topic, kind, data));
-        let Some(chosen) = self.chosen.iter().find(|chosen| chosen.is(&topic, kind)).cloned() else {
+        self.chosen.iter_mut().for_each(|chosen| chosen.note_camera(&channel, data));
+        let Channel { topic, kind, wire, .. } = channel;
+        let Some(chosen) = self.chosen.iter().find(|chosen| chosen.is(&topic, kind, wire)).cloned() else {
             self.copied += 1;
             return Ok(writer.write_to_known_channel(&header, data)?);
         };
@@ -371,24 +372,19 @@ impl Copy<'_> {
     /// Smooths a message.
     fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<Rewritten, MessageError> {
         self.smoother.set_topic(&chosen.topic)?;
-        let message = match chosen.kind {
-            MessageKind::PointCloud2 => {
-                let cloud: PointCloud2 = from_cdr(data)?;
-                let message = to_cdr(&self.smoother.smooth_cloud(cloud)?)?;
-                return Ok(Rewritten { message, points: None, origin: None });
-            }
-            MessageKind::CompressedImage => DepthMessage::Compressed(from_cdr(data)?),
-            _ => DepthMessage::Image(from_cdr(data)?),
-        };
+        let Chosen { kind, wire, .. } = *chosen;
+        if kind == MessageKind::PointCloud2 {
+            let smoothed = self.smoother.smooth_cloud(wire.cloud(data)?)?;
+            let message = wire.with_cloud(data, &smoothed)?;
+            return Ok(Rewritten { message, points: None, origin: None });
+        }
+        let message = wire.depth(kind, data, &self.options.read)?;
         let camera = |shape| chosen.camera(self.options.camera.as_ref(), shape);
         let wants_points = self.options.points_topic.is_some();
         let smoothed = self.smoother.smooth_depth(&message, camera, wants_points)?;
         let points = wants_points.then(|| PointCloud2::of_smoothed(message.header().clone(), self.smoother.smoothed()));
         let origin = self.smoother.origin_image(message.header().clone());
-        let message = match message.with_pixels(&smoothed)? {
-            DepthMessage::Image(image) => to_cdr(&image)?,
-            DepthMessage::Compressed(image) => to_cdr(&image)?,
-        };
+        let message = wire.with_depth(data, &message.with_pixels(&smoothed)?, &self.options.read)?;
         let points = points.as_ref().map(to_cdr).transpose()?;
         Ok(Rewritten { message, points, origin: origin.as_ref().map(to_cdr).transpose()? })
     }

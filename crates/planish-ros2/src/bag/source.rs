@@ -6,7 +6,7 @@ use mcap::records::Record;
 
 use super::records::{Next, Records};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
-use crate::ros::{DepthMessage, DepthPixels, Header, PointCloud2, from_cdr};
+use crate::ros::{DepthPixels, Header};
 use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame, PointCloud};
 use planish_io::ReadOptions;
 
@@ -69,7 +69,7 @@ impl BagSource {
         if self.chosen.kind != MessageKind::PointCloud2 {
             return false;
         }
-        let is_organized = |_: &Self, _, data: &[u8]| Ok(from_cdr::<PointCloud2>(data)?.is_organized());
+        let is_organized = |source: &Self, _, data: &[u8]| Ok(source.chosen.wire.cloud(data)?.is_organized());
         let mut first = std::iter::repeat_with(|| self.next_as(is_organized)).take(TRIED).filter_map(Result::ok);
         first.next().flatten() == Some(false)
     }
@@ -81,8 +81,8 @@ impl BagSource {
     /// As [`next_frame`](Self::next_frame).
     pub fn next_cloud(&mut self) -> Result<Option<(PointCloud, f64)>, Error> {
         match self.chosen.kind {
-            MessageKind::PointCloud2 => self.next_as(|_, log_time, data| {
-                let message: PointCloud2 = from_cdr::<PointCloud2>(data)?.into_native()?;
+            MessageKind::PointCloud2 => self.next_as(|source, log_time, data| {
+                let message = source.chosen.wire.cloud(data)?.into_native()?;
                 Ok((message.to_cloud()?, seconds(&message.header, log_time)))
             }),
             _ => Ok(None),
@@ -126,27 +126,25 @@ impl BagSource {
             };
             self.channels.add(&record);
             let Record::Message { header, data } = record else { continue };
-            let Some((topic, kind)) = self.channels.get(header.channel_id) else { continue };
-            self.chosen.note_camera(topic, *kind, &data);
-            if self.chosen.is(topic, *kind) {
+            let Some(channel) = self.channels.get(header.channel_id) else { continue };
+            self.chosen.note_camera(channel, &data);
+            if self.chosen.is(&channel.topic, channel.kind, channel.wire) {
                 return Ok(Some((header.log_time, data.into_owned())));
             }
         }
     }
 
     fn frame(&self, log_time: u64, data: &[u8]) -> Result<OwnedFrame, FormatError> {
-        let message = match self.chosen.kind {
-            MessageKind::PointCloud2 => {
-                let message: PointCloud2 = from_cdr::<PointCloud2>(data)?.into_native()?;
-                let timestamp_s = Some(seconds(&message.header, log_time));
-                let mut cloud = message.to_organized()?;
-                let shape = (cloud.width(), cloud.height());
-                cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
-                return Ok(OwnedFrame::Cloud { cloud, timestamp_s });
-            }
-            MessageKind::CompressedImage => DepthMessage::Compressed(from_cdr(data)?),
-            _ => DepthMessage::Image(from_cdr(data)?),
-        };
+        let Chosen { kind, wire, .. } = self.chosen;
+        if kind == MessageKind::PointCloud2 {
+            let message = wire.cloud(data)?.into_native()?;
+            let timestamp_s = Some(seconds(&message.header, log_time));
+            let mut cloud = message.to_organized()?;
+            let shape = (cloud.width(), cloud.height());
+            cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
+            return Ok(OwnedFrame::Cloud { cloud, timestamp_s });
+        }
+        let message = wire.depth(kind, data, &self.options)?;
         let pixels = message.pixels(&self.options)?;
         let camera = self.chosen.camera(self.camera.as_ref(), pixels.shape())?;
         let timestamp_s = seconds(message.header(), log_time);

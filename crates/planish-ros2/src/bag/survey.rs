@@ -5,12 +5,12 @@ use std::path::Path;
 
 use mcap::records::Record;
 
+use super::foxglove::compressed_image;
 use super::records::{Next, Records, Summary, first_compression};
 use super::refuse_other_bags;
-use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
-use crate::ros::{
-    CameraInfo, CompressedImage, Image, PointCloud2, camera_info_topic as beside, from_cdr, is_rectified,
-};
+use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE};
+use super::wire::{Wire, is_known_type, kind_of};
+use crate::ros::{CameraInfo, DepthMessage, camera_info_topic as beside, is_rectified};
 use planish_core::{Camera, Error, FormatError, IoError};
 use planish_io::ReadOptions;
 
@@ -18,27 +18,17 @@ use planish_io::ReadOptions;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum MessageKind {
-    /// `sensor_msgs/Image`.
+    /// `sensor_msgs/Image`, or Foxglove's `RawImage` or `CompressedImage`.
     Image,
     /// `sensor_msgs/CompressedImage`.
     CompressedImage,
-    /// `sensor_msgs/PointCloud2`.
+    /// `sensor_msgs/PointCloud2`, or Foxglove's `PointCloud`.
     PointCloud2,
-    /// `sensor_msgs/CameraInfo`.
+    /// `sensor_msgs/CameraInfo`, or Foxglove's `CameraCalibration`.
     CameraInfo,
 }
 
 impl MessageKind {
-    fn of_type(name: &str) -> Option<Self> {
-        match name {
-            IMAGE_TYPE => Some(Self::Image),
-            COMPRESSED_TYPE => Some(Self::CompressedImage),
-            CLOUD_TYPE => Some(Self::PointCloud2),
-            CAMERA_INFO_TYPE => Some(Self::CameraInfo),
-            _ => None,
-        }
-    }
-
     /// Returns the name of the type in ROS.
     pub fn type_name(self) -> &'static str {
         match self {
@@ -58,6 +48,9 @@ pub struct Topic {
     pub name: String,
     /// What its messages are.
     pub kind: MessageKind,
+    /// The name of their type in the recording.
+    pub type_name: String,
+    pub(super) wire: Wire,
     /// Number of its messages, if the recording states it.
     pub messages: Option<u64>,
     /// From its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
@@ -103,6 +96,7 @@ pub struct Survey {
 pub(super) struct Chosen {
     pub(super) topic: String,
     pub(super) kind: MessageKind,
+    pub(super) wire: Wire,
     /// The topic of its camera, and the first message of that.
     pub(super) camera: Option<(String, CameraInfo)>,
 }
@@ -152,7 +146,7 @@ impl Survey {
                     beside(&topic.name)
                 )));
             }
-            Ok(Chosen { topic: topic.name.clone(), kind: topic.kind, camera: of_topic })
+            Ok(Chosen { topic: topic.name.clone(), kind: topic.kind, wire: topic.wire, camera: of_topic })
         };
         chosen.into_iter().map(with_camera).collect()
     }
@@ -178,7 +172,7 @@ impl Survey {
 
     /// Returns the topics with depth that were not chosen and are copied unchanged.
     pub(super) fn left(&self, chosen: &[Chosen]) -> Vec<String> {
-        let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind));
+        let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind, topic.wire));
         self.topics.iter().filter(|topic| topic.is_depth && !is_chosen(topic)).map(|topic| topic.name.clone()).collect()
     }
 
@@ -187,7 +181,7 @@ impl Survey {
         let described: Vec<_> =
             self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
         match &described[..] {
-            [] => "it has no images or clouds as ROS 2 messages in CDR".to_owned(),
+            [] => "it has no images or clouds as messages of ROS 2 (CDR) or Foxglove (Protocol Buffers)".to_owned(),
             all => format!("it has {}", all.join(", ")),
         }
     }
@@ -214,18 +208,18 @@ impl Survey {
 impl Chosen {
     /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes
     /// nothing.
-    pub(super) fn note_camera(&mut self, topic: &str, kind: MessageKind, data: &[u8]) {
-        if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (kind, &mut self.camera)
-            && camera_topic == topic
-            && let Ok(newer) = from_cdr(data)
+    pub(super) fn note_camera(&mut self, channel: &Channel, data: &[u8]) {
+        if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (channel.kind, &mut self.camera)
+            && *camera_topic == channel.topic
+            && let Ok(newer) = channel.wire.camera(data)
         {
             *info = newer;
         }
     }
 
     /// Returns true if messages of a channel are meant: a topic may have messages of several types.
-    pub(super) fn is(&self, topic: &str, kind: MessageKind) -> bool {
-        self.topic == topic && self.kind == kind
+    pub(super) fn is(&self, topic: &str, kind: MessageKind, wire: Wire) -> bool {
+        self.topic == topic && self.kind == kind && self.wire == wire
     }
 
     /// Returns the camera of an image of that shape, the caller's if there is one.
@@ -239,12 +233,20 @@ impl Chosen {
     }
 }
 
+/// A channel of messages that planish may have to do with.
+#[derive(Debug, Clone)]
+pub(super) struct Channel {
+    pub(super) topic: String,
+    pub(super) kind: MessageKind,
+    pub(super) wire: Wire,
+    type_name: String,
+}
+
 /// The channels of a recording, by their numbers.
 #[derive(Default)]
 pub(super) struct Channels {
     types: BTreeMap<u16, String>,
-    /// Topic and kind.
-    known: BTreeMap<u16, (String, MessageKind)>,
+    known: BTreeMap<u16, Channel>,
     /// Topic and type of all.
     all: BTreeMap<u16, (String, String)>,
 }
@@ -258,10 +260,10 @@ impl Channels {
             }
             Record::Channel(channel) => {
                 let type_name = self.types.get(&channel.schema_id).cloned().unwrap_or_default();
-                let kind = MessageKind::of_type(&type_name);
-                self.all.insert(channel.id, (channel.topic.clone(), type_name));
-                if let Some(kind) = kind.filter(|_| channel.message_encoding == MESSAGE_ENCODING) {
-                    self.known.insert(channel.id, (channel.topic.clone(), kind));
+                let topic = channel.topic.clone();
+                self.all.insert(channel.id, (topic.clone(), type_name.clone()));
+                if let Some((kind, wire)) = kind_of(&type_name, &channel.message_encoding) {
+                    self.known.insert(channel.id, Channel { topic, kind, wire, type_name });
                 }
             }
             _ => {}
@@ -273,7 +275,7 @@ impl Channels {
         self.types.contains_key(&id) || self.all.contains_key(&id)
     }
 
-    pub(super) fn get(&self, id: u16) -> Option<&(String, MessageKind)> {
+    pub(super) fn get(&self, id: u16) -> Option<&Channel> {
         self.known.get(&id)
     }
 }
@@ -288,7 +290,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
         for (id, (topic, kind)) in channels {
             let count = of_channels.get(id).copied().unwrap_or(0);
             *counts.entry(topic.clone()).or_default() += count;
-            if count > 0 && MessageKind::of_type(kind).is_some() {
+            if count > 0 && is_known_type(kind) {
                 topics.insert(topic.clone());
             }
         }
@@ -312,10 +314,11 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
         };
         channels.add(&record);
         let Record::Message { header, data } = &record else { continue };
-        let Some((name, kind)) = channels.get(header.channel_id) else { continue };
+        let Some(channel) = channels.get(header.channel_id) else { continue };
+        let name = &channel.topic;
         if !topics.contains_key(name) {
             let messages = counts.get(name).copied();
-            topics.insert(name.clone(), Topic { messages, ..first_message(name, *kind, data) });
+            topics.insert(name.clone(), Topic { messages, ..first_message(channel, data, options) });
             awaited.iter_mut().for_each(|awaited| {
                 awaited.remove(name);
             });
@@ -341,10 +344,13 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
 const DAMAGED: &str = "damaged";
 
 /// Describes a topic from its first message; an unreadable one does not count as depth.
-fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
+fn first_message(channel: &Channel, data: &[u8], options: &ReadOptions) -> Topic {
+    let Channel { topic: name, kind, wire, type_name } = channel.clone();
     let mut topic = Topic {
-        name: name.to_owned(),
+        name,
         kind,
+        type_name,
+        wire,
         messages: None,
         encoding: DAMAGED.into(),
         frame_id: String::new(),
@@ -352,27 +358,32 @@ fn first_message(name: &str, kind: MessageKind, data: &[u8]) -> Topic {
         camera_info: None,
     };
     match kind {
-        MessageKind::Image => {
-            if let Ok(image) = from_cdr::<Image>(data) {
+        MessageKind::Image if wire == Wire::FoxglovePng => {
+            if let Ok(image) = compressed_image(data) {
                 topic.is_depth = image.is_depth();
-                (topic.encoding, topic.frame_id) = (image.encoding, image.header.frame_id);
-            }
-        }
-        MessageKind::CompressedImage => {
-            if let Ok(image) = from_cdr::<CompressedImage>(data) {
-                topic.is_depth = image.format.contains("compressedDepth");
                 (topic.encoding, topic.frame_id) = (image.format, image.header.frame_id);
             }
         }
+        MessageKind::Image | MessageKind::CompressedImage => match wire.depth(kind, data, options) {
+            Ok(DepthMessage::Image(image)) => {
+                topic.is_depth = image.is_depth();
+                (topic.encoding, topic.frame_id) = (image.encoding, image.header.frame_id);
+            }
+            Ok(DepthMessage::Compressed(image)) => {
+                topic.is_depth = image.format.contains("compressedDepth");
+                (topic.encoding, topic.frame_id) = (image.format, image.header.frame_id);
+            }
+            Err(_) => {}
+        },
         MessageKind::PointCloud2 => {
-            if let Ok(cloud) = from_cdr::<PointCloud2>(data) {
+            if let Ok(cloud) = wire.cloud(data) {
                 topic.is_depth = true;
                 topic.encoding = format!("cloud of {}x{}", cloud.width, cloud.height);
                 topic.frame_id = cloud.header.frame_id;
             }
         }
         MessageKind::CameraInfo => {
-            if let Ok(info) = from_cdr::<CameraInfo>(data) {
+            if let Ok(info) = wire.camera(data) {
                 topic.encoding = format!("camera of {}x{}", info.width, info.height);
                 topic.frame_id.clone_from(&info.header.frame_id);
                 topic.camera_info = Some(info);

@@ -311,3 +311,62 @@ fn a_record_that_reaches_beyond_its_chunk_is_damage() {
     let said = BagSource::open(&path, None, None, None).map(drop).unwrap_err().to_string();
     assert!(said.contains("beyond.mcap") && said.contains("damaged"), "{said}");
 }
+
+/// Written by Foxglove's SDK 0.30: two messages each of a camera, depth as it is and in a PNG, a JPEG and a cloud.
+fn foxglove() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/mcap/foxglove.mcap")
+}
+
+#[test]
+fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
+    let folder = TempDir::new().unwrap();
+    let survey = Survey::of(&foxglove(), &ReadOptions::default()).unwrap();
+    let told: Vec<_> =
+        survey.topics.iter().map(|topic| (&topic.name[..], &topic.type_name[..], topic.is_depth)).collect();
+    assert_eq!(
+        told,
+        [
+            ("/color/jpeg", "foxglove.CompressedImage", false),
+            ("/depth/calibration", "foxglove.CameraCalibration", false),
+            ("/depth/image", "foxglove.RawImage", true),
+            ("/depth/png", "foxglove.CompressedImage", true),
+            ("/points", "foxglove.PointCloud", true),
+        ]
+    );
+    let frames = |path: &Path, topic: &str| {
+        let mut source = BagSource::open(path, Some(topic), None, None).unwrap();
+        std::iter::from_fn(|| source.next_frame().unwrap()).collect::<Vec<_>>()
+    };
+    let depth = |frame: &OwnedFrame| match frame {
+        OwnedFrame::Depth(frame) => frame.clone(),
+        other => panic!("{other:?}"),
+    };
+    let raw: Vec<DepthFrame> = frames(&foxglove(), "/depth/image").iter().map(depth).collect();
+    assert_eq!((raw[0].camera.width, raw[0].camera.fx, raw[1].timestamp_s), (32, 30.0, Some(101.25)));
+    assert_eq!(frames(&foxglove(), "/depth/png").iter().map(depth).collect::<Vec<_>>(), raw);
+    let mut clouds = BagSource::open(&foxglove(), Some("/points"), None, None).unwrap();
+    let (cloud, _) = clouds.next_cloud().unwrap().unwrap();
+    assert_eq!((cloud.len(), cloud.attribute("intensity").unwrap().values.get_f64(5)), (768, 5.0));
+    assert_eq!(cloud.positions.get(40)[2], f32::from(raw[0].raw[40]) / 1000.0);
+
+    let output = folder.path().join("smooth.mcap");
+    let topics = ["/depth/image", "/depth/png", "/points"].map(str::to_owned).to_vec();
+    let options = SmoothBagOptions::default().with_topics(topics);
+    let report =
+        smooth_bag(&foxglove(), &output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ()).unwrap();
+    let counts: Vec<_> = report.topics.iter().map(|topic| (topic.smoothed, topic.failed)).collect();
+    assert_eq!((counts, report.copied), (vec![(2, 0); 3], 4));
+    let smoothed: Vec<DepthFrame> = frames(&output, "/depth/image").iter().map(depth).collect();
+    // A plane: each column has one depth.
+    let spread = |frame: &DepthFrame| {
+        let column: Vec<f64> = (1..24).map(|v| f64::from(frame.raw[32 * v + 16])).collect();
+        let mean = column.iter().sum::<f64>() / 23.0;
+        (column.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / 23.0).sqrt()
+    };
+    assert!(spread(&smoothed[0]) < 0.5 * spread(&raw[0]), "{} {}", spread(&smoothed[0]), spread(&raw[0]));
+    assert_eq!((smoothed[1].timestamp_s, smoothed[0].camera), (raw[1].timestamp_s, raw[0].camera));
+    assert_eq!(frames(&output, "/depth/png").iter().map(depth).collect::<Vec<_>>(), smoothed);
+    let (again, _) = BagSource::open(&output, Some("/points"), None, None).unwrap().next_cloud().unwrap().unwrap();
+    assert_eq!(again.attributes, cloud.attributes);
+    assert_ne!(again.positions, cloud.positions);
+}

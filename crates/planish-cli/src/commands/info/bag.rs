@@ -34,7 +34,7 @@ struct OtherInfo<'a> {
 struct TopicInfo<'a> {
     topic: &'a str,
     #[serde(rename = "type")]
-    type_name: &'static str,
+    type_name: &'a str,
     messages: Option<u64>,
     encoding: &'a str,
     frame_id: &'a str,
@@ -45,7 +45,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
     let survey = Survey::of(file, &args.reading.read_options())?;
     let topics = survey.topics.iter().map(|topic| TopicInfo {
         topic: &topic.name,
-        type_name: topic.kind.type_name(),
+        type_name: &topic.type_name,
         messages: topic.messages,
         encoding: &topic.encoding,
         frame_id: &topic.frame_id,

@@ -1,0 +1,320 @@
+//! Foxglove's messages in Protocol Buffers: images, clouds and cameras, as the messages of ROS that they are like.
+//!
+//! Fields are read by their numbers in Foxglove's published schemas. A smoothed message is the original one with other
+//! data, so that fields unknown here are kept.
+
+use super::super::ros::{CameraInfo, DepthMessage, DepthPixels, Header, Image, PointCloud2, PointField, Time};
+use planish_core::FormatError;
+use planish_io::ReadOptions;
+use planish_io::internal::{decode_depth_png, encode_depth_png, quoted};
+
+pub(super) const MESSAGE_ENCODING: &str = "protobuf";
+pub(super) const IMAGE_TYPE: &str = "foxglove.RawImage";
+pub(super) const COMPRESSED_TYPE: &str = "foxglove.CompressedImage";
+pub(super) const CLOUD_TYPE: &str = "foxglove.PointCloud";
+pub(super) const CAMERA_TYPE: &str = "foxglove.CameraCalibration";
+
+/// Numbers of Foxglove's types of values, in the order of ROS's: i8, u8, i16, u16, i32, u32, f32, f64.
+const TYPES: [u64; 8] = [2, 1, 4, 3, 6, 5, 7, 8];
+
+/// A value of a message.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Value<'a> {
+    Varint(u64),
+    Eight([u8; 8]),
+    Bytes(&'a [u8]),
+    Four([u8; 4]),
+}
+
+/// A field: its number, its value, and its bytes in the message.
+type Field<'a> = (u64, Value<'a>, &'a [u8]);
+
+/// The fields of a message, in order.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = Result<Field<'a>, FormatError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let message = self.0;
+        if message.is_empty() {
+            return None;
+        }
+        let field = (|| {
+            let key = varint(&mut self.0)?;
+            let value = match key & 7 {
+                0 => Value::Varint(varint(&mut self.0)?),
+                1 => Value::Eight(take(&mut self.0, 8)?.try_into().ok()?),
+                2 => {
+                    let length = usize::try_from(varint(&mut self.0)?).ok()?;
+                    Value::Bytes(take(&mut self.0, length)?)
+                }
+                5 => Value::Four(take(&mut self.0, 4)?.try_into().ok()?),
+                _ => return None,
+            };
+            Some((key >> 3, value, &message[..message.len() - self.0.len()]))
+        })();
+        if field.is_none() {
+            self.0 = &[];
+        }
+        Some(field.ok_or_else(|| FormatError::Malformed("a damaged message of Foxglove".into())))
+    }
+}
+
+fn take<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
+    let (taken, rest) = bytes.split_at_checked(count)?;
+    *bytes = rest;
+    Some(taken)
+}
+
+fn varint(bytes: &mut &[u8]) -> Option<u64> {
+    let mut value = 0u64;
+    for shift in (0..64).step_by(7) {
+        let [byte] = *take(bytes, 1)? else { return None };
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte < 0x80 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+fn push_varint(message: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        message.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    message.push(value as u8);
+}
+
+fn push_bytes(message: &mut Vec<u8>, number: u64, bytes: &[u8]) {
+    push_varint(message, number << 3 | 2);
+    push_varint(message, bytes.len() as u64);
+    message.extend(bytes);
+}
+
+fn push_four(message: &mut Vec<u8>, number: u64, value: u32) {
+    push_varint(message, number << 3 | 5);
+    message.extend(value.to_le_bytes());
+}
+
+impl Value<'_> {
+    fn u32(self) -> u32 {
+        match self {
+            Value::Four(bytes) => u32::from_le_bytes(bytes),
+            Value::Varint(value) => u32::try_from(value).unwrap_or(u32::MAX),
+            _ => 0,
+        }
+    }
+
+    fn text(self) -> String {
+        match self {
+            Value::Bytes(bytes) => String::from_utf8_lossy(bytes).into_owned(),
+            _ => String::new(),
+        }
+    }
+
+    /// Appends the numbers of a list, which is packed or has a field for each.
+    fn push_to(self, numbers: &mut Vec<f64>) {
+        match self {
+            Value::Eight(bytes) => numbers.push(f64::from_le_bytes(bytes)),
+            Value::Bytes(bytes) => {
+                numbers.extend(bytes.as_chunks::<8>().0.iter().map(|eight| f64::from_le_bytes(*eight)))
+            }
+            _ => {}
+        }
+    }
+
+    fn time(self) -> Result<Time, FormatError> {
+        let Value::Bytes(bytes) = self else { return Ok(Time::default()) };
+        let mut time = Time::default();
+        for field in Fields(bytes) {
+            match field? {
+                // A negative number has all bits above it set.
+                (1, Value::Varint(seconds), _) => time.sec = i32::try_from(seconds as i64).unwrap_or_default(),
+                (2, Value::Varint(nanoseconds), _) => time.nanosec = u32::try_from(nanoseconds).unwrap_or_default(),
+                _ => {}
+            }
+        }
+        Ok(time)
+    }
+
+    fn bytes(self) -> Vec<u8> {
+        if let Value::Bytes(bytes) = self { bytes.to_vec() } else { Vec::new() }
+    }
+}
+
+/// Reads a `RawImage`.
+pub(super) fn image(message: &[u8]) -> Result<Image, FormatError> {
+    let mut image = Image::default();
+    for field in Fields(message) {
+        match field? {
+            (1, value, _) => image.header.stamp = value.time()?,
+            (2, value, _) => image.width = value.u32(),
+            (3, value, _) => image.height = value.u32(),
+            (4, value, _) => image.encoding = value.text(),
+            (5, value, _) => image.step = value.u32(),
+            (6, value, _) => image.data = value.bytes(),
+            (7, value, _) => image.header.frame_id = value.text(),
+            _ => {}
+        }
+    }
+    Ok(image)
+}
+
+/// A `CompressedImage`: stamp and frame, format, and the image as a file.
+pub(super) struct CompressedImage {
+    pub(super) header: Header,
+    pub(super) format: String,
+    data: Vec<u8>,
+}
+
+pub(super) fn compressed_image(message: &[u8]) -> Result<CompressedImage, FormatError> {
+    let mut image = CompressedImage { header: Header::default(), format: String::new(), data: Vec::new() };
+    for field in Fields(message) {
+        match field? {
+            (1, value, _) => image.header.stamp = value.time()?,
+            (2, value, _) => image.data = value.bytes(),
+            (3, value, _) => image.format = value.text(),
+            (4, value, _) => image.header.frame_id = value.text(),
+            _ => {}
+        }
+    }
+    Ok(image)
+}
+
+impl CompressedImage {
+    /// Returns true for a PNG of 16-bit grey.
+    pub(super) fn is_depth(&self) -> bool {
+        const HEADER: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
+        self.data.starts_with(HEADER) && self.data.get(24..26) == Some(&[16, 0])
+    }
+
+    /// Returns the image without compression.
+    pub(super) fn image(self, options: &ReadOptions) -> Result<Image, FormatError> {
+        if !self.is_depth() {
+            return Err(FormatError::Unsupported(format!(
+                "a compressed image in the format {}; depth is a PNG of 16-bit grey",
+                quoted(&self.format)
+            )));
+        }
+        let depth = decode_depth_png(&self.data, options)?;
+        Ok(Image::of_depth(self.header, &DepthPixels::Millimetres(depth)))
+    }
+}
+
+/// Reads a `PointCloud`, which has no grid.
+pub(super) fn cloud(message: &[u8]) -> Result<PointCloud2, FormatError> {
+    let mut cloud = PointCloud2 { height: 1, ..PointCloud2::default() };
+    for field in Fields(message) {
+        match field? {
+            (1, value, _) => cloud.header.stamp = value.time()?,
+            (2, value, _) => cloud.header.frame_id = value.text(),
+            (4, value, _) => cloud.point_step = value.u32(),
+            (5, Value::Bytes(bytes), _) => cloud.fields.push(point_field(bytes)?),
+            (6, value, _) => cloud.data = value.bytes(),
+            _ => {}
+        }
+    }
+    if cloud.point_step == 0 {
+        return Err(FormatError::Malformed("a cloud whose points have no bytes".into()));
+    }
+    cloud.width = u32::try_from(cloud.data.len() / cloud.point_step as usize).unwrap_or(u32::MAX);
+    cloud.row_step = cloud.width.saturating_mul(cloud.point_step);
+    cloud.data.truncate(cloud.row_step as usize);
+    Ok(cloud)
+}
+
+fn point_field(bytes: &[u8]) -> Result<PointField, FormatError> {
+    let mut found = PointField { count: 1, ..PointField::default() };
+    for field in Fields(bytes) {
+        match field? {
+            (1, value, _) => found.name = value.text(),
+            (2, value, _) => found.offset = value.u32(),
+            (3, Value::Varint(kind), _) => {
+                found.datatype = TYPES.iter().position(|known| *known == kind).map_or(0, |at| at as u8 + 1);
+            }
+            _ => {}
+        }
+    }
+    Ok(found)
+}
+
+/// Reads a `CameraCalibration`.
+pub(super) fn camera(message: &[u8]) -> Result<CameraInfo, FormatError> {
+    let mut info = CameraInfo::default();
+    let [mut k, mut r, mut p] = [const { Vec::new() }; 3];
+    for field in Fields(message) {
+        match field? {
+            (1, value, _) => info.header.stamp = value.time()?,
+            (2, value, _) => info.width = value.u32(),
+            (3, value, _) => info.height = value.u32(),
+            (4, value, _) => info.distortion_model = value.text(),
+            (5, value, _) => value.push_to(&mut info.d),
+            (6, value, _) => value.push_to(&mut k),
+            (7, value, _) => value.push_to(&mut r),
+            (8, value, _) => value.push_to(&mut p),
+            (9, value, _) => info.header.frame_id = value.text(),
+            _ => {}
+        }
+    }
+    // A matrix that was left out is one of zeros.
+    info.k = k.try_into().unwrap_or_default();
+    info.r = r.try_into().unwrap_or_default();
+    info.p = p.try_into().unwrap_or_default();
+    Ok(info)
+}
+
+/// Copies the fields of a message but for these.
+fn without(message: &[u8], numbers: &[u64]) -> Result<Vec<u8>, FormatError> {
+    let mut kept = Vec::with_capacity(message.len());
+    for field in Fields(message) {
+        let (number, _, bytes) = field?;
+        if !numbers.contains(&number) {
+            kept.extend_from_slice(bytes);
+        }
+    }
+    Ok(kept)
+}
+
+/// Returns a `RawImage` with the depth of another.
+pub(super) fn with_image(original: &[u8], image: &Image) -> Result<Vec<u8>, FormatError> {
+    let mut message = without(original, &[5, 6])?;
+    push_four(&mut message, 5, image.step);
+    push_bytes(&mut message, 6, &image.data);
+    Ok(message)
+}
+
+/// Returns a `CompressedImage` with other depth.
+pub(super) fn with_compressed_image(
+    original: &[u8],
+    image: &Image,
+    options: &ReadOptions,
+) -> Result<Vec<u8>, FormatError> {
+    let mut message = without(original, &[2])?;
+    match DepthMessage::Image(image.clone()).pixels(options)? {
+        DepthPixels::Millimetres(depth) => push_bytes(&mut message, 2, &encode_depth_png(&depth)?),
+        DepthPixels::Metres { .. } => return Err(FormatError::Unsupported("a PNG of floats".into())),
+    }
+    Ok(message)
+}
+
+/// Returns a `PointCloud` with other points.
+pub(super) fn with_cloud(original: &[u8], cloud: &PointCloud2) -> Result<Vec<u8>, FormatError> {
+    let mut message = without(original, &[4, 5, 6])?;
+    push_four(&mut message, 4, cloud.point_step);
+    for PointField { name, offset, datatype, count } in &cloud.fields {
+        let kind = TYPES.get(usize::from(*datatype).wrapping_sub(1)).filter(|_| *count == 1);
+        let Some(kind) = kind else {
+            return Err(FormatError::Unsupported(format!("the field {} of {count} values", quoted(name))));
+        };
+        let mut field = Vec::new();
+        push_bytes(&mut field, 1, name.as_bytes());
+        push_four(&mut field, 2, *offset);
+        push_varint(&mut field, 3 << 3);
+        push_varint(&mut field, *kind);
+        push_bytes(&mut message, 5, &field);
+    }
+    push_bytes(&mut message, 6, &cloud.data);
+    Ok(message)
+}
