@@ -52,6 +52,7 @@ mod smoothed;
 mod smoother;
 mod smoothing_engine;
 mod status;
+mod strided;
 mod temporal;
 #[cfg(test)]
 mod testing;
@@ -94,6 +95,7 @@ pub use simd_level::SimdLevel;
 pub use smoothed::Smoothed;
 pub use smoother::Smoother;
 pub use status::{Origin, Status};
+pub use strided::StridedMut;
 pub use temporal::{CameraMotion, TemporalFilter, TemporalParams};
 pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};

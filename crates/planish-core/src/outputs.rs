@@ -4,6 +4,7 @@ use crate::error::{FrameError, ParamError};
 use crate::frame::PointsView;
 use crate::smoothed::Smoothed;
 use crate::status::Status;
+use crate::strided::StridedMut;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
@@ -171,6 +172,8 @@ pub enum VectorsMut<'a> {
     Rows(&'a mut [[f32; 3]]),
     /// x, y, z and a fourth value that is left unchanged.
     Rows4(&'a mut [[f32; 4]]),
+    /// x, y and z of larger structs.
+    Strided(StridedMut<'a>),
 }
 
 impl<'a> VectorsMut<'a> {
@@ -179,6 +182,7 @@ impl<'a> VectorsMut<'a> {
             Self::Planes([x, y, z]) => VectorsMut::Planes([x, y, z]),
             Self::Rows(rows) => VectorsMut::Rows(rows),
             Self::Rows4(rows) => VectorsMut::Rows4(rows),
+            Self::Strided(vectors) => VectorsMut::Strided(vectors.reborrow()),
         }
     }
 
@@ -198,6 +202,10 @@ impl<'a> VectorsMut<'a> {
                 let (rows, rest) = rows.split_at_mut(at);
                 (Self::Rows4(rows), Self::Rows4(rest))
             }
+            Self::Strided(vectors) => {
+                let (vectors, rest) = vectors.split_at(at);
+                (Self::Strided(vectors), Self::Strided(rest))
+            }
         }
     }
 
@@ -208,6 +216,7 @@ impl<'a> VectorsMut<'a> {
             Self::Planes([x, y, z]) => [x[i], y[i], z[i]] = value,
             Self::Rows(rows) => rows[i] = value,
             Self::Rows4(rows) => rows[i][..3].copy_from_slice(&value),
+            Self::Strided(vectors) => vectors.set(i, value),
         }
     }
 
@@ -218,6 +227,7 @@ impl<'a> VectorsMut<'a> {
             Self::Rows4(rows) => {
                 rows.iter_mut().zip(from.iter()).for_each(|(row, value)| row[..3].copy_from_slice(&value))
             }
+            Self::Strided(vectors) => from.iter().enumerate().for_each(|(i, value)| vectors.set(i, value)),
         }
     }
 
@@ -226,6 +236,7 @@ impl<'a> VectorsMut<'a> {
             Self::Planes([x, _, _]) => x[i].is_nan(),
             Self::Rows(rows) => rows[i][0].is_nan(),
             Self::Rows4(rows) => rows[i][0].is_nan(),
+            Self::Strided(vectors) => vectors.get(i)[0].is_nan(),
         }
     }
 
@@ -234,6 +245,7 @@ impl<'a> VectorsMut<'a> {
             Self::Planes([x, y, z]) => [x.len(), y.len(), z.len()],
             Self::Rows(rows) => [rows.len(); 3],
             Self::Rows4(rows) => [rows.len(); 3],
+            Self::Strided(vectors) => [vectors.len(); 3],
         };
         check_len(what, lengths.into_iter().find(|&len| len != expected).unwrap_or(expected), expected)
     }
@@ -266,6 +278,12 @@ impl<'a> From<&'a mut Vec<[f32; 3]>> for VectorsMut<'a> {
 impl<'a> From<&'a mut [[f32; 4]]> for VectorsMut<'a> {
     fn from(rows: &'a mut [[f32; 4]]) -> Self {
         Self::Rows4(rows)
+    }
+}
+
+impl<'a> From<StridedMut<'a>> for VectorsMut<'a> {
+    fn from(vectors: StridedMut<'a>) -> Self {
+        Self::Strided(vectors)
     }
 }
 

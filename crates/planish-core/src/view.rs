@@ -1,5 +1,7 @@
 //! A received result, in memory written by the device or in an owned buffer.
 
+use crate::error::FrameError;
+use crate::outputs::{Outputs, SmoothedMut};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::timings::FrameTimings;
@@ -172,6 +174,47 @@ impl SmoothedView {
     /// Time spent in each stage of this frame, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) is set.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.timings
+    }
+
+    /// Copies the result into the caller's buffers.
+    ///
+    /// # Errors
+    /// If a buffer has another length, or is for an output that the result lacks.
+    pub fn copy_into(&self, mut out: SmoothedMut<'_>) -> Result<(), FrameError> {
+        fn copy<T: Copy>(to: Option<&mut [T]>, from: Option<impl IntoIterator<Item = T>>) {
+            if let (Some(to), Some(from)) = (to, from) {
+                to.iter_mut().zip(from).for_each(|(to, from)| *to = from);
+            }
+        }
+        let (width, height) = self.shape();
+        out.check(width * height, self.outputs())?;
+        for (from, to) in [(self.points(), &mut out.points), (self.normals(), &mut out.normals)] {
+            if let (Some([x, y, z]), Some(to)) = (from, to) {
+                x.iter().zip(y).zip(z).enumerate().for_each(|(i, ((&x, &y), &z))| to.set(i, [x, y, z]));
+            }
+        }
+        copy(out.curvature, self.curvature().map(|values| values.iter().copied()));
+        copy(out.depth, self.depth_rows().map(|rows| rows.flatten().copied()));
+        copy(out.depth_m, self.depth_m().map(|values| values.iter().copied()));
+        copy(out.frames, self.frames().map(|values| values.iter().copied()));
+        copy(out.sigma, self.sigma().map(|values| values.iter().copied()));
+        copy(out.status, self.status());
+        copy(out.neighbours, self.neighbours());
+        Ok(())
+    }
+
+    /// Returns the outputs that the result has.
+    fn outputs(&self) -> Outputs {
+        Outputs::NONE
+            .with_points(self.points().is_some())
+            .with_normals(self.normals().is_some())
+            .with_curvature(self.curvature().is_some())
+            .with_status(self.status().is_some())
+            .with_neighbours(self.neighbours().is_some())
+            .with_depth(self.depth_rows().is_some())
+            .with_depth_m(self.depth_m().is_some())
+            .with_frames(self.frames().is_some())
+            .with_sigma(self.sigma().is_some())
     }
 
     /// Copies the whole result; on a GPU into the buffers that `out` has.

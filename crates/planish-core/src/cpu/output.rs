@@ -150,6 +150,7 @@ impl<'a> OutputRows<'a> {
                 VectorsMut::Planes(planes) => planes.iter_mut().for_each(|plane| plane[at.clone()].fill(f32::NAN)),
                 VectorsMut::Rows(rows) => rows[at.clone()].fill([f32::NAN; 3]),
                 VectorsMut::Rows4(rows) => rows[at.clone()].iter_mut().for_each(|row| row[..3].fill(f32::NAN)),
+                VectorsMut::Strided(vectors) => at.clone().for_each(|i| vectors.set(i, [f32::NAN; 3])),
             }
         }
         if let Some(curvature) = &mut self.out.curvature {
@@ -190,6 +191,12 @@ fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, ve
             let lanes = x.as_slice().iter().zip(y.as_slice()).zip(z.as_slice());
             for (row, ((&x, &y), &z)) in rows[at].iter_mut().zip(lanes) {
                 row[..3].copy_from_slice(&[x, y, z]);
+            }
+        }
+        VectorsMut::Strided(vectors) => {
+            let lanes = x.as_slice().iter().zip(y.as_slice()).zip(z.as_slice());
+            for (i, ((&x, &y), &z)) in at.zip(lanes) {
+                vectors.set(i, [x, y, z]);
             }
         }
     }

@@ -94,6 +94,14 @@ impl<'a> DepthView<'a> {
         }
     }
 
+    /// Returns the colours that were set.
+    pub fn rgb(&self) -> Option<&'a [u8]> {
+        match self.colours {
+            Some(Colours::Bytes(rgb)) => Some(rgb),
+            _ => None,
+        }
+    }
+
     pub(super) fn colours(&self) -> Option<Colours<'a>> {
         self.colours
     }
@@ -183,7 +191,8 @@ impl<'a> DepthView<'a> {
         })
     }
 
-    pub(crate) fn is_metres(&self) -> bool {
+    /// Returns true for depth in metres, false for raw units.
+    pub fn is_metres(&self) -> bool {
         matches!(self.samples, DepthSamples::F32(_))
     }
 }

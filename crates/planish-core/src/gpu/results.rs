@@ -122,6 +122,16 @@ pub(super) fn spawn_copying<'s>(scope: &rayon::Scope<'s>, from: [&'s [f32]; 3], 
         }
         VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
         VectorsMut::Rows4(to) => spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz)),
+        VectorsMut::Strided(mut to) => {
+            let mut begin = 0;
+            while begin < from[0].len() {
+                let end = from[0].len().min(begin + VECTORS_PER_TASK);
+                let (mut part, rest) = to.split_at(end - begin);
+                let from = from.map(|channel| &channel[begin..end]);
+                scope.spawn(move |_| (0..part.len()).for_each(|i| part.set(i, from.map(|channel| channel[i]))));
+                (to, begin) = (rest, end);
+            }
+        }
     }
 }
 

@@ -70,6 +70,13 @@ impl<'a> GeneralResults<'a> {
                             put(own, to, from, |row, value| row[axis] = value);
                         }
                     }),
+                    VectorsMut::Strided(mut to) => scope.spawn(move |_| {
+                        let mut rows: Vec<[f32; 3]> = (0..to.len()).map(|i| to.get(i)).collect();
+                        for (axis, from) in from.into_iter().enumerate() {
+                            put(own, &mut rows, from, |row, value| row[axis] = value);
+                        }
+                        rows.into_iter().enumerate().for_each(|(i, row)| to.set(i, row));
+                    }),
                 }
             }
             if let (Some(channel), Some(to)) = (self.layout.curvature(), out.curvature) {
@@ -102,6 +109,9 @@ pub(super) fn repeat(out: SmoothedMut<'_>, pairs: &[(u32, u32)]) {
             }
             VectorsMut::Rows(rows) => copy(rows, pairs, |to, from| *to = from),
             VectorsMut::Rows4(rows) => copy(rows, pairs, |to, [x, y, z, _]| to[..3].copy_from_slice(&[x, y, z])),
+            VectorsMut::Strided(mut vectors) => {
+                pairs.iter().for_each(|&(from, to)| vectors.set(to as usize, vectors.get(from as usize)));
+            }
         }
     }
     if let Some(curvature) = out.curvature {

@@ -1,0 +1,148 @@
+//! Memory of the caller: where it begins and ends, and what of it must not be shared.
+
+use std::ffi::{CStr, c_char};
+
+use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
+
+/// A buffer of items with gaps between them: where it begins, bytes of an item, bytes from one item to the next, items.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Extent {
+    what: &'static str,
+    begin: usize,
+    item: usize,
+    stride: usize,
+    count: usize,
+}
+
+impl Extent {
+    /// Checks that a buffer is not null, is aligned, has room between its items, and ends within the address space.
+    pub(crate) fn new<T>(
+        what: &'static str,
+        pointer: *const T,
+        align: usize,
+        (item, stride, count): (usize, usize, usize),
+    ) -> Done<Self> {
+        let begin = pointer.addr();
+        if pointer.is_null() {
+            return failure(PLANISH_NULL, format!("{what} is null"));
+        }
+        if !begin.is_multiple_of(align) || !stride.is_multiple_of(align) {
+            let text =
+                format!("{what} is at an address, or has a stride of {stride} bytes, that is no multiple of {align}");
+            return failure(PLANISH_ARGUMENT, text);
+        }
+        if stride < item && count > 1 {
+            return failure(PLANISH_ARGUMENT, format!("{what} has a stride of {stride} bytes, but {item} are needed"));
+        }
+        let extent = Self { what, begin, item, stride, count };
+        let fits =
+            extent.bytes().is_some_and(|bytes| bytes <= isize::MAX as usize && begin.checked_add(bytes).is_some());
+        if !fits {
+            return failure(
+                PLANISH_ARGUMENT,
+                format!("{what} of {count} items every {stride} bytes ends beyond the address space"),
+            );
+        }
+        Ok(extent)
+    }
+
+    /// Bytes from the beginning of the first item to the end of the last.
+    pub(crate) fn bytes(&self) -> Option<usize> {
+        let Some(last) = self.count.checked_sub(1) else { return Some(0) };
+        last.checked_mul(self.stride)?.checked_add(self.item)
+    }
+
+    /// Returns true if a byte of an item belongs to an item of the other too.
+    fn overlaps(&self, other: &Self) -> bool {
+        let (end, other_end) = (self.begin + self.bytes().unwrap_or(0), other.begin + other.bytes().unwrap_or(0));
+        if self.begin >= other_end || other.begin >= end {
+            return false;
+        }
+        // Members of the same structs lie in each other's gaps.
+        if self.stride != other.stride || self.item > self.stride || other.item > other.stride {
+            return true;
+        }
+        let apart = other.begin.wrapping_sub(self.begin) as isize;
+        let apart = apart.rem_euclid(self.stride as isize) as usize;
+        apart < self.item || apart + other.item > self.stride
+    }
+}
+
+/// Refuses buffers to write that share memory with each other or with what is read.
+pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
+    for (i, buffer) in written.iter().enumerate() {
+        // What is read may not even lie between what is written: it is borrowed as a whole.
+        let whole = |other: &&Extent| {
+            let end = |extent: &Extent| extent.begin + extent.bytes().unwrap_or(0);
+            buffer.begin < end(other) && other.begin < end(buffer)
+        };
+        let shared = read.iter().find(whole).or_else(|| written[..i].iter().find(|other| other.overlaps(buffer)));
+        if let Some(other) = shared {
+            let text = format!("{} and {} overlap; give them memory of their own", buffer.what, other.what);
+            return failure(PLANISH_ARGUMENT, text);
+        }
+    }
+    Ok(())
+}
+
+/// Reads a struct whose first member is its size, as this version or an older one of the library knows it: what is
+/// missing is 0. `least` is the size of the first version.
+///
+/// # Safety
+/// The pointer is null, or `size` bytes are readable at it.
+pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize) -> Done<T> {
+    if pointer.is_null() {
+        return failure(PLANISH_NULL, format!("{what} is null"));
+    }
+    if !pointer.is_aligned() {
+        return failure(PLANISH_ARGUMENT, format!("{what} is not aligned"));
+    }
+    // SAFETY: the size is the first member.
+    let size = unsafe { pointer.cast::<usize>().read() };
+    if size < least || size > 1 << 12 {
+        let text = format!("{what} has a size of {size} bytes; set its first member to its sizeof, {}", size_of::<T>());
+        return failure(PLANISH_ARGUMENT, text);
+    }
+    let mut value = std::mem::MaybeUninit::<T>::zeroed();
+    // SAFETY: as many bytes are readable, and there is room for them. All members may be 0.
+    unsafe {
+        let bytes = size.min(size_of::<T>());
+        std::ptr::copy_nonoverlapping(pointer.cast::<u8>(), value.as_mut_ptr().cast::<u8>(), bytes);
+        Ok(value.assume_init())
+    }
+}
+
+/// Reads a text.
+///
+/// # Safety
+/// The pointer is null, or a text that ends with a zero.
+pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a str> {
+    if pointer.is_null() {
+        return failure(PLANISH_NULL, format!("{what} is null"));
+    }
+    // SAFETY: as the caller promises.
+    let text = unsafe { CStr::from_ptr(pointer) };
+    text.to_str().or_else(|_| failure(PLANISH_ARGUMENT, format!("{what} is not UTF-8")))
+}
+
+/// Writes a text into the caller's buffer, cut off where that ends, and its length without the zero.
+///
+/// # Safety
+/// The buffer is null or has room for `capacity` bytes; the length is null or writable.
+pub(crate) unsafe fn write_text(text: &str, buffer: *mut c_char, capacity: usize, length: *mut usize) {
+    if let Some(room) = capacity.checked_sub(1).filter(|_| !buffer.is_null()) {
+        let mut end = text.len().min(room);
+        while !text.is_char_boundary(end) {
+            end -= 1;
+        }
+        // SAFETY: there is room for these bytes and a zero.
+        unsafe {
+            std::ptr::copy_nonoverlapping(text.as_ptr(), buffer.cast(), end);
+            buffer.add(end).write(0);
+        }
+    }
+    if !length.is_null() {
+        // SAFETY: as the caller promises.
+        unsafe { length.write(text.len()) };
+    }
+}

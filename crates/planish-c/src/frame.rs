@@ -1,0 +1,297 @@
+//! Frames and cameras of the caller.
+
+use std::ffi::{c_char, c_void};
+use std::slice;
+
+use planish::{
+    Camera, DepthView, Distortion, Frame, IntoFrame, PointLayout, PointsView, Scalar, SensorPose,
+    internal::validate_shape,
+};
+
+use crate::buffers::{Extent, sized, text};
+use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
+
+/// Depth in the camera's units; 0 and 65535 are holes.
+pub const PLANISH_DEPTH_U16: u32 = 1;
+/// Depth in metres; values that are not finite or not positive are holes.
+pub const PLANISH_DEPTH_F32: u32 = 2;
+/// Interleaved points in metres; a point that is not finite is a hole.
+pub const PLANISH_POINTS_F32: u32 = 3;
+/// The same in double precision.
+pub const PLANISH_POINTS_F64: u32 = 4;
+/// Points as three arrays of x, y and z.
+pub const PLANISH_PLANES_F32: u32 = 5;
+/// The same in double precision.
+pub const PLANISH_PLANES_F64: u32 = 6;
+
+/// A pinhole camera.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct planish_camera {
+    /// sizeof(planish_camera).
+    pub size: usize,
+    /// Pixels of its images.
+    pub width: usize,
+    /// Rows of its images.
+    pub height: usize,
+    /// Focal length in pixels.
+    pub fx: f64,
+    /// Focal length in pixels.
+    pub fy: f64,
+    /// Principal point in pixels from the centre of the first one.
+    pub cx: f64,
+    /// Principal point in pixels.
+    pub cy: f64,
+    /// Depth units in a metre; 0 means 1000, for millimetres.
+    pub depth_units_per_metre: f64,
+    /// The name of the lens distortion in ROS, OpenCV or Kalibr, such as "plumb_bob" or "equidistant"; null for
+    /// OpenCV's.
+    pub distortion_model: *const c_char,
+    /// The coefficients of the distortion; null for none.
+    pub distortion: *const f64,
+    /// How many there are.
+    pub distortion_count: usize,
+}
+
+/// A depth image, or points. It is borrowed until the call returns.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct planish_frame {
+    /// sizeof(planish_frame).
+    pub size: usize,
+    /// What it is: one of PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
+    /// PLANISH_PLANES_F32, PLANISH_PLANES_F64.
+    pub kind: u32,
+    /// Columns, or the number of points without a grid.
+    pub width: usize,
+    /// Rows; 1 for points without a grid.
+    pub height: usize,
+    /// The first depth value, or the first interleaved point.
+    pub data: *const c_void,
+    /// Bytes from one row to the next; 0 if rows follow each other without a gap.
+    pub row_stride: usize,
+    /// Bytes from one interleaved point to the next; 0 if they follow each other without a gap.
+    pub point_stride: usize,
+    /// Bytes from the beginning of an interleaved point to its x, y and z; all 0 if they come first.
+    pub offsets: [usize; 3],
+    /// x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
+    pub planes: [*const c_void; 3],
+    /// The camera of a depth image. Points on a grid may have one: then depth can be had of them.
+    pub camera: *const planish_camera,
+    /// Where the sensor is in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if it is
+    /// not known; ignored for depth images.
+    pub pose: *const f64,
+    /// x, y, z of an origin near the points, to which results are relative; null for (0, 0, 0). Georeferenced points
+    /// need one.
+    pub origin_m: *const f64,
+    /// Colours of a depth image, red, green and blue of each pixel without gaps; null for none.
+    pub rgb: *const u8,
+}
+
+/// The caller's frame, checked: its camera, and where it lies.
+pub(crate) struct Given {
+    frame: planish_frame,
+    camera: Option<Camera>,
+    pub(crate) extents: Vec<Extent>,
+}
+
+/// Reads an array of doubles.
+///
+/// # Safety
+/// The pointer is null, or has as many values.
+pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const f64) -> Done<Option<[f64; N]>> {
+    if pointer.is_null() {
+        return Ok(None);
+    }
+    Extent::new(what, pointer, align_of::<f64>(), (8 * N, 8 * N, 1))?;
+    // SAFETY: as the caller promises.
+    Ok(Some(unsafe { pointer.cast::<[f64; N]>().read() }))
+}
+
+/// # Safety
+/// As of [`planish_frame`].
+unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
+    // SAFETY: as the caller promises.
+    let given = unsafe { sized("the camera", pointer, size_of::<planish_camera>())? };
+    let mut camera = Camera::new((given.width, given.height), [given.fx, given.fy], [given.cx, given.cy]);
+    if given.depth_units_per_metre != 0.0 {
+        camera = camera.with_depth_units_per_metre(given.depth_units_per_metre);
+    }
+    if !given.distortion.is_null() {
+        const MOST: usize = 64;
+        if given.distortion_count > MOST {
+            let text = format!("{} coefficients of distortion; models have 4 to 8", given.distortion_count);
+            return failure(PLANISH_ARGUMENT, text);
+        }
+        let what = "distortion";
+        Extent::new(what, given.distortion, align_of::<f64>(), (8 * given.distortion_count, 8, 1))?;
+        // SAFETY: as the caller promises.
+        let coefficients = unsafe { slice::from_raw_parts(given.distortion, given.distortion_count) };
+        let model = match given.distortion_model.is_null() {
+            true => "",
+            // SAFETY: as the caller promises.
+            false => unsafe { text("distortion_model", given.distortion_model)? },
+        };
+        let distortion = Distortion::of_model(model, coefficients);
+        camera = camera.with_distortion(distortion.or_else(|error| failure(PLANISH_ARGUMENT, error.to_string()))?);
+    }
+    camera.validate()?;
+    Ok(camera)
+}
+
+impl Given {
+    /// Checks the caller's frame.
+    ///
+    /// # Safety
+    /// The pointer is null, or points to a frame whose own pointers are null or as its members state.
+    pub(crate) unsafe fn new(pointer: *const planish_frame) -> Done<Self> {
+        // SAFETY: as the caller promises.
+        let mut frame = unsafe { sized("the frame", pointer, size_of::<planish_frame>())? };
+        let camera = match frame.camera.is_null() {
+            true => None,
+            // SAFETY: as the caller promises.
+            false => Some(unsafe { camera_of(frame.camera)? }),
+        };
+        let (width, height) = (frame.width, frame.height);
+        let scalar = match frame.kind {
+            PLANISH_DEPTH_U16 => 2,
+            PLANISH_DEPTH_F32 | PLANISH_POINTS_F32 | PLANISH_PLANES_F32 => 4,
+            PLANISH_POINTS_F64 | PLANISH_PLANES_F64 => 8,
+            other => return failure(PLANISH_ARGUMENT, format!("the frame's kind is {other}, which is none")),
+        };
+        let is_depth = matches!(frame.kind, PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32);
+        // An unorganized cloud may be empty.
+        if is_depth || height != 1 || width != 0 {
+            validate_shape(width, height)?;
+        }
+        let mut extents = Vec::new();
+        match frame.kind {
+            PLANISH_PLANES_F32 | PLANISH_PLANES_F64 => {
+                for (what, plane) in
+                    ["the plane of x", "the plane of y", "the plane of z"].into_iter().zip(frame.planes)
+                {
+                    extents.push(Extent::new(what, plane, scalar, (scalar * width * height, 0, 1))?);
+                }
+            }
+            _ => {
+                let (item, align) = if is_depth { (scalar, scalar) } else { (point_bytes(&mut frame, scalar)?, 1) };
+                let point_stride = if is_depth { scalar } else { frame.point_stride };
+                let Some(row) = (width.max(1) - 1).checked_mul(point_stride).and_then(|row| row.checked_add(item))
+                else {
+                    return failure(PLANISH_ARGUMENT, format!("a point stride of {point_stride} bytes is too large"));
+                };
+                if frame.row_stride == 0 {
+                    let Some(tight) = width.checked_mul(point_stride) else {
+                        return failure(
+                            PLANISH_ARGUMENT,
+                            format!("a point stride of {point_stride} bytes is too large"),
+                        );
+                    };
+                    frame.row_stride = tight;
+                }
+                // An empty cloud has no data.
+                if width * height > 0 {
+                    extents.push(Extent::new("the frame's data", frame.data, align, (row, frame.row_stride, height))?);
+                }
+            }
+        }
+        if is_depth {
+            let Some(camera) = camera else {
+                return failure(PLANISH_NULL, "a depth image needs its camera, which is null");
+            };
+            camera.check_shape((width, height))?;
+        }
+        if !frame.rgb.is_null() {
+            extents.push(Extent::new("rgb", frame.rgb, 1, (3 * width * height, 0, 1))?);
+        }
+        Ok(Self { frame, camera, extents })
+    }
+
+    pub(crate) fn width(&self) -> usize {
+        self.frame.width
+    }
+
+    pub(crate) fn height(&self) -> usize {
+        self.frame.height
+    }
+
+    /// Borrows the frame.
+    ///
+    /// # Safety
+    /// As of [`Given::new`], for as long as the result lives.
+    pub(crate) unsafe fn frame(&self) -> Done<Frame<'_>> {
+        let planish_frame { kind, width, height, data, row_stride, planes, .. } = self.frame;
+        let bytes = self.extents.first().and_then(Extent::bytes).unwrap_or(0);
+        if let (PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32, Some(camera)) = (kind, &self.camera) {
+            // SAFETY: the extents were checked, and the memory is the caller's promise.
+            let view = unsafe {
+                if kind == PLANISH_DEPTH_U16 {
+                    DepthView::with_row_stride(slice::from_raw_parts(data.cast(), bytes / 2), row_stride / 2, camera)?
+                } else {
+                    let depth_m = slice::from_raw_parts(data.cast(), bytes / 4);
+                    DepthView::from_metres_with_row_stride(depth_m, row_stride / 4, camera)?
+                }
+            };
+            let view = match self.frame.rgb.is_null() {
+                true => view,
+                // SAFETY: the same.
+                false => view.with_rgb(unsafe { slice::from_raw_parts(self.frame.rgb, 3 * width * height) })?,
+            };
+            return Ok(view.into_frame()?);
+        }
+        let count = width * height;
+        let mut view = match kind {
+            // SAFETY: the same.
+            PLANISH_PLANES_F32 => unsafe {
+                let [x, y, z] = planes.map(|plane| slice::from_raw_parts(plane.cast::<f32>(), count));
+                PointsView::from_planes(x, y, z)?
+            },
+            // SAFETY: the same.
+            PLANISH_PLANES_F64 => unsafe {
+                let [x, y, z] = planes.map(|plane| slice::from_raw_parts(plane.cast::<f64>(), count));
+                PointsView::from_planes_f64(x, y, z)?
+            },
+            _ if count == 0 => PointsView::from_rows(&[])?,
+            _ => {
+                let scalar = if kind == PLANISH_POINTS_F64 { Scalar::F64 } else { Scalar::F32 };
+                let planish_frame { offsets, point_stride, .. } = self.frame;
+                let layout = PointLayout { scalar, offsets, point_stride, row_stride };
+                // SAFETY: the same.
+                let bytes = unsafe { slice::from_raw_parts(data.cast::<u8>(), bytes) };
+                PointsView::from_bytes(bytes, layout, (width, height))?
+            }
+        };
+        if height > 1 {
+            view = view.with_grid(width, height)?;
+            if let Some(camera) = &self.camera {
+                view = view.with_camera(camera)?;
+            }
+        }
+        // SAFETY: as the caller promises.
+        let (pose, origin_m) =
+            unsafe { (doubles("pose", self.frame.pose)?, doubles("origin_m", self.frame.origin_m)?) };
+        if let Some(pose) = pose {
+            view = view.with_pose(SensorPose::from_viewpoint(pose))?;
+        }
+        if let Some(origin_m) = origin_m {
+            view = view.with_origin(origin_m)?;
+        }
+        Ok(view.into_frame()?)
+    }
+}
+
+/// Fills in the layout of tight points; returns the bytes from the beginning of a point to the end of its coordinates.
+fn point_bytes(frame: &mut planish_frame, scalar: usize) -> Done<usize> {
+    if frame.offsets == [0; 3] {
+        frame.offsets = [0, scalar, 2 * scalar];
+    }
+    let end = frame.offsets.iter().map(|offset| offset.saturating_add(scalar)).max().unwrap_or(0);
+    if frame.point_stride == 0 {
+        frame.point_stride = end;
+    }
+    if frame.point_stride < end {
+        let text = format!("a point stride of {} bytes, but a point's coordinates end at {end}", frame.point_stride);
+        return failure(PLANISH_ARGUMENT, text);
+    }
+    Ok(end)
+}

@@ -1,0 +1,205 @@
+//! The caller's buffers for results.
+
+use std::ptr::NonNull;
+use std::slice;
+
+use planish::{Outputs, SmoothedMut, Status, StridedMut};
+
+use crate::buffers::{Extent, sized};
+use crate::error::{Done, PLANISH_ARGUMENT, failure};
+
+/// The smoothed points.
+pub const PLANISH_POINTS: u32 = 1;
+/// Unit normals towards the sensor.
+pub const PLANISH_NORMALS: u32 = 2;
+/// Surface variation, 0 to 1/3.
+pub const PLANISH_CURVATURE: u32 = 4;
+/// What happened to each pixel.
+pub const PLANISH_STATUS: u32 = 8;
+/// The number of neighbours of each pixel.
+pub const PLANISH_NEIGHBOURS: u32 = 16;
+/// Depth in the camera's units.
+pub const PLANISH_DEPTH: u32 = 32;
+/// Depth in metres.
+pub const PLANISH_DEPTH_M: u32 = 64;
+/// Effective number of frames of a video in each pixel.
+pub const PLANISH_FRAMES: u32 = 128;
+/// Standard error of each point along its ray, in metres.
+pub const PLANISH_SIGMA: u32 = 256;
+
+/// No measurement came in, none goes out.
+pub const PLANISH_STATUS_HOLE: u8 = 0;
+/// Too few neighbours on a grid: the output is a hole.
+pub const PLANISH_STATUS_TOO_FEW: u8 = 1;
+/// The neighbours are on a line: the point is unchanged.
+pub const PLANISH_STATUS_DEGENERATE: u8 = 2;
+/// On a plane.
+pub const PLANISH_STATUS_PLANE: u8 = 3;
+/// On a polynomial of degree 2.
+pub const PLANISH_STATUS_POLYNOMIAL2: u8 = 4;
+/// On a polynomial of degree 3.
+pub const PLANISH_STATUS_POLYNOMIAL3: u8 = 5;
+/// Too few neighbours in a cloud without a grid: the point is unchanged.
+pub const PLANISH_STATUS_ISOLATED: u8 = 6;
+/// Kept from the frame before.
+pub const PLANISH_STATUS_CARRIED: u8 = 7;
+/// A filled hole: nothing was measured here.
+pub const PLANISH_STATUS_FILLED: u8 = 8;
+
+/// The caller's buffers, each null if the result is not wanted. Holes are NaN, in integers 0.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct planish_output {
+    /// sizeof(planish_output).
+    pub size: usize,
+    /// Items that every buffer has room for: the pixels or points of the result (planish_output_shape).
+    pub count: usize,
+    /// x, y and z of the smoothed points in metres.
+    pub points: *mut f32,
+    /// Bytes from one point to the next, a multiple of 4; 0 if they follow each other without a gap. Bytes between
+    /// points are left unchanged.
+    pub points_stride: usize,
+    /// Unit normals towards the sensor.
+    pub normals: *mut f32,
+    /// Bytes from one normal to the next, as of points. Points and normals may be members of the same structs.
+    pub normals_stride: usize,
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3.
+    pub curvature: *mut f32,
+    /// One of PLANISH_STATUS_... for each pixel.
+    pub status: *mut u8,
+    /// Number of neighbours.
+    pub neighbours: *mut u32,
+    /// Depth in the camera's units; needs a camera.
+    pub depth: *mut u16,
+    /// Depth in metres; needs a camera.
+    pub depth_m: *mut f32,
+    /// Effective number of frames of a video in each pixel; needs the setting temporal.
+    pub frames: *mut f32,
+    /// Standard error of each point along its ray, in metres; needs a grid.
+    pub sigma: *mut f32,
+}
+
+/// The caller's buffers, checked.
+pub(crate) struct Wanted {
+    output: planish_output,
+    pub(crate) extents: Vec<Extent>,
+}
+
+/// Returns the outputs of a mask.
+pub(crate) fn outputs_of(mask: u32) -> Done<Outputs> {
+    const ALL: u32 = 2 * PLANISH_SIGMA - 1;
+    if mask == 0 || mask & !ALL != 0 {
+        let text = format!("the outputs {mask:#x} are not a sum of PLANISH_POINTS, PLANISH_NORMALS and so on");
+        return failure(PLANISH_ARGUMENT, text);
+    }
+    let has = |bit: u32| mask & bit != 0;
+    Ok(Outputs::default()
+        .with_points(has(PLANISH_POINTS))
+        .with_normals(has(PLANISH_NORMALS))
+        .with_curvature(has(PLANISH_CURVATURE))
+        .with_status(has(PLANISH_STATUS))
+        .with_neighbours(has(PLANISH_NEIGHBOURS))
+        .with_depth(has(PLANISH_DEPTH))
+        .with_depth_m(has(PLANISH_DEPTH_M))
+        .with_frames(has(PLANISH_FRAMES))
+        .with_sigma(has(PLANISH_SIGMA)))
+}
+
+impl Wanted {
+    /// Checks the caller's buffers.
+    ///
+    /// # Safety
+    /// The pointer is null, or points to an output whose own pointers are null or have room for `count` items.
+    pub(crate) unsafe fn new(pointer: *const planish_output) -> Done<Self> {
+        // SAFETY: as the caller promises.
+        let mut output = unsafe { sized("the output", pointer, size_of::<planish_output>())? };
+        let count = output.count;
+        let mut extents = Vec::new();
+        for (what, pointer, stride) in [
+            ("the buffer for points", output.points, &mut output.points_stride),
+            ("the buffer for normals", output.normals, &mut output.normals_stride),
+        ] {
+            *stride = if *stride == 0 { 12 } else { *stride };
+            if !pointer.is_null() {
+                extents.push(Extent::new(what, pointer, align_of::<f32>(), (12, *stride, count))?);
+            }
+        }
+        let mut add = |what, pointer: *const u8, bytes: usize| -> Done<()> {
+            if !pointer.is_null() {
+                extents.push(Extent::new(what, pointer, bytes, (bytes, bytes, count))?);
+            }
+            Ok(())
+        };
+        add("the buffer for curvature", output.curvature.cast(), 4)?;
+        add("the buffer for status", output.status, 1)?;
+        add("the buffer for neighbours", output.neighbours.cast(), 4)?;
+        add("the buffer for depth", output.depth.cast(), 2)?;
+        add("the buffer for depth_m", output.depth_m.cast(), 4)?;
+        add("the buffer for frames", output.frames.cast(), 4)?;
+        add("the buffer for sigma", output.sigma.cast(), 4)?;
+        if extents.is_empty() {
+            return failure(PLANISH_ARGUMENT, "the output has no buffer; give one for points or another result");
+        }
+        Ok(Self { output, extents })
+    }
+
+    /// Returns the results that there are buffers for.
+    pub(crate) fn outputs(&self) -> Outputs {
+        let out = &self.output;
+        Outputs::default()
+            .with_points(!out.points.is_null())
+            .with_normals(!out.normals.is_null())
+            .with_curvature(!out.curvature.is_null())
+            .with_status(!out.status.is_null())
+            .with_neighbours(!out.neighbours.is_null())
+            .with_depth(!out.depth.is_null())
+            .with_depth_m(!out.depth_m.is_null())
+            .with_frames(!out.frames.is_null())
+            .with_sigma(!out.sigma.is_null())
+    }
+
+    /// Refuses buffers for another number of items.
+    pub(crate) fn check_count(&self, expected: usize) -> Done<()> {
+        if self.output.count == expected {
+            return Ok(());
+        }
+        let text = format!("the output has room for {} items, but the result has {expected}", self.output.count);
+        failure(PLANISH_ARGUMENT, text)
+    }
+
+    /// Borrows the buffers.
+    ///
+    /// # Safety
+    /// As of [`Wanted::new`], for as long as the result lives; nothing else accesses the buffers.
+    pub(crate) unsafe fn buffers(&mut self) -> SmoothedMut<'_> {
+        let planish_output { count, .. } = self.output;
+        /// # Safety
+        /// The pointer is null, or has as many values.
+        unsafe fn slice<'a, T>(pointer: *mut T, count: usize) -> Option<&'a mut [T]> {
+            // SAFETY: as the caller promises.
+            (!pointer.is_null()).then(|| unsafe { slice::from_raw_parts_mut(pointer, count) })
+        }
+        // SAFETY: extents were checked, and the memory is the caller's promise.
+        let vectors = |pointer: *mut f32, stride: usize| {
+            NonNull::new(pointer).map(|first| unsafe { StridedMut::from_raw(first, stride / 4, count) })
+        };
+        let out = &self.output;
+        let mut buffers = SmoothedMut::new();
+        buffers.points = vectors(out.points, out.points_stride).map(Into::into);
+        buffers.normals = vectors(out.normals, out.normals_stride).map(Into::into);
+        // SAFETY: the same. Zeros are valid as every type here.
+        unsafe {
+            if !out.status.is_null() {
+                out.status.write_bytes(0, count);
+            }
+            buffers.curvature = slice(out.curvature, count);
+            buffers.status = slice(out.status.cast::<Status>(), count);
+            buffers.neighbours = slice(out.neighbours, count);
+            buffers.depth = slice(out.depth, count);
+            buffers.depth_m = slice(out.depth_m, count);
+            buffers.frames = slice(out.frames, count);
+            buffers.sigma = slice(out.sigma, count);
+        }
+        buffers
+    }
+}
