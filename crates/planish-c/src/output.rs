@@ -179,8 +179,8 @@ impl Wanted {
             // SAFETY: as the caller promises.
             (!pointer.is_null()).then(|| unsafe { slice::from_raw_parts_mut(pointer, count) })
         }
-        // SAFETY: extents were checked, and the memory is the caller's promise.
         let vectors = |pointer: *mut f32, stride: usize| {
+            // SAFETY: extents were checked, and the memory is the caller's promise.
             NonNull::new(pointer).map(|first| unsafe { StridedMut::from_raw(first, stride / 4, count) })
         };
         let out = &self.output;

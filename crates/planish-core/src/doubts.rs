@@ -64,15 +64,7 @@ pub enum Doubt {
 pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     /// Share of pixels that a lens may lose at the corners without a word.
     const FEW: f32 = 0.01;
-    const COLUMNS: usize = 32;
-    let Camera { width, height, fx, fy, cx, cy, distortion, .. } = *camera;
-    if distortion.is_none() {
-        return None;
-    }
-    let place = |i: usize, size: usize| (i as f64 + 0.5) / COLUMNS as f64 * size as f64 - 0.5;
-    let seen = |i: usize| [(place(i % COLUMNS, width) - cx) / fx, (place(i / COLUMNS, height) - cy) / fy];
-    let lost = (0..COLUMNS * COLUMNS).filter(|&i| distortion.undistort(seen(i)).is_none()).count();
-    let lost = lost as f32 / (COLUMNS * COLUMNS) as f32;
+    let lost = camera.lost_to_lens();
     (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
@@ -166,8 +158,8 @@ impl fmt::Display for Doubt {
             }
             Self::Lens { lost } => write!(
                 f,
-                "{:.0} % of the pixels are holes: the distortion of the lens has no ray there; are its coefficients \
-                 those of this image?",
+                "{:.0} % of the pixels are holes: the model of the lens has no ray there, since it folds or reaches \
+                 beyond 86 degrees; are its coefficients those of this image?",
                 100.0 * lost
             ),
         }

@@ -110,6 +110,7 @@ pub mod internal {
     pub use crate::clean::voxel_grid::{VoxelMap, Voxels};
     pub use crate::clean::voxels::downsample;
     pub use crate::constants::GRAZING_COSINE;
+    pub use crate::doubts::doubt_about_lens;
     pub use crate::eigen::symmetric_eigen;
     pub use crate::error::{KIB, memory};
     pub use crate::fleet::lose_device as lose_fleet_device;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use planish_core::{
     Camera, DepthFrame, DepthImage, DepthView, Error, FormatError, IoError, OrganizedCloud, Outputs, PointCloud,
-    PointsView, Precision, RangeRule,
+    PointsView, Precision, RangeRule, internal::doubt_about_lens,
 };
 
 use super::{
@@ -97,6 +97,10 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     let to = Format::of_output(output).map_err(at_output)?;
     let is_image = matches!(to, Format::DepthPng | Format::DepthTiff);
     let stays_depth = is_image || (to == Format::Npy && contents.is_depth());
+    if let Some(camera) = options.camera.filter(|_| contents.is_depth() && !stays_depth) {
+        let (width, height) = contents.shape();
+        notes.extend(doubt_about_lens(&camera.with_shape((width, height))).map(|doubt| doubt.to_string()));
+    }
     let shape @ (width, height) = contents.shape();
     if stays_depth {
         if options.drop_holes || options.fields.is_some() {

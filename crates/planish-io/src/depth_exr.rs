@@ -13,6 +13,9 @@ use planish_core::{FormatError, internal::validate_shape};
 const NOTHING: f32 = 1e9;
 const NOTHING_IN_HALF: f32 = 65504.0;
 
+/// Depth, and the points that become of it.
+const BYTES_PER_PIXEL: usize = 24;
+
 fn damaged(error: exr::error::Error) -> FormatError {
     FormatError::Malformed(format!("damaged or unsupported EXR: {}", brief(&error.to_string())))
 }
@@ -52,7 +55,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let window = image.attributes.display_window;
     let (width, height) = (window.size.0, window.size.1);
     validate_shape(width, height)?;
-    options.check(width * height, 4)?;
+    options.check(width * height, BYTES_PER_PIXEL)?;
     let offset = layer.attributes.layer_position - window.position;
     let stored = layer.size.0.max(1);
     let mut depth_m = vec![f32::NAN; width * height];
@@ -85,14 +88,24 @@ fn names(layers: &[ChannelLayer]) -> impl Iterator<Item = String> {
 
 /// Finds the channel of depth: by its name, or the only one, or one of three that are equal.
 fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Channel)> {
-    let is_depth = |name: &str| {
-        let mut words = name.rsplit('.');
-        let last = words.next().unwrap_or_default();
-        let before = words.next().unwrap_or_default();
-        matches!(last, "z" | "depth") || matches!(last, "v" | "y" | "r") && before == "depth"
+    let lower = |(layer, channel): &(&ChannelLayer, &Channel)| full_name(layer, channel).to_ascii_lowercase();
+    let all_names: Vec<String> = channels(layers).map(|both| lower(&both)).collect();
+    let parts = |name: &str| match name.rsplit_once('.') {
+        Some((before, last)) => (before.to_owned(), last.to_owned()),
+        None => (String::new(), name.to_owned()),
     };
-    let named = channels(layers).find(|(layer, channel)| is_depth(&full_name(layer, channel).to_ascii_lowercase()));
-    if let Some(found) = named {
+    let is_depth = |name: &str| {
+        let (before, last) = parts(name);
+        last == "depth" || matches!(&last[..], "z" | "v" | "y" | "r") && before.rsplit('.').next() == Some("depth")
+    };
+    // With x and y beside it, z is a component of normals or positions.
+    let is_z = |name: &str| {
+        let (before, last) = parts(name);
+        let sibling = |axis: &str| if before.is_empty() { axis.to_owned() } else { format!("{before}.{axis}") };
+        last == "z" && !["x", "y"].iter().all(|axis| all_names.contains(&sibling(axis)))
+    };
+    let named = |is_wanted: &dyn Fn(&str) -> bool| channels(layers).find(|both| is_wanted(&lower(both)));
+    if let Some(found) = named(&is_depth).or_else(|| named(&is_z)) {
         return Ok(found);
     }
     let mut all = channels(layers).filter(|(_, channel)| !matches!(&channel.name.to_string()[..], "A" | "a"));
@@ -150,6 +163,12 @@ mod tests {
         let (depth_m, notes) = read(&bytes).unwrap();
         assert_eq!((depth_m.len(), &depth_m[1..3], &depth_m[4..]), (6, &[1.0, 2.0][..], &[3.0, 4.0][..]));
         assert!(depth_m[0].is_nan() && notes.is_empty());
+        // Normals have a z too.
+        let normals = ["N.X", "N.Y", "N.Z"].map(|name| (name, floats([0.5; 4])));
+        let with_z: Vec<_> = normals.iter().cloned().chain([("Z", floats([1.0, 2.0, 3.0, 4.0]))]).collect();
+        assert_eq!(read(&image(&with_z, (2, 2), whole)).unwrap().0, [1.0, 2.0, 3.0, 4.0]);
+        let of_normals = [normals[0].clone(), normals[1].clone(), ("N.Z", floats([0.1; 4]))];
+        assert!(read(&image(&of_normals, (2, 2), whole)).unwrap_err().to_string().contains("N.Z"));
         let grey: Vec<_> = ["R", "G", "B"].map(|name| (name, floats([1.0, 2.0, 3.0, 4.0]))).into();
         assert_eq!(read(&image(&grey, (2, 2), whole)).unwrap().0, [1.0, 2.0, 3.0, 4.0]);
     }

@@ -1,6 +1,7 @@
 //! The vertices of glTF 2.0, as JSON or as GLB, with normals and colours, where the nodes of the scene place them.
 
-use std::path::{Component, Path};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
 
 use base64::Engine as _;
 use glam::{DMat4, DQuat, DVec3};
@@ -16,8 +17,12 @@ const BINARY: u32 = 0x004e_4942;
 
 /// More nodes inside each other are a loop.
 const DEEPEST: usize = 64;
-/// Vertices are placed once for each node that shows them.
+/// Nodes of a file without a scene, whose roots are searched.
+const MOST_UNROOTED: usize = 1 << 12;
+/// Nodes of a scene, and meshes placed by them.
 const MOST_PLACED: usize = 1 << 16;
+/// Vertices with coordinates in f64, twice while they become columns, normals and colours.
+const BYTES_PER_VERTEX: usize = 160;
 
 const BYTE: u32 = 5121;
 const SHORT: u32 = 5123;
@@ -41,6 +46,8 @@ struct Document {
     scene: Option<usize>,
     #[serde(default)]
     extensions_required: Vec<String>,
+    #[serde(default)]
+    extensions_used: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -92,11 +99,14 @@ struct Attributes {
     normal: Option<usize>,
     #[serde(rename = "COLOR_0")]
     colour: Option<usize>,
+    #[serde(flatten)]
+    others: BTreeMap<String, serde_json::Value>,
 }
 
 #[derive(Deserialize)]
 struct Node {
     mesh: Option<usize>,
+    skin: Option<usize>,
     #[serde(default)]
     children: Vec<usize>,
     matrix: Option<[f64; 16]>,
@@ -129,11 +139,20 @@ pub(super) fn decode(
 ) -> FormatResult<PointCloud> {
     let (json, binary) = if is_gltf(bytes) { chunks(bytes)? } else { (bytes, None) };
     let document: Document = serde_json::from_slice(json).map_err(malformed)?;
-    if let Some(extension) = document.extensions_required.iter().find(|name| !name.starts_with("KHR_materials")) {
+    if let Some(extension) = document.extensions_required.iter().find(|name| !is_of_looks(name)) {
         return Err(FormatError::Unsupported(format!(
-            "a glTF that needs the extension {}: export it without compression and quantization",
+            "a glTF that needs the extension {}: export it without, compression and quantization too",
             quoted(extension)
         )));
+    }
+    if document.extensions_used.iter().any(|name| name == "EXT_mesh_gpu_instancing") {
+        notes.push("its instances (EXT_mesh_gpu_instancing) are dropped but for one".into());
+    }
+    let primitives = || document.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let others: BTreeSet<&str> = primitives().flat_map(|primitive| primitive.attributes.own()).collect();
+    if !others.is_empty() {
+        let others: Vec<&str> = others.into_iter().collect();
+        notes.push(format!("attributes of the vertices are dropped: {}", brief(&others.join(", "))));
     }
     let mut left = options.max_memory_bytes;
     let mut buffers = Vec::new();
@@ -152,9 +171,18 @@ pub(super) fn decode(
     let file = File { document: &document, buffers: &buffers, options };
     let mut vertices = Vertices::default();
     let placed = file.placed()?;
+    let mut steps = 0;
     for (mesh, placing) in &placed {
         let mesh = document.meshes.get(*mesh).ok_or_else(|| malformed(format!("there is no mesh {mesh}")))?;
-        mesh.primitives.iter().try_for_each(|primitive| file.add(primitive, placing, &mut vertices))?;
+        steps += mesh.primitives.len();
+        if steps > MOST_PLACED {
+            return Err(malformed(format!("more than {MOST_PLACED} parts of meshes in its scene")));
+        }
+        // Parts with different materials may share their vertices.
+        let mut seen = BTreeSet::new();
+        for primitive in mesh.primitives.iter().filter(|primitive| seen.insert(primitive.attributes.position)) {
+            file.add(primitive, placing, &mut vertices)?;
+        }
     }
     vertices.cloud(notes)
 }
@@ -184,6 +212,25 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
     json.map(|json| (json, binary)).ok_or_else(|| malformed("no JSON"))
 }
 
+/// Returns true for an extension of materials, textures and lights, which move no vertices.
+fn is_of_looks(extension: &str) -> bool {
+    ["KHR_materials", "KHR_texture", "EXT_texture", "MSFT_texture", "KHR_lights"]
+        .iter()
+        .any(|prefix| extension.starts_with(prefix))
+}
+
+/// Decodes the `%20` and so on of a URI; `None` if that is not UTF-8.
+fn without_escapes(uri: &str) -> Option<String> {
+    let (mut bytes, mut rest) = (Vec::new(), uri.as_bytes());
+    while let [byte, behind @ ..] = rest {
+        let digits = behind.first_chunk::<2>().filter(|_| *byte == b'%');
+        let escaped = digits.and_then(|two| u8::from_str_radix(std::str::from_utf8(two).ok()?, 16).ok());
+        bytes.push(escaped.unwrap_or(*byte));
+        rest = if escaped.is_some() { &behind[2..] } else { behind };
+    }
+    String::from_utf8(bytes).ok()
+}
+
 /// Returns the bytes of a buffer: in the text itself, or in a file of the same folder or below.
 fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
@@ -194,19 +241,22 @@ fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> Forma
         let decoder = base64::engine::GeneralPurpose::new(&base64::alphabet::STANDARD, config);
         return decoder.decode(text).map_err(malformed);
     }
-    let name = uri.replace("%20", " ");
-    let is_below = Path::new(&name).components().all(|part| matches!(part, Component::Normal(_)));
-    match folder {
-        Some(folder) if is_below => {
-            let path = folder.join(&name);
-            read_bytes(&path, options).map_err(|error| match error {
-                FormatError::TooLarge { .. } => error,
-                error => FormatError::Unsupported(format!(
-                    "its points are in {}, which cannot be read: {error}",
-                    quoted(&name)
-                )),
-            })
-        }
+    let name = without_escapes(uri).ok_or_else(|| malformed(format!("the URI {} is not UTF-8", quoted(uri))))?;
+    let is_part = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+    let path = folder.filter(|_| Path::new(&name).components().all(is_part)).map(|folder| folder.join(&name));
+    // Not through a link either.
+    let real = |path: &Path| path.canonicalize().ok();
+    let is_below = |path: &PathBuf| match (real(path), folder.and_then(|folder| real(&folder.join(".")))) {
+        (Some(path), Some(folder)) => path.starts_with(folder),
+        _ => true,
+    };
+    match path.filter(is_below) {
+        Some(path) => read_bytes(&path, options).map_err(|error| match error {
+            FormatError::TooLarge { .. } => error,
+            error => {
+                FormatError::Unsupported(format!("its points are in {}, which cannot be read: {error}", quoted(&name)))
+            }
+        }),
         _ => Err(FormatError::Unsupported(format!(
             "its points are in another file, {}; save it as one file (GLB)",
             quoted(&name)
@@ -224,33 +274,39 @@ impl File<'_> {
     /// Returns the meshes of the scene and their places; all meshes as they are, if there is no scene.
     fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
         let Document { scenes, scene, nodes, meshes, .. } = self.document;
-        let roots: Vec<usize> = match scenes.get(scene.unwrap_or(0)) {
-            Some(scene) => scene.nodes.clone(),
-            None => return Ok((0..meshes.len()).map(|mesh| (mesh, DMat4::IDENTITY)).collect()),
+        let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
+        let roots: Vec<usize> = match (scenes.get(scene.unwrap_or(0)), scene) {
+            (Some(scene), _) => scene.nodes.clone(),
+            (None, Some(scene)) => return Err(malformed(format!("there is no scene {scene}"))),
+            (None, None) if nodes.is_empty() => {
+                return Ok((0..meshes.len().min(MOST_PLACED)).map(|mesh| (mesh, DMat4::IDENTITY)).collect());
+            }
+            (None, None) if nodes.len() > MOST_UNROOTED => return Err(malformed("many nodes and no scene")),
+            (None, None) => (0..nodes.len()).filter(|i| !is_child(i)).collect(),
         };
         let mut found = Vec::new();
         let mut open: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|root| (root, DMat4::IDENTITY, 0)).collect();
         let mut visits = 0;
         while let Some((i, parent, depth)) = open.pop() {
             let node = nodes.get(i).ok_or_else(|| malformed(format!("there is no node {i}")))?;
-            visits += 1;
+            visits += 1 + node.children.len();
             if depth > DEEPEST || visits > MOST_PLACED {
                 return Err(malformed("its nodes are a loop, or too many"));
             }
             let place = parent * node.place();
-            found.extend(node.mesh.map(|mesh| (mesh, place)));
+            // A skin stands where its joints are; its node does not count.
+            found.extend(node.mesh.map(|mesh| (mesh, if node.skin.is_some() { DMat4::IDENTITY } else { place })));
             open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
         }
         Ok(found)
     }
 
     fn add(&self, primitive: &Primitive, place: &DMat4, vertices: &mut Vertices) -> FormatResult<()> {
-        let Attributes { position, normal, colour } = primitive.attributes;
+        let Attributes { position, normal, colour, .. } = primitive.attributes;
         let Some(position) = position else { return Ok(()) };
         let positions = self.values(position, &[FLOAT], &["VEC3"])?;
         let count = positions.len() / 3;
-        // Coordinates in f64, normals, colours.
-        self.options.check(vertices.positions.len() / 3 + count, 8 * 6 + 4 * 6 + 3)?;
+        self.options.check(vertices.positions.len() / 3 + count, BYTES_PER_VERTEX)?;
         let same = |values: Vec<f64>, components: usize| {
             if values.len() == components * count {
                 Ok(values)
@@ -306,7 +362,9 @@ impl File<'_> {
             _ => 4,
         };
         let view = buffer_view.and_then(|view| self.document.buffer_views.get(view));
-        let view = view.ok_or_else(|| malformed(format!("accessor {i} has no data")))?;
+        let view = view.ok_or_else(|| {
+            FormatError::Unsupported(format!("a glTF whose accessor {i} has no data; export it without compression"))
+        })?;
         let data = self.buffers.get(view.buffer).and_then(|data| {
             data.get(view.byte_offset..view.byte_offset.checked_add(view.byte_length)?)?.get(*byte_offset..)
         });
@@ -330,6 +388,13 @@ impl File<'_> {
             }));
         }
         Ok(values)
+    }
+}
+
+impl Attributes {
+    /// Returns the names of attributes that other formats could keep: not those of textures and skins.
+    fn own(&self) -> impl Iterator<Item = &str> {
+        self.others.keys().map(String::as_str).filter(|name| name.starts_with('_'))
     }
 }
 

@@ -9,7 +9,7 @@
  *                          .data = depth, .camera = &camera};
  *   planish_output out = {.size = sizeof out, .count = 640 * 480, .points = points};
  *   if (planish_session_new("preset=default", &session) || planish_smooth(session, &frame, &out))
- *     fprintf(stderr, "%s\\n", planish_last_error());
+ *     fprintf(stderr, "%s\n", planish_last_error());
  *   planish_session_free(session);
  *
  * Rules

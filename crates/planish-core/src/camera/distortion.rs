@@ -36,7 +36,7 @@ const RESIDUAL: f64 = 1e-9;
 const WIDEST: f64 = 1.5;
 
 /// Names of lenses without distortion.
-const PINHOLE: [&str; 3] = ["none", "pinhole", "simple_pinhole"];
+const PINHOLE: [&str; 4] = ["none", "pinhole", "simple_pinhole", "rectified"];
 /// Names that programs give the models with OpenCV's coefficients.
 const RATIONAL: [&str; 8] =
     ["", "opencv", "full_opencv", "plumb_bob", "rational_polynomial", "radtan", "radial-tangential", "brown_conrady"];
@@ -87,8 +87,10 @@ impl Distortion {
             return Ok(Self::NONE);
         }
         if EQUIDISTANT.contains(&name) {
-            let four = <[f64; 4]>::try_from(coefficients).ok();
-            return four.map(Self::Equidistant).ok_or_else(|| wrong_count("the 4 of a fisheye (k1 k2 k3 k4)"));
+            // librealsense has a fifth, which is 0.
+            let four = coefficients.split_first_chunk::<4>().filter(|(_, rest)| rest.iter().all(|k| *k == 0.0));
+            let four = four.map(|(four, _)| Self::Equidistant(*four));
+            return four.ok_or_else(|| wrong_count("the 4 of a fisheye (k1 k2 k3 k4)"));
         }
         if RATIONAL.contains(&name) {
             let known = if are_zero { Some(Self::NONE) } else { Self::from_opencv(coefficients) };
@@ -131,7 +133,12 @@ impl Distortion {
     }
 
     pub(super) fn validate(&self) -> Result<(), FrameError> {
-        if self.coefficients().iter().all(|c| c.is_finite()) {
+        // Without a list of them: frames are checked one by one, and nothing is allocated.
+        let are_finite = match self {
+            Self::Rational { radial, tangential } => radial.iter().chain(tangential).all(|c| c.is_finite()),
+            Self::Equidistant(all) => all.iter().all(|c| c.is_finite()),
+        };
+        if are_finite {
             return Ok(());
         }
         let value = format!("{:?}", self.coefficients());
@@ -375,7 +382,8 @@ mod tests {
         }
         for (name, coefficients, problem) in [
             ("plumb_bob", &five[..3], "3 distortion coefficients"),
-            ("equidistant", &five, "the 4 of a fisheye"),
+            ("equidistant", &five[..3], "the 4 of a fisheye"),
+            ("equidistant", &[0.1, 0.0, 0.0, 0.0, 0.1], "the 4 of a fisheye"),
             ("ftheta", &five, "rectify"),
             ("distortion.inverse_brown_conrady", &five, "rectify"),
         ] {

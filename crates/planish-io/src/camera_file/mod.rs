@@ -225,7 +225,8 @@ mod tests {
         for (more, problem) in [
             (r#""is_fisheye":true"#, "the 4 of a fisheye"),
             (r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#, "rectify"),
-            (r#""distortion_model":"equidistant","D":[0,0,0,0,0]"#, "the 4 of a fisheye"),
+            (r#""distortion_model":"equidistant","D":[0,0,0,0,1]"#, "the 4 of a fisheye"),
+            (r#""is_fisheye":"true","D":[0,0,0,0,1]"#, "the 4 of a fisheye"),
             (r#""camera_model":"omni","distortion_model":"radtan","dist":[0.1,0,0,0]"#, "omni"),
         ] {
             let error = parse_camera(&format!("{{{CAMERA},{more}}}"), None).unwrap_err().to_string();
@@ -254,6 +255,9 @@ mod tests {
             "<opencv_storage><fisheye_model>1</fisheye_model><camera_matrix type_id=\"opencv-matrix\"><data>525 0 319.5 0 525 \
              239.5 0 0 1</data></camera_matrix><distortion_coefficients type_id=\"opencv-matrix\"><data>0.1 0.02 0 -0.01\
              </data></distortion_coefficients></opencv_storage>",
+            "<opencv_storage><distortion_model>equidistant</distortion_model><camera_matrix type_id=\"opencv-matrix\"><data>525 \
+             0 319.5 0 525 239.5 0 0 1</data></camera_matrix><distortion_coefficients type_id=\"opencv-matrix\"><data>0.1 0.02 0 \
+             -0.01</data></distortion_coefficients></opencv_storage>",
         ];
         let has_xml = cfg!(feature = "more-formats");
         for text in files.into_iter().filter(|text| has_xml || !text.starts_with('<')) {

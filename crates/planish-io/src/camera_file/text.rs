@@ -60,7 +60,10 @@ fn xml(text: &str) -> Map<String, Value> {
         let data = content.split_once("<data>").and_then(|(_, data)| data.split_once("</data>"));
         let content = data.map_or(content, |(data, _)| data).trim();
         let number = content.parse::<u64>().ok().filter(|_| data.is_none());
-        Some((name.to_owned(), number.map(Value::from).or_else(|| numbers(content))?))
+        let value = number.map(Value::from).or_else(|| numbers(content));
+        // The model of the lens is a word.
+        let word = || name.ends_with("model").then(|| Value::from(content.trim_matches('"')));
+        Some((name.to_owned(), value.or_else(word)?))
     };
     names().filter_map(value).collect()
 }

@@ -222,7 +222,11 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
     let (key, prefix) = MODEL_OF_REALSENSE;
     let text = |key: &str| names.get(key).and_then(|(_, model)| model.as_str());
     let of_realsense = text(key).filter(|model| model.starts_with(prefix));
-    let is_true = |value: &Value| value.as_bool() == Some(true) || value.as_f64().is_some_and(|number| number != 0.0);
+    let is_true = |value: &Value| match value {
+        Value::String(text) => matches!(&text.to_ascii_lowercase()[..], "true" | "1" | "yes"),
+        Value::Number(number) => number.as_f64() != Some(0.0),
+        value => value.as_bool() == Some(true),
+    };
     let is_fisheye = FISHEYE.iter().any(|name| names.get(name).is_some_and(|(_, value)| is_true(value)));
     // A pinhole as the model of the camera says nothing about its lens.
     let of_camera = CAMERA_MODEL.iter().filter_map(|key| text(key)).filter(|name| !is_pinhole(name));
@@ -256,7 +260,7 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
 
 /// Returns true for the name of a camera without the model of its lens.
 fn is_pinhole(name: &str) -> bool {
-    ["pinhole", "simple_pinhole"].iter().any(|pinhole| name.eq_ignore_ascii_case(pinhole))
+    ["pinhole", "simple_pinhole", "rectified"].iter().any(|pinhole| name.eq_ignore_ascii_case(pinhole))
 }
 
 /// Returns the number of depth units in a metre, of a scale that may be its inverse.
@@ -298,7 +302,7 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
 #[cfg(feature = "more-formats")]
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
     let all = [WIDTH, HEIGHT, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
-    all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE)
+    all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE).chain([MODEL]).chain(CAMERA_MODEL)
 }
 
 /// Returns a name that no camera has.
@@ -309,6 +313,7 @@ pub(super) fn unknown_key(value: &Value) -> Option<String> {
             || CAMERA_MODEL.contains(&name)
             || known.iter().any(|names| names.contains(&name))
             || SINGLE.contains(&name)
+            || FISHEYE.contains(&name)
             || NESTED.contains(&name)
             || BINNING.iter().any(|names| names.contains(&name))
             || name == REGION

@@ -65,7 +65,8 @@ impl Repaired {
         if version == LATEST {
             repaired.set(VERSION, &EXTENDED_SINCE);
             repaired.notes.push("read as LAS 1.4, which has all of its fields of points".into());
-            let offset = i16::from_le_bytes(read_at(file, TIME_OFFSET_AT)?);
+            let has_offset = size >= TIME_OFFSET_AT + 2;
+            let offset = if has_offset { i16::from_le_bytes(read_at(file, TIME_OFFSET_AT)?) } else { 0 };
             if u16::from_le_bytes(read_at(file, ENCODING)?) & TIME_OFFSET != 0 && offset != 0 {
                 repaired.notes.push(format!("its GPS times count from {offset} million seconds, which is not kept"));
             }

@@ -36,8 +36,8 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     let letters = ["r", "g", "b"];
     if !letters.iter().all(|letter| cells.iter().any(|cell| cell.trim().eq_ignore_ascii_case(letter))) {
         for (name, cell) in names.iter_mut().zip(cells) {
-            if let Some(letter) = letters.iter().find(|letter| cell.trim().eq_ignore_ascii_case(letter)) {
-                *name = (*letter).to_owned();
+            if letters.iter().any(|letter| cell.trim().eq_ignore_ascii_case(letter)) {
+                *name = in_one_word(cell);
             }
         }
     }
@@ -122,7 +122,9 @@ pub(super) fn is_byte(value: f64) -> bool {
 fn is_intensity_first(columns: &[&[f64]]) -> bool {
     let are_bytes = |k: usize| columns[k].iter().all(|value| is_byte(*value));
     let difference = |a: usize, b: usize| columns[a].iter().zip(columns[b]).map(|(a, b)| (a - b).abs()).sum::<f64>();
-    (1..4).all(are_bytes) && (!are_bytes(0) || difference(2, 3) < 0.5 * difference(0, 1))
+    // Alpha is mostly the same everywhere.
+    let is_constant = |k: usize| columns[k].windows(2).all(|pair| pair[0] == pair[1]);
+    (1..4).all(are_bytes) && !is_constant(3) && (!are_bytes(0) || difference(2, 3) < 0.5 * difference(0, 1))
 }
 
 /// Guesses the names of columns from their number and values. In a file that states its number of points, such as PTS,

@@ -29,8 +29,11 @@ const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 
 /// Returns true if a path is a recording in MCAP: a file by its first bytes, or a folder of rosbag2 with such files.
 pub fn is_bag(path: &Path) -> bool {
-    is_recording(path)
-        || path.join("metadata.yaml").is_file() && parts::parts_of(path).is_ok_and(|parts| !parts.is_empty())
+    let has_parts = || match parts::parts_of(path) {
+        Ok(parts) => parts.iter().any(|part| is_named_mcap(part)),
+        Err(_) => true,
+    };
+    is_recording(path) || path.join("metadata.yaml").is_file() && has_parts()
 }
 
 /// Returns true if a file begins as a recording does.
@@ -51,14 +54,17 @@ pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     if !path.join("metadata.yaml").is_file() {
         return Ok(path.to_path_buf());
     }
-    let at = |error: std::io::Error| IoError { path: path.to_path_buf(), problem: error.into() };
-    match &parts::parts_of(path).map_err(at)?[..] {
-        [] => {
-            let mut files = std::fs::read_dir(path).map_err(at)?.flatten().map(|entry| entry.path());
+    let parts = parts::parts_of(path).map_err(IoError::at(path))?;
+    let other = parts.iter().find_map(|part| refuse_other_bags(part).err());
+    match (&parts[..], other) {
+        (_, Some(other)) => Err(other),
+        ([], None) => {
+            let files = std::fs::read_dir(path).map_err(|error| IoError::at(path)(error.into()))?;
+            let mut files = files.flatten().map(|entry| entry.path());
             files.find_map(|file| refuse_other_bags(&file).err()).map_or_else(|| Ok(path.to_path_buf()), Err)
         }
-        [only] => Ok(only.clone()),
-        _ => Ok(path.to_path_buf()),
+        ([only], None) => Ok(only.clone()),
+        (_, None) => Ok(path.to_path_buf()),
     }
 }
 

@@ -1,20 +1,31 @@
 //! Recordings in several files, as rosbag2 splits them: read as one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use mcap::records::Record;
 
-use super::is_recording;
+use super::is_named_mcap;
 use planish_core::FormatError;
+use planish_io::internal::quoted;
 
-/// Returns the files of a recording in their order: the file, or those of rosbag2's folder.
-pub(super) fn parts_of(path: &Path) -> std::io::Result<Vec<PathBuf>> {
-    if !path.join("metadata.yaml").is_file() {
-        return Ok(vec![path.to_path_buf()]);
+/// Returns the files of a recording in their order: the file, or those that the metadata of rosbag2's folder lists.
+///
+/// # Errors
+/// If a listed file is missing.
+pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
+    let Ok(metadata) = std::fs::read_to_string(path.join("metadata.yaml")) else { return Ok(vec![path.to_path_buf()]) };
+    let files: Vec<PathBuf> = listed(&metadata).into_iter().map(|name| path.join(name)).collect();
+    if let Some(missing) = files.iter().find(|file| !file.is_file()) {
+        let name = quoted(&missing.display().to_string());
+        return Err(FormatError::Malformed(format!("its metadata.yaml lists {name}, which is not there")));
     }
+    if !files.is_empty() {
+        return Ok(files);
+    }
+    // Some programs list nothing.
     let files = std::fs::read_dir(path)?.flatten().map(|entry| entry.path());
-    let mut files: Vec<PathBuf> = files.filter(|file| is_recording(file)).collect();
+    let mut files: Vec<PathBuf> = files.filter(|file| is_named_mcap(file) && file.is_file()).collect();
     files.sort_by_cached_key(|file| {
         // NAME_2 comes before NAME_10.
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -24,6 +35,17 @@ pub(super) fn parts_of(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
+/// Returns the names of the files under `relative_file_paths`. Old versions put the folder before them.
+fn listed(metadata: &str) -> Vec<String> {
+    let mut lines = metadata.lines().map(str::trim);
+    if !lines.any(|line| line == "relative_file_paths:") {
+        return Vec::new();
+    }
+    let names = lines.map_while(|line| line.strip_prefix("- "));
+    let names = names.map(|name| name.trim().trim_matches(['"', '\'']));
+    names.filter_map(|name| Some(Path::new(name).file_name()?.to_str()?.to_owned())).collect()
+}
+
 /// Numbers of schemas and channels that are the same in all files of a recording. The first file keeps its own.
 #[derive(Default)]
 pub(super) struct Numbers {
@@ -31,10 +53,14 @@ pub(super) struct Numbers {
     schemas: BTreeMap<(String, String, Vec<u8>), u16>,
     /// Number of a channel by topic, schema and encoding of its messages.
     channels: BTreeMap<(String, u16, String), u16>,
+    /// Numbers that schemas or channels have.
+    used: BTreeSet<u16>,
     /// Numbers in the current file.
     schema: BTreeMap<u16, u16>,
     channel: BTreeMap<u16, u16>,
     is_later: bool,
+    /// All numbers before it, from the first free one, are used.
+    next_free: u16,
 }
 
 impl Numbers {
@@ -45,6 +71,24 @@ impl Numbers {
         self.is_later = true;
     }
 
+    /// Returns the number of something in all files: its own in the first file; in later ones the known number or a
+    /// free one from the middle, where recorders and [`smooth_bag`](super::smooth_bag) have none.
+    fn number(&mut self, known: Option<u16>, own: u16) -> Option<u16> {
+        const FIRST_FREE: u16 = 0x8000;
+        let number = match known {
+            _ if !self.is_later => own,
+            Some(known) => known,
+            None => {
+                let free = |id: &u16| !self.used.contains(id);
+                let number = (self.next_free.max(FIRST_FREE)..u16::MAX).find(free)?;
+                self.next_free = number + 1;
+                number
+            }
+        };
+        self.used.insert(number);
+        Some(number)
+    }
+
     /// Renumbers a record; `None` for one that an earlier file had.
     pub(super) fn renumbered(&mut self, record: Record<'static>) -> Result<Option<Record<'static>>, FormatError> {
         let too_many = || FormatError::Malformed("more channels than a recording can have".into());
@@ -53,7 +97,7 @@ impl Numbers {
             Record::Schema { mut header, data } if header.id != 0 => {
                 let key = (header.name.clone(), header.encoding.clone(), data.to_vec());
                 let known = self.schemas.get(&key).copied();
-                let number = number(known, header.id, &self.schemas, self.is_later).ok_or_else(too_many)?;
+                let number = self.number(known, header.id).ok_or_else(too_many)?;
                 self.schemas.entry(key).or_insert(number);
                 self.schema.insert(header.id, number);
                 if known.is_some() && self.is_later {
@@ -68,7 +112,7 @@ impl Numbers {
                 }
                 let key = (channel.topic.clone(), channel.schema_id, channel.message_encoding.clone());
                 let known = self.channels.get(&key).copied();
-                let number = number(known, channel.id, &self.channels, self.is_later).ok_or_else(too_many)?;
+                let number = self.number(known, channel.id).ok_or_else(too_many)?;
                 self.channels.entry(key).or_insert(number);
                 self.channel.insert(channel.id, number);
                 if known.is_some() && self.is_later {
@@ -94,16 +138,5 @@ impl Numbers {
             }
             record => record,
         }))
-    }
-}
-
-/// Returns the number of something in all files: its own in the first file; in later ones the known number or a free
-/// one from the middle, where recorders and [`smooth_bag`](super::smooth_bag) have none.
-fn number<K>(known: Option<u16>, own: u16, all: &BTreeMap<K, u16>, is_later: bool) -> Option<u16> {
-    const FIRST_FREE: u16 = 0x8000;
-    match known {
-        _ if !is_later => Some(own),
-        Some(known) => Some(known),
-        None => (FIRST_FREE..u16::MAX).find(|id| all.values().all(|taken| taken != id)),
     }
 }

@@ -13,7 +13,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use super::parts::{Numbers, parts_of};
 use super::{decompress, of_mcap};
 use planish_core::{FormatError, IoError};
-use planish_io::ReadOptions;
+use planish_io::{ReadOptions, internal::quoted};
 
 /// Number of bytes to read at once, whatever length a record claims.
 const READ_BYTES: usize = 1 << 20;
@@ -28,6 +28,8 @@ pub(super) enum Next {
     End,
     /// The file ends in the middle of it.
     CutOff,
+    /// The rest of a file cannot be read, for this reason; another one follows.
+    DamagedFile(String),
 }
 
 /// Reads the data section of a recording, chunks decompressed, or its summary.
@@ -35,6 +37,7 @@ pub(super) struct Records {
     file: BufReader<File>,
     reader: LinearReader,
     options: ReadOptions,
+    path: PathBuf,
     /// Files that follow.
     rest: std::vec::IntoIter<PathBuf>,
     numbers: Numbers,
@@ -47,7 +50,7 @@ impl Records {
             let mut rest = parts_of(path)?.into_iter();
             let first = rest.next().unwrap_or_else(|| path.to_path_buf());
             let (file, reader) = open_data(&first, options)?;
-            Ok(Self { file, reader, options: *options, rest, numbers: Numbers::default() })
+            Ok(Self { file, reader, options: *options, path: first, rest, numbers: Numbers::default() })
         };
         opened().map_err(IoError::at(path))
     }
@@ -66,24 +69,34 @@ impl Records {
         }
         file.seek(SeekFrom::Start(start)).ok()?;
         let reader = LinearReader::new_with_options(reader_options(options).with_skip_start_magic(true));
-        Some(Self { file: BufReader::new(file), reader, options: *options, rest: Vec::new().into_iter(), numbers })
+        let (path, rest) = (path.to_path_buf(), Vec::new().into_iter());
+        Some(Self { file: BufReader::new(file), reader, options: *options, path, rest, numbers })
     }
 
     /// Returns the next record; the indices of chunks are left out.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
-            match self.next_of_file()? {
-                Next::Record(record) => {
-                    if let Some(record) = self.numbers.renumbered(record)? {
-                        return Ok(Next::Record(record));
-                    }
-                }
-                Next::End => {
-                    let Some(next) = self.rest.next() else { return Ok(Next::End) };
-                    (self.file, self.reader) = open_data(&next, &self.options)?;
-                    self.numbers.next_file();
-                }
-                other => return Ok(other),
+            let next = match self.next_of_file() {
+                Ok(Next::Record(record)) => match self.numbers.renumbered(record) {
+                    Ok(Some(record)) => return Ok(Next::Record(record)),
+                    Ok(None) => continue,
+                    Err(error) => Err(error),
+                },
+                next => next,
+            };
+            let damage = match &next {
+                Ok(Next::End) => None,
+                Ok(Next::CutOff) => Some("it ends in the middle of a record".to_owned()),
+                Err(error) => Some(error.to_string()),
+                _ => return next,
+            };
+            let Some(path) = self.rest.next() else { return next };
+            let before = std::mem::replace(&mut self.path, path);
+            (self.file, self.reader) = open_data(&self.path, &self.options)?;
+            self.numbers.next_file();
+            if let Some(damage) = damage {
+                let name = before.file_name().unwrap_or_default().to_string_lossy();
+                return Ok(Next::DamagedFile(format!("{}: {damage}; the next file was read", quoted(&name))));
             }
         }
     }
@@ -247,7 +260,7 @@ impl Summary {
                     summary.is_partial |= of_channels.into_iter().any(|id| !summary.channels.contains_key(id));
                     return Some(records.numbers);
                 }
-                Next::CutOff => return None,
+                Next::CutOff | Next::DamagedFile(_) => return None,
             }
         }
     }

@@ -185,6 +185,9 @@ pub fn smooth_bag(
                 }
             }
             Ok(Next::DamagedChunk) => damaged_chunks += 1,
+            Ok(Next::DamagedFile(problem)) => {
+                cut_off.get_or_insert(problem);
+            }
             Ok(Next::End) => break,
             Ok(Next::CutOff) if copy.done + copy.copied == 0 => {
                 let problem = FormatError::Malformed("ends before its first message".into());

@@ -112,6 +112,7 @@ impl BagSource {
                         "damaged: the checksum of a chunk is wrong; its frames, already delivered, may be damaged";
                     return Err(FormatError::Malformed(problem.into()));
                 }
+                Ok(Next::DamagedFile(problem)) => return Err(FormatError::Malformed(problem)),
                 Ok(Next::End) => return Ok(None),
                 // Told once: there is nothing more to read.
                 Ok(Next::CutOff) => {

@@ -302,7 +302,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     while awaited.as_ref().is_none_or(|awaited| !awaited.is_empty()) {
         let record = match records.next() {
             Ok(Next::Record(record)) => record,
-            Ok(Next::DamagedChunk) => continue,
+            Ok(Next::DamagedChunk | Next::DamagedFile(_)) => continue,
             Ok(Next::End) => break,
             Ok(Next::CutOff) => {
                 is_cut_off = true;
