@@ -333,8 +333,8 @@ pub extern "C" fn planish_session_restart_video(session: *mut planish_session) -
     })
 }
 
-/// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y, z.
-/// Null means that it is not known.
+/// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y,
+/// z. Null means that it is not known.
 ///
 /// # Safety
 /// `pose` is null or has 7 values.
@@ -393,7 +393,8 @@ pub unsafe extern "C" fn planish_smooth(
     })
 }
 
-/// Smooths a frame into a result that the library owns. `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and so on.
+/// Smooths a frame into a result that the library owns. `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and so
+/// on.
 ///
 /// # Safety
 /// `frame` is null or as described, and so is the memory that it points to; `result` is null or writable.

@@ -1,4 +1,5 @@
-//! The committed header is what the source says. `PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test header` writes it.
+//! The committed header is what the source says. To write it: `PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test
+//! header`.
 
 use std::fs;
 use std::path::Path;

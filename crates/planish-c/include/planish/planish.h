@@ -310,8 +310,8 @@ planish_code planish_session_stop(const struct planish_session *session);
 // Forgets the frames of the video so far: the next one is the first.
 planish_code planish_session_restart_video(struct planish_session *session);
 
-// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y, z.
-// Null means that it is not known.
+// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y,
+// z. Null means that it is not known.
 planish_code planish_session_set_camera_pose(struct planish_session *session, const double *pose);
 
 // Returns the columns and rows of the result for a frame of this size; they differ with the setting decimate.
@@ -326,7 +326,8 @@ planish_code planish_smooth(struct planish_session *session,
                             const struct planish_frame *frame,
                             const struct planish_output *output);
 
-// Smooths a frame into a result that the library owns. `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and so on.
+// Smooths a frame into a result that the library owns. `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and so
+// on.
 planish_code planish_smooth_new(struct planish_session *session,
                                 const struct planish_frame *frame,
                                 uint32_t outputs,

@@ -1,0 +1,90 @@
+// Several threads: a session each, one session for two, and errors in between. `threads CALLS THREADS` is a soak.
+#include <planish/planish.hpp>
+
+#include <atomic>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <random>
+#include <thread>
+#include <vector>
+
+namespace {
+std::atomic<int> failures{0};
+void expect(bool is_true, const char *what) {
+  if (is_true) return;
+  std::printf("FAILED: %s\n", what);
+  ++failures;
+}
+
+/// Smooths frames of random sizes; every tenth is wrong in one of some ways.
+void calls(unsigned seed, long count) {
+  std::mt19937 random(seed);
+  auto below = [&](std::size_t n) { return static_cast<std::size_t>(random() % n); };
+  planish::Session session("engine=cpu threads=1");
+  for (long i = 0; i < count; ++i) {
+    const std::size_t width = 4 + below(29), height = 4 + below(21), pixels = width * height;
+    std::vector<std::uint16_t> depth(pixels, 1200), result(pixels);
+    for (auto &value : depth) value = static_cast<std::uint16_t>(value + below(7));
+    std::vector<float> points(4 * pixels);
+    const planish::Camera camera(width, height, 40, 40, 16, 12);
+    auto frame = planish::depth(depth.data(), camera);
+    planish::Output output(pixels);
+    output.points(points.data(), 16).depth(result.data());
+    const bool is_wrong = i % 10 == 9;
+    switch (is_wrong ? below(5) : 9) {
+      case 0: frame.data(nullptr); break;
+      case 1: frame.row_stride(2 * width - 2); break;
+      case 2: output.points(points.data(), 10); break;
+      case 3: output.depth(depth.data()); break;
+      case 4: output = planish::Output(pixels + 1).points(points.data(), 16); break;
+      default: break;
+    }
+    const planish::Result done = session.try_smooth(frame, output);
+    expect(static_cast<bool>(done) != is_wrong, "calls fail where they are wrong, and only there");
+    expect(!is_wrong || !done.text().empty(), "an error has a text");
+    if (!is_wrong) expect(std::abs(points[4 * (pixels / 2) + 2] - 1.203f) < 0.01f, "the wall stays where it is");
+    // Now and then another session, or a result of the library's.
+    if (i % 1000 == 500) session = planish::Session("engine=cpu threads=1 preset=light");
+    if (i % 50 == 25) {
+      planish::Smoothed smoothed;
+      expect(static_cast<bool>(session.try_smooth(planish::depth(depth.data(), camera), PLANISH_POINTS, smoothed)), "owned");
+      expect(smoothed.points(2).size() == pixels, "owned results have every pixel");
+    }
+  }
+}
+}  // namespace
+
+int main(int argc, char **argv) {
+  const long count = argc > 1 ? std::atol(argv[1]) : 2000;
+  const int threads = argc > 2 ? std::atoi(argv[2]) : 4;
+  std::vector<std::thread> all;
+  for (int i = 0; i < threads; ++i) all.emplace_back(calls, static_cast<unsigned>(i), count / threads);
+  for (auto &thread : all) thread.join();
+
+  // One session for two threads: a call while the other is in one is refused, and does no harm.
+  planish::Session shared("engine=cpu threads=1");
+  const std::vector<std::uint16_t> depth(320 * 240, 1500);
+  const planish::Camera camera(320, 240, 262.5, 262.5, 159.5, 119.5);
+  std::atomic<long> done{0}, busy{0};
+  auto use = [&] {
+    std::vector<float> points(3 * depth.size());
+    for (int i = 0; i < 20; ++i) {
+      const auto result = shared.try_smooth(planish::depth(depth.data(), camera), planish::Output(depth.size()).points(points.data()));
+      result ? ++done : ++busy;
+      expect(result || result.code() == PLANISH_BUSY, "a session in use says so");
+    }
+  };
+  std::thread one(use), other(use);
+  one.join();
+  other.join();
+  std::printf("%ld calls by %d threads; one session for two threads: %ld done, %ld refused\n", count, threads, done.load(), busy.load());
+
+  // A handle that was freed, and one that never was.
+  planish_session *session = nullptr;
+  expect(planish_session_new("", &session) == PLANISH_OK && planish_session_free(session) == PLANISH_OK, "free");
+  expect(planish_session_free(session) == PLANISH_HANDLE, "freed twice");
+  expect(planish_session_set(session, "degree", "2") == PLANISH_HANDLE, "used after it was freed");
+  expect(planish_session_set(nullptr, "degree", "2") == PLANISH_NULL, "null");
+  return failures != 0;
+}

@@ -1,0 +1,228 @@
+// planish for PCL: smooths clouds of any registered type of point, with every field kept, and takes the place of
+// pcl::MovingLeastSquares.
+//
+//   planish::smooth(cloud, smoothed);              // frames on a grid, and clouds without one
+//
+//   planish::MovingLeastSquares<pcl::PointXYZ, pcl::PointNormal> mls;     // instead of pcl::MovingLeastSquares
+#ifndef PLANISH_PCL_HPP
+#define PLANISH_PCL_HPP
+
+#include <pcl/pcl_base.h>
+#include <pcl/point_cloud.h>
+#include <pcl/point_types.h>
+#include <pcl/search/search.h>
+
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "planish.hpp"
+
+namespace planish {
+namespace detail {
+
+template <typename PointT, typename Field>
+constexpr std::size_t offset_of() {
+  return pcl::traits::offset<PointT, Field>::value;
+}
+
+/// The cloud's points where they lie.
+template <typename PointT>
+Frame frame_of(const pcl::PointCloud<PointT> &cloud) {
+  using namespace pcl::fields;
+  const bool organized = cloud.height > 1;
+  Frame frame(PLANISH_POINTS_F32, organized ? cloud.width : cloud.size(), organized ? cloud.height : 1);
+  frame.data(cloud.points.data());
+  frame.layout(sizeof(PointT), offset_of<PointT, x>(), offset_of<PointT, y>(), offset_of<PointT, z>());
+  const auto &place = cloud.sensor_origin_;
+  const auto &turn = cloud.sensor_orientation_;
+  const bool is_at_origin = place.template head<3>().isZero() && turn.isApprox(Eigen::Quaternionf::Identity());
+  if (!is_at_origin) frame.pose({place[0], place[1], place[2], turn.w(), turn.x(), turn.y(), turn.z()});
+  return frame;
+}
+
+template <typename Field, typename PointT>
+float *field_of(pcl::PointCloud<PointT> &cloud) {
+  return reinterpret_cast<float *>(reinterpret_cast<char *>(cloud.points.data()) + offset_of<PointT, Field>());
+}
+
+/// Buffers for what the points of a cloud can hold.
+template <typename PointT>
+Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float> &curvature) {
+  Output output(cloud.size());
+  output.points(field_of<pcl::fields::x>(cloud), sizeof(PointT));
+  if constexpr (pcl::traits::has_normal<PointT>::value) {
+    if (normals) output.normals(field_of<pcl::fields::normal_x>(cloud), sizeof(PointT));
+  }
+  if constexpr (pcl::traits::has_curvature<PointT>::value) {
+    if (normals) {
+      curvature.resize(cloud.size());
+      output.curvature(curvature.data());
+    }
+  }
+  return output;
+}
+
+template <typename PointT>
+void put_curvature(pcl::PointCloud<PointT> &cloud, const std::vector<float> &curvature) {
+  if constexpr (pcl::traits::has_curvature<PointT>::value) {
+    for (std::size_t i = 0; i < curvature.size(); ++i) cloud.points[i].curvature = curvature[i];
+  }
+}
+
+}  // namespace detail
+
+/// Smooths a cloud, on its grid if it has one. All other fields are kept; points that became holes are NaN. Normals and
+/// curvature are written if the type of point has them. `smoothed` may be the same cloud.
+template <typename PointT>
+Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &smoothed) {
+  static_assert(pcl::traits::has_xyz<PointT>::value, "planish::smooth needs points with x, y and z");
+  if (&cloud == &smoothed) {
+    const pcl::PointCloud<PointT> copy(cloud);
+    return smooth(session, copy, smoothed);
+  }
+  smoothed = cloud;
+  smoothed.is_dense = false;
+  std::vector<float> curvature;
+  const Output output = detail::output_of(smoothed, true, curvature);
+  Result done = session.try_smooth(detail::frame_of(cloud), output);
+  if (done) detail::put_curvature(smoothed, curvature);
+  return detail::checked(std::move(done));
+}
+
+#ifndef PLANISH_NO_EXCEPTIONS
+/// Smooths one cloud. Keep a Session for more.
+template <typename PointT>
+pcl::PointCloud<PointT> smooth(const pcl::PointCloud<PointT> &cloud, const std::string &settings = "") {
+  Session session(settings);
+  pcl::PointCloud<PointT> smoothed;
+  smooth(session, cloud, smoothed);
+  return smoothed;
+}
+
+/// Takes the place of pcl::MovingLeastSquares, with its names: the same neighbourhood, degree and Gaussian weights, on
+/// the engine of planish. Points with fewer than three neighbours are left out, as there. What planish lacks
+/// (upsampling, projection methods, distinct clouds) is an exception.
+template <typename PointInT, typename PointOutT>
+class MovingLeastSquares : public pcl::PCLBase<PointInT> {
+  using Base = pcl::PCLBase<PointInT>;
+  using Base::indices_;
+  using Base::input_;
+
+ public:
+  using Ptr = std::shared_ptr<MovingLeastSquares>;
+  using KdTreePtr = typename pcl::search::Search<PointInT>::Ptr;
+  using PointCloudOut = pcl::PointCloud<PointOutT>;
+  enum UpsamplingMethod { NONE, DISTINCT_CLOUD, SAMPLE_LOCAL_PLANE, RANDOM_UNIFORM_DENSITY, VOXEL_GRID_DILATION };
+
+  MovingLeastSquares() : session_("edges=off passes=1 grid=off degree=2") {}
+
+  /// Radius of a neighbourhood in metres.
+  void setSearchRadius(double radius) {
+    session_.set("radius_m", radius);
+    // PCL's Gaussian follows the radius unless it is set, and so does planish's.
+    search_radius_ = radius;
+  }
+  double getSearchRadius() const { return search_radius_; }
+  /// Degree of the surface: 0 and 1 are a plane, 2 and 3 polynomials.
+  void setPolynomialOrder(int order) {
+    if (order < 0 || order > 3) refuse("setPolynomialOrder", "a degree of 0 to 3");
+    order_ = order;
+    session_.set("degree", order < 1 ? 1 : order);
+  }
+  int getPolynomialOrder() const { return order_; }
+  void setComputeNormals(bool compute_normals) { compute_normals_ = compute_normals; }
+  /// The square of the Gaussian's bandwidth, exp(-d²/gauss).
+  void setSqrGaussParam(double gauss) {
+    if (!(gauss > 0)) refuse("setSqrGaussParam", "a positive number");
+    session_.set("bandwidth_m", std::sqrt(gauss));
+    gauss_ = gauss;
+  }
+  double getSqrGaussParam() const { return gauss_ > 0 ? gauss_ : search_radius_ * search_radius_; }
+  /// planish has an index of its own.
+  void setSearchMethod(const KdTreePtr &) {}
+  void setNumberOfThreads(unsigned threads) {
+    if (threads > 0) session_.set("threads", static_cast<double>(threads));
+  }
+  void setCacheMLSResults(bool) {}
+  void setUpsamplingMethod(UpsamplingMethod method) {
+    if (method != NONE) refuse("setUpsamplingMethod", "NONE");
+  }
+  /// Sets another setting of planish, such as "neighbours" or "passes".
+  template <typename Value>
+  void set(const std::string &name, const Value &value) {
+    session_.set(name, value);
+  }
+
+  /// Smooths the cloud; the output has the points of the indices that have a surface.
+  void process(PointCloudOut &output) {
+    kept_.reset(new pcl::PointIndices);
+    output.clear();
+    if (!Base::initCompute()) {
+      output.width = output.height = 0;
+      return;
+    }
+    output.header = kept_->header = input_->header;
+    output.sensor_origin_ = input_->sensor_origin_;
+    output.sensor_orientation_ = input_->sensor_orientation_;
+    // Without a grid, as PCL reads it.
+    using namespace pcl::fields;
+    Frame frame(PLANISH_POINTS_F32, input_->size(), 1);
+    frame.data(input_->points.data());
+    frame.layout(sizeof(PointInT), detail::offset_of<PointInT, x>(), detail::offset_of<PointInT, y>(),
+                 detail::offset_of<PointInT, z>());
+    std::uint32_t outputs = PLANISH_POINTS | PLANISH_STATUS;
+    if (compute_normals_) outputs |= PLANISH_NORMALS | PLANISH_CURVATURE;
+    const Smoothed smoothed = session_.smooth(frame, outputs);
+    output.reserve(indices_->size());
+    for (const auto index : *indices_) {
+      const auto i = static_cast<std::size_t>(index);
+      const std::uint8_t status = smoothed.status()[i];
+      if (status < PLANISH_STATUS_DEGENERATE || status == PLANISH_STATUS_ISOLATED) continue;
+      PointOutT point;
+      pcl::copyPoint((*input_)[i], point);
+      point.x = smoothed.points(0)[i];
+      point.y = smoothed.points(1)[i];
+      point.z = smoothed.points(2)[i];
+      if constexpr (pcl::traits::has_normal<PointOutT>::value) {
+        if (compute_normals_) {
+          point.normal_x = smoothed.normals(0)[i];
+          point.normal_y = smoothed.normals(1)[i];
+          point.normal_z = smoothed.normals(2)[i];
+        }
+      }
+      if constexpr (pcl::traits::has_curvature<PointOutT>::value) {
+        if (compute_normals_) point.curvature = smoothed.curvature()[i];
+      }
+      output.push_back(point);
+      kept_->indices.push_back(index);
+    }
+    output.width = static_cast<std::uint32_t>(output.size());
+    output.height = 1;
+    output.is_dense = true;
+    Base::deinitCompute();
+  }
+
+  /// Indices of the input that the points of the output came from.
+  pcl::PointIndicesPtr getCorrespondingIndices() const { return kept_; }
+
+ private:
+  [[noreturn]] static void refuse(const char *what, const char *allowed) {
+    throw Error(Result(PLANISH_SETTING, std::string(what) + ": planish has " + allowed + " only"));
+  }
+
+  Session session_;
+  double search_radius_ = 0;
+  double gauss_ = 0;
+  int order_ = 2;
+  bool compute_normals_ = false;
+  pcl::PointIndicesPtr kept_;
+};
+#endif  // PLANISH_NO_EXCEPTIONS
+
+}  // namespace planish
+
+#endif  // PLANISH_PCL_HPP

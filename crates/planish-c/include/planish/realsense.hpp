@@ -1,0 +1,80 @@
+// planish for librealsense: a processing block that goes where rs2::spatial_filter went.
+//
+//   planish::DepthSmoother smoother("sensor=d435");
+//   rs2::frame smoothed = smoother.process(frames.get_depth_frame());
+#ifndef PLANISH_REALSENSE_HPP
+#define PLANISH_REALSENSE_HPP
+
+#include <librealsense2/rs.hpp>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "planish.hpp"
+
+namespace planish {
+
+/// The camera of a stream of depth. Distortions that planish lacks are an error of the session.
+inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit) {
+  Camera camera(static_cast<std::size_t>(intrinsics.width), static_cast<std::size_t>(intrinsics.height), intrinsics.fx,
+                intrinsics.fy, intrinsics.ppx, intrinsics.ppy);
+  camera.depth_units_per_metre(1.0 / metres_per_unit);
+  bool is_distorted = false;
+  for (float k : intrinsics.coeffs) is_distorted |= k != 0;
+  if (is_distorted && intrinsics.model != RS2_DISTORTION_NONE) {
+    const std::vector<double> coefficients(intrinsics.coeffs, intrinsics.coeffs + 5);
+    camera.distortion(rs2_distortion_to_string(intrinsics.model), coefficients);
+  }
+  return camera;
+}
+
+/// Smooths depth frames; frames of other streams, and framesets' other frames, pass through.
+class DepthSmoother : public rs2::filter {
+ public:
+  explicit DepthSmoother(const std::string &settings = "")
+      : DepthSmoother(std::make_shared<Session>(settings)) {}
+
+  /// What the session decided or found without being asked.
+  std::vector<std::string> take_events() { return session_->take_events(); }
+
+ private:
+  explicit DepthSmoother(std::shared_ptr<Session> session)
+      : rs2::filter([session](rs2::frame frame, rs2::frame_source &source) {
+          process(*session, frame, source);
+        }),
+        session_(std::move(session)) {}
+
+  static rs2::frame smoothed(Session &session, const rs2::depth_frame &depth, rs2::frame_source &source) {
+    const auto profile = depth.get_profile().as<rs2::video_stream_profile>();
+    const Camera camera = camera_of(profile.get_intrinsics(), depth.get_units());
+    const int width = depth.get_width(), height = depth.get_height();
+    rs2::frame out = source.allocate_video_frame(profile, depth, 16, width, height, 2 * width, RS2_EXTENSION_DEPTH_FRAME);
+    const auto *raw = static_cast<const std::uint16_t *>(depth.get_data());
+    auto *result = static_cast<std::uint16_t *>(const_cast<void *>(out.get_data()));
+    const std::size_t stride = static_cast<std::size_t>(depth.get_stride_in_bytes());
+    Output output(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+    session.smooth(planish::depth(raw, camera, stride), output.depth(result));
+    return out;
+  }
+
+  static void process(Session &session, rs2::frame frame, rs2::frame_source &source) {
+    auto one = [&](const rs2::frame &frame) -> rs2::frame {
+      const auto depth = frame.as<rs2::depth_frame>();
+      return depth ? smoothed(session, depth, source) : frame;
+    };
+    if (const auto frames = frame.as<rs2::frameset>()) {
+      std::vector<rs2::frame> all;
+      frames.foreach_rs([&](const rs2::frame &frame) { all.push_back(one(frame)); });
+      source.frame_ready(source.allocate_composite_frame(all));
+    } else {
+      source.frame_ready(one(frame));
+    }
+  }
+
+  std::shared_ptr<Session> session_;
+};
+
+}  // namespace planish
+
+#endif  // PLANISH_REALSENSE_HPP
