@@ -90,11 +90,14 @@ int main() {
   const auto theirs = with<pcl::MovingLeastSquares>(points, indices, of_pcl);
   const auto ours = with<planish::MovingLeastSquares>(points, indices, of_planish);
   expect(of_pcl.indices == of_planish.indices, "the same points have a surface");
-  double farthest = 0;
+  double farthest = 0, squares = 0;
   for (std::size_t i = 0; i < ours.size() && i < theirs.size(); ++i) {
-    farthest = std::max(farthest, static_cast<double>((ours[i].getVector3fMap() - theirs[i].getVector3fMap()).norm()));
+    const double distance = (ours[i].getVector3fMap() - theirs[i].getVector3fMap()).norm();
+    farthest = std::max(farthest, distance);
+    squares += distance * distance;
   }
-  std::printf("unorganized: %zu points, at most %.3f mm from PCL's\n", ours.size(), 1e3 * farthest);
+  std::printf("unorganized: %zu points, %.4f mm from PCL's on average (RMS), at most %.3f mm\n", ours.size(),
+              1e3 * std::sqrt(squares / static_cast<double>(ours.size())), 1e3 * farthest);
   expect(farthest < 1e-3, "within a millimetre of PCL's");
   try {
     planish::MovingLeastSquares<pcl::PointXYZ, pcl::PointXYZ>().setPolynomialOrder(7);

@@ -64,12 +64,12 @@ int main(int argc, char **argv) {
 
   // One session for two threads: a call while the other is in one is refused, and does no harm.
   planish::Session shared("engine=cpu threads=1");
-  const std::vector<std::uint16_t> depth(320 * 240, 1500);
-  const planish::Camera camera(320, 240, 262.5, 262.5, 159.5, 119.5);
+  const std::vector<std::uint16_t> depth(64 * 48, 1500);
+  const planish::Camera camera(64, 48, 52.5, 52.5, 31.5, 23.5);
   std::atomic<long> done{0}, busy{0};
   auto use = [&] {
     std::vector<float> points(3 * depth.size());
-    for (int i = 0; i < 20; ++i) {
+    for (int i = 0; i < 50; ++i) {
       const auto result = shared.try_smooth(planish::depth(depth.data(), camera), planish::Output(depth.size()).points(points.data()));
       result ? ++done : ++busy;
       expect(result || result.code() == PLANISH_BUSY, "a session in use says so");

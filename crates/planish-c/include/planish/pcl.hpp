@@ -118,7 +118,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   using PointCloudOut = pcl::PointCloud<PointOutT>;
   enum UpsamplingMethod { NONE, DISTINCT_CLOUD, SAMPLE_LOCAL_PLANE, RANDOM_UNIFORM_DENSITY, VOXEL_GRID_DILATION };
 
-  MovingLeastSquares() : session_("edges=off passes=1 grid=off degree=2") {}
+  MovingLeastSquares() : session_("edges=off passes=1 grid=off degree=2 ridge=1e-3") {}
 
   /// Radius of a neighbourhood in metres.
   void setSearchRadius(double radius) {

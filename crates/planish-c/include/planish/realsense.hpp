@@ -41,7 +41,7 @@ class DepthSmoother : public rs2::filter {
  private:
   explicit DepthSmoother(std::shared_ptr<Session> session)
       : rs2::filter([session](rs2::frame frame, rs2::frame_source &source) {
-          process(*session, frame, source);
+          run(*session, frame, source);
         }),
         session_(std::move(session)) {}
 
@@ -49,7 +49,8 @@ class DepthSmoother : public rs2::filter {
     const auto profile = depth.get_profile().as<rs2::video_stream_profile>();
     const Camera camera = camera_of(profile.get_intrinsics(), depth.get_units());
     const int width = depth.get_width(), height = depth.get_height();
-    rs2::frame out = source.allocate_video_frame(profile, depth, 16, width, height, 2 * width, RS2_EXTENSION_DEPTH_FRAME);
+    // Bytes per pixel, and per row.
+    rs2::frame out = source.allocate_video_frame(profile, depth, 2, width, height, 2 * width, RS2_EXTENSION_DEPTH_FRAME);
     const auto *raw = static_cast<const std::uint16_t *>(depth.get_data());
     auto *result = static_cast<std::uint16_t *>(const_cast<void *>(out.get_data()));
     const std::size_t stride = static_cast<std::size_t>(depth.get_stride_in_bytes());
@@ -58,7 +59,7 @@ class DepthSmoother : public rs2::filter {
     return out;
   }
 
-  static void process(Session &session, rs2::frame frame, rs2::frame_source &source) {
+  static void run(Session &session, rs2::frame frame, rs2::frame_source &source) {
     auto one = [&](const rs2::frame &frame) -> rs2::frame {
       const auto depth = frame.as<rs2::depth_frame>();
       return depth ? smoothed(session, depth, source) : frame;
