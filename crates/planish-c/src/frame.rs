@@ -110,7 +110,7 @@ pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const
 
 /// # Safety
 /// As of [`planish_frame`].
-unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
+pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
     // SAFETY: as the caller promises.
     let given = unsafe { sized("the camera", pointer, size_of::<planish_camera>())? };
     let mut camera = Camera::new((given.width, given.height), [given.fx, given.fy], [given.cx, given.cy]);

@@ -7,6 +7,7 @@
 #![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, clippy::print_stderr)]
 
 mod buffers;
+mod cuda;
 mod error;
 mod frame;
 mod handles;
@@ -14,6 +15,10 @@ mod output;
 mod result;
 mod session;
 
+pub use cuda::{
+    planish_cuda, planish_cuda_channels, planish_cuda_free, planish_cuda_new, planish_cuda_receive,
+    planish_cuda_smooth, planish_cuda_submit,
+};
 pub use error::{
     PLANISH_ARGUMENT, PLANISH_BUSY, PLANISH_ENGINE, PLANISH_HANDLE, PLANISH_INTERNAL, PLANISH_NULL, PLANISH_OK,
     PLANISH_SETTING, PLANISH_STOPPED, planish_code, planish_last_error, planish_version,

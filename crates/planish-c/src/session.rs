@@ -143,6 +143,18 @@ fn settings_of(text: &str) -> Done<Settings> {
     Ok(text.parse::<Settings>()?)
 }
 
+/// Reads the caller's settings; null is the default.
+///
+/// # Safety
+/// The pointer is null or a text that ends with a zero.
+pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
+    match pointer.is_null() {
+        true => Ok(Settings::default()),
+        // SAFETY: as the caller promises.
+        false => settings_of(unsafe { text("settings", pointer)? }),
+    }
+}
+
 /// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as
 /// {"preset": "strong"}, or null for the default.
 ///
@@ -156,11 +168,8 @@ pub unsafe extern "C" fn planish_session_new(
     guarded(|| {
         // SAFETY: as the caller promises.
         let session = unsafe { writable("the place for the session", session)? };
-        let settings = match settings.is_null() {
-            true => Settings::default(),
-            // SAFETY: the same.
-            false => settings_of(unsafe { text("settings", settings)? })?,
-        };
+        // SAFETY: the same.
+        let settings = unsafe { settings_from(settings)? };
         let inner = Session::new(settings.clone())?;
         let watch = inner.watch();
         let state = Mutex::new(State { session: inner, settings, events: VecDeque::new() });
@@ -173,7 +182,7 @@ pub unsafe extern "C" fn planish_session_new(
 ///
 /// # Safety
 /// The pointer is null, or writable for as long as the result lives.
-unsafe fn writable<'a, T>(what: &'static str, pointer: *mut T) -> Done<&'a mut T> {
+pub(crate) unsafe fn writable<'a, T>(what: &'static str, pointer: *mut T) -> Done<&'a mut T> {
     crate::buffers::Extent::new(what, pointer, align_of::<T>(), (size_of::<T>(), size_of::<T>(), 1))?;
     // SAFETY: it is not null and aligned; the rest is the caller's promise.
     Ok(unsafe { &mut *pointer })

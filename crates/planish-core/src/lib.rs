@@ -80,6 +80,8 @@ pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
 pub use frame::{
     DepthFrame, DepthImage, DepthView, Frame, IntoFrame, OwnedFrame, PointLayout, PointsView, RangeRule, Scalar,
 };
+#[cfg(all(feature = "cuda", target_os = "linux"))]
+pub use gpu::CudaSmoother;
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{
     CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength, Window, WindowSize,

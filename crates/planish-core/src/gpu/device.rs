@@ -68,7 +68,7 @@ pub(super) struct GpuDevice {
 
 /// Returns the adapters of this machine, in order of their indices. Enumerated once, as that takes longer than opening
 /// a device.
-fn adapters() -> &'static [wgpu::Adapter] {
+pub(super) fn adapters() -> &'static [wgpu::Adapter] {
     static ADAPTERS: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
     ADAPTERS.get_or_init(|| {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
@@ -147,7 +147,7 @@ impl OpenAdapter {
     }
 
     /// Has the devices record their faults in one place.
-    fn new(adapter: &wgpu::Adapter, name: &str, opened: Vec<(wgpu::Device, wgpu::Queue)>) -> Self {
+    pub(super) fn new(adapter: &wgpu::Adapter, name: &str, opened: Vec<(wgpu::Device, wgpu::Queue)>) -> Self {
         let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let spin = if is_software { Duration::ZERO } else { SPIN };
         let fault = Arc::<Mutex<Option<EngineError>>>::default();

@@ -193,7 +193,7 @@ impl Gpu {
         Ok(())
     }
 
-    fn layout(&self, kind: InputKind) -> Layout {
+    pub(super) fn layout(&self, kind: InputKind) -> Layout {
         let (width, height) = self.shape;
         let keeps_planes = self.params.edges != Edges::Off;
         let keeps_points = keeps_planes || self.params.averages_blocks();
@@ -210,7 +210,7 @@ impl Gpu {
     }
 
     /// Returns the kernels of a frame's passes in order, each with its workgroups across and down.
-    fn kernels(
+    pub(super) fn kernels(
         &self,
         gpu: &GpuDevice,
         kind: InputKind,

@@ -10,6 +10,8 @@
 
 #[cfg(feature = "gpu")]
 mod copier;
+#[cfg(all(feature = "cuda", target_os = "linux"))]
+mod cuda;
 #[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
@@ -41,6 +43,8 @@ mod upload;
 #[cfg(feature = "gpu")]
 mod view;
 
+#[cfg(all(feature = "cuda", target_os = "linux"))]
+pub use cuda::CudaSmoother;
 #[cfg(feature = "gpu")]
 pub use engine::lose_devices;
 #[cfg(feature = "gpu")]

@@ -1,0 +1,242 @@
+//! Frames in the memory of a CUDA program.
+
+use std::ffi::{c_char, c_void};
+
+use crate::error::{Done, guarded, planish_code};
+use crate::frame::planish_camera;
+
+/// Smooths depth images of one camera in CUDA's memory.
+pub struct planish_cuda {
+    _opaque: [u8; 0],
+}
+
+#[cfg(all(feature = "cuda", target_os = "linux"))]
+mod with_cuda {
+    use std::sync::{Mutex, TryLockError};
+
+    use planish::CudaSmoother;
+
+    use super::{Done, c_char, c_void, planish_camera, planish_cuda};
+    use crate::error::{PLANISH_ARGUMENT, PLANISH_BUSY, PLANISH_INTERNAL, PLANISH_NULL, failure};
+    use crate::frame::{PLANISH_DEPTH_F32, PLANISH_DEPTH_U16, camera_of};
+    use crate::handles::Handles;
+    use crate::session::{settings_from, writable};
+
+    static ALL: Handles<Mutex<CudaSmoother>> = Handles::new("smoother for CUDA");
+
+    pub(super) unsafe fn new(
+        settings: *const c_char,
+        camera: *const planish_camera,
+        kind: u32,
+        cuda: *mut *mut planish_cuda,
+    ) -> Done<()> {
+        // SAFETY: as the caller promises.
+        let (cuda, settings, camera) =
+            unsafe { (writable("the place for the smoother", cuda)?, settings_from(settings)?, camera_of(camera)?) };
+        let is_metres = match kind {
+            PLANISH_DEPTH_U16 => false,
+            PLANISH_DEPTH_F32 => true,
+            other => {
+                let text =
+                    format!("the kind is {other}; depth in CUDA's memory is PLANISH_DEPTH_U16 or PLANISH_DEPTH_F32");
+                return failure(PLANISH_ARGUMENT, text);
+            }
+        };
+        *cuda = ALL.add(Mutex::new(CudaSmoother::open(&settings, &camera, is_metres)?));
+        Ok(())
+    }
+
+    pub(super) fn with<T>(cuda: *const planish_cuda, body: impl FnOnce(&mut CudaSmoother) -> Done<T>) -> Done<T> {
+        let held = ALL.get(cuda)?;
+        let mut smoother = match held.try_lock() {
+            Ok(smoother) => smoother,
+            Err(TryLockError::WouldBlock) => return failure(PLANISH_BUSY, "another thread is using the smoother"),
+            Err(TryLockError::Poisoned(_)) => return failure(PLANISH_INTERNAL, "the smoother had an internal error"),
+        };
+        body(&mut smoother)
+    }
+
+    pub(super) unsafe fn smooth(
+        cuda: *mut planish_cuda,
+        (depth, row_stride): (*const c_void, usize),
+        result: *mut f32,
+        stream: *mut c_void,
+    ) -> Done<()> {
+        if depth.is_null() || result.is_null() {
+            return failure(PLANISH_NULL, "the address of the depth or of the result is null");
+        }
+        with(cuda, |smoother| {
+            // SAFETY: as the caller promises.
+            Ok(unsafe { smoother.smooth(depth.addr() as u64, row_stride, result.addr() as u64, stream.addr())? })
+        })
+    }
+
+    pub(super) unsafe fn submit(
+        cuda: *mut planish_cuda,
+        (depth, row_stride): (*const c_void, usize),
+        stream: *mut c_void,
+    ) -> Done<()> {
+        if depth.is_null() {
+            return failure(PLANISH_NULL, "the address of the depth is null");
+        }
+        // SAFETY: as the caller promises.
+        with(cuda, |smoother| Ok(unsafe { smoother.submit(depth.addr() as u64, row_stride, stream.addr())? }))
+    }
+
+    pub(super) unsafe fn receive(
+        cuda: *mut planish_cuda,
+        result: *mut f32,
+        stream: *mut c_void,
+        received: *mut bool,
+    ) -> Done<()> {
+        if result.is_null() {
+            return failure(PLANISH_NULL, "the address of the result is null");
+        }
+        // SAFETY: as the caller promises.
+        let place = unsafe { writable("received", received)? };
+        with(cuda, |smoother| {
+            // SAFETY: as the caller promises.
+            *place = unsafe { smoother.receive(result.addr() as u64, stream.addr())? };
+            Ok(())
+        })
+    }
+
+    pub(super) unsafe fn channels(cuda: *const planish_cuda, channels: *mut usize) -> Done<()> {
+        // SAFETY: as the caller promises.
+        let place = unsafe { writable("channels", channels)? };
+        with(cuda, |smoother| {
+            *place = smoother.channels();
+            Ok(())
+        })
+    }
+
+    pub(super) fn free(cuda: *mut planish_cuda) -> Done<()> {
+        if cuda.is_null() { Ok(()) } else { ALL.remove(cuda) }
+    }
+}
+
+#[cfg(not(all(feature = "cuda", target_os = "linux")))]
+mod with_cuda {
+    use super::{Done, c_char, c_void, planish_camera, planish_cuda};
+    use crate::error::{PLANISH_ENGINE, failure};
+
+    fn absent() -> Done<()> {
+        failure(PLANISH_ENGINE, "this build has no CUDA (planish-c's feature `cuda`, on Linux)")
+    }
+
+    pub(super) unsafe fn new(
+        _: *const c_char,
+        _: *const planish_camera,
+        _: u32,
+        _: *mut *mut planish_cuda,
+    ) -> Done<()> {
+        absent()
+    }
+
+    pub(super) unsafe fn smooth(
+        _: *mut planish_cuda,
+        _: (*const c_void, usize),
+        _: *mut f32,
+        _: *mut c_void,
+    ) -> Done<()> {
+        absent()
+    }
+
+    pub(super) unsafe fn submit(_: *mut planish_cuda, _: (*const c_void, usize), _: *mut c_void) -> Done<()> {
+        absent()
+    }
+
+    pub(super) unsafe fn receive(_: *mut planish_cuda, _: *mut f32, _: *mut c_void, _: *mut bool) -> Done<()> {
+        absent()
+    }
+
+    pub(super) unsafe fn channels(_: *const planish_cuda, _: *mut usize) -> Done<()> {
+        absent()
+    }
+
+    pub(super) fn free(_: *mut planish_cuda) -> Done<()> {
+        absent()
+    }
+}
+
+/// Makes a smoother for depth images of one camera in CUDA's memory, on Linux: PLANISH_DEPTH_U16 in the camera's units
+/// or PLANISH_DEPTH_F32 in metres. Settings are those of planish_session_new; their outputs may be points, normals,
+/// curvature and depth_m. The GPU's Vulkan driver is needed too.
+///
+/// # Safety
+/// `settings` is null or a text, `camera` null or as described, `cuda` null or writable.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn planish_cuda_new(
+    settings: *const c_char,
+    camera: *const planish_camera,
+    kind: u32,
+    cuda: *mut *mut planish_cuda,
+) -> planish_code {
+    // SAFETY: as the caller promises.
+    guarded(|| unsafe { with_cuda::new(settings, camera, kind, cuda) })
+}
+
+/// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one), and
+/// returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far. `result`
+/// has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then curvature, depth_m.
+///
+/// # Safety
+/// As described.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn planish_cuda_smooth(
+    cuda: *mut planish_cuda,
+    depth: *const c_void,
+    row_stride: usize,
+    result: *mut f32,
+    stream: *mut c_void,
+) -> planish_code {
+    // SAFETY: as the caller promises.
+    guarded(|| unsafe { with_cuda::smooth(cuda, (depth, row_stride), result, stream) })
+}
+
+/// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
+/// flight. The GPU changes between CUDA and Vulkan once for all that are handed over before the first is received.
+///
+/// # Safety
+/// As described.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn planish_cuda_submit(
+    cuda: *mut planish_cuda,
+    depth: *const c_void,
+    row_stride: usize,
+    stream: *mut c_void,
+) -> planish_code {
+    // SAFETY: as the caller promises.
+    guarded(|| unsafe { with_cuda::submit(cuda, (depth, row_stride), stream) })
+}
+
+/// Has the stream wait for the oldest frame in flight and copy its result; `received` is false if none is in flight.
+///
+/// # Safety
+/// As described.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn planish_cuda_receive(
+    cuda: *mut planish_cuda,
+    result: *mut f32,
+    stream: *mut c_void,
+    received: *mut bool,
+) -> planish_code {
+    // SAFETY: as the caller promises.
+    guarded(|| unsafe { with_cuda::receive(cuda, result, stream, received) })
+}
+
+/// Returns the number of channels of a result.
+///
+/// # Safety
+/// `channels` is null or writable.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn planish_cuda_channels(cuda: *const planish_cuda, channels: *mut usize) -> planish_code {
+    // SAFETY: as the caller promises.
+    guarded(|| unsafe { with_cuda::channels(cuda, channels) })
+}
+
+/// Frees the smoother, after the stream has done what it was given. Null is allowed.
+#[unsafe(no_mangle)]
+pub extern "C" fn planish_cuda_free(cuda: *mut planish_cuda) -> planish_code {
+    guarded(|| with_cuda::free(cuda))
+}
