@@ -2,6 +2,7 @@
 
 mod arrays;
 mod camera;
+mod cuda;
 mod errors;
 mod files;
 mod settings;
@@ -26,6 +27,8 @@ mod _planish {
     use super::camera::PyCamera;
     #[pymodule_export]
     use super::command;
+    #[pymodule_export]
+    use super::cuda::PyCudaSmoother;
     #[pymodule_export]
     use super::files::{
         devices, evaluate, origin_values, read, read_settings, settings_to_json, simulate, write_depth, write_points,

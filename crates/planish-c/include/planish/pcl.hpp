@@ -14,9 +14,10 @@
 
 #include <cmath>
 #include <cstdint>
-#include <limits>
+#include <cstring>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "planish.hpp"
@@ -66,6 +67,30 @@ Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float
   return output;
 }
 
+/// Copies a cloud into another; into memory that it has already, as bytes.
+template <typename PointT>
+void copy(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
+  if (to.size() != cloud.size() || cloud.empty()) {
+    to = cloud;
+    return;
+  }
+  to.header = cloud.header;
+  to.width = cloud.width;
+  to.height = cloud.height;
+  to.sensor_origin_ = cloud.sensor_origin_;
+  to.sensor_orientation_ = cloud.sensor_orientation_;
+  // Registered points are plain structs of numbers. Of a large cloud another thread copies one half.
+  const auto copy_part = [&](std::size_t begin, std::size_t end) {
+    std::memcpy(static_cast<void *>(to.points.data() + begin), static_cast<const void *>(cloud.points.data() + begin),
+                (end - begin) * sizeof(PointT));
+  };
+  const std::size_t bytes = cloud.size() * sizeof(PointT), middle = bytes > (std::size_t{1} << 20) ? cloud.size() / 2 : 0;
+  std::thread other;
+  if (middle > 0) other = std::thread(copy_part, 0, middle);
+  copy_part(middle, cloud.size());
+  if (other.joinable()) other.join();
+}
+
 template <typename PointT>
 void put_curvature(pcl::PointCloud<PointT> &cloud, const std::vector<float> &curvature) {
   if constexpr (pcl::traits::has_curvature<PointT>::value) {
@@ -84,7 +109,7 @@ Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::Poin
     const pcl::PointCloud<PointT> copy(cloud);
     return smooth(session, copy, smoothed);
   }
-  smoothed = cloud;
+  detail::copy(cloud, smoothed);
   smoothed.is_dense = false;
   std::vector<float> curvature;
   const Output output = detail::output_of(smoothed, true, curvature);

@@ -101,6 +101,9 @@
 // A filled hole: nothing was measured here.
 #define PLANISH_STATUS_FILLED 8
 
+// Smooths depth images of one camera in CUDA's memory.
+typedef struct planish_cuda planish_cuda;
+
 // A result that the library owns.
 typedef struct planish_result planish_result;
 
@@ -109,32 +112,6 @@ typedef struct planish_session planish_session;
 
 // What a function returns: 0, or an error.
 typedef int32_t planish_code;
-
-// The arrays of a result: each has width * height values, or is null if it was not asked for.
-typedef struct planish_view {
-  // Columns, or points.
-  size_t width;
-  // Rows; 1 for points without a grid.
-  size_t height;
-  // x, y and z of the smoothed points in metres.
-  const float *points[3];
-  // x, y and z of the unit normals towards the sensor.
-  const float *normals[3];
-  // Surface variation.
-  const float *curvature;
-  // One of PLANISH_STATUS_... for each pixel.
-  const uint8_t *status;
-  // Number of neighbours.
-  const uint32_t *neighbours;
-  // Depth in the camera's units.
-  const uint16_t *depth;
-  // Depth in metres.
-  const float *depth_m;
-  // Effective number of frames of a video.
-  const float *frames;
-  // Standard error along the ray, in metres.
-  const float *sigma;
-} planish_view;
 
 // A pinhole camera.
 typedef struct planish_camera {
@@ -162,6 +139,32 @@ typedef struct planish_camera {
   // How many there are.
   size_t distortion_count;
 } planish_camera;
+
+// The arrays of a result: each has width * height values, or is null if it was not asked for.
+typedef struct planish_view {
+  // Columns, or points.
+  size_t width;
+  // Rows; 1 for points without a grid.
+  size_t height;
+  // x, y and z of the smoothed points in metres.
+  const float *points[3];
+  // x, y and z of the unit normals towards the sensor.
+  const float *normals[3];
+  // Surface variation.
+  const float *curvature;
+  // One of PLANISH_STATUS_... for each pixel.
+  const uint8_t *status;
+  // Number of neighbours.
+  const uint32_t *neighbours;
+  // Depth in the camera's units.
+  const uint16_t *depth;
+  // Depth in metres.
+  const float *depth_m;
+  // Effective number of frames of a video.
+  const float *frames;
+  // Standard error along the ray, in metres.
+  const float *sigma;
+} planish_view;
 
 // A depth image, or points. It is borrowed until the call returns.
 typedef struct planish_frame {
@@ -257,6 +260,36 @@ typedef struct planish_output {
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
+
+// Makes a smoother for depth images of one camera in CUDA's memory, on Linux: PLANISH_DEPTH_U16 in the camera's units
+// or PLANISH_DEPTH_F32 in metres. Settings are those of planish_session_new; their outputs may be points, normals,
+// curvature and depth_m. The GPU's Vulkan driver is needed too.
+planish_code planish_cuda_new(const char *settings,
+                              const struct planish_camera *camera,
+                              uint32_t kind,
+                              struct planish_cuda **cuda);
+
+// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one), and
+// returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far. `result`
+// has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then curvature, depth_m.
+planish_code planish_cuda_smooth(struct planish_cuda *cuda,
+                                 const void *depth,
+                                 size_t row_stride,
+                                 float *result,
+                                 void *stream);
+
+// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
+// flight. The GPU changes between CUDA and Vulkan once for all that are handed over before the first is received.
+planish_code planish_cuda_submit(struct planish_cuda *cuda, const void *depth, size_t row_stride, void *stream);
+
+// Has the stream wait for the oldest frame in flight and copy its result; `received` is false if none is in flight.
+planish_code planish_cuda_receive(struct planish_cuda *cuda, float *result, void *stream, bool *received);
+
+// Returns the number of channels of a result.
+planish_code planish_cuda_channels(const struct planish_cuda *cuda, size_t *channels);
+
+// Frees the smoother, after the stream has done what it was given. Null is allowed.
+planish_code planish_cuda_free(struct planish_cuda *cuda);
 
 // Returns the text of the last error of a function called on this thread, in UTF-8; empty if there was none. It is
 // valid until the next error on this thread.

@@ -17,6 +17,7 @@ Many frames, with buffers that are kept:
 (dtype('uint16'), (480, 640))
 """
 
+from ._cuda import CudaSmoother
 from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
 from ._planish import VERSION as __version__
 from ._planish import Camera
@@ -30,6 +31,7 @@ __all__ = [
     "Camera",
     "CloudChoice",
     "Comparison",
+    "CudaSmoother",
     "Devices",
     "Distances",
     "Frame",
