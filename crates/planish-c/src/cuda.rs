@@ -10,7 +10,7 @@ pub struct planish_cuda {
     _opaque: [u8; 0],
 }
 
-#[cfg(all(feature = "cuda", target_os = "linux"))]
+#[cfg(feature = "cuda")]
 mod with_cuda {
     use std::sync::{Mutex, TryLockError};
 
@@ -115,13 +115,13 @@ mod with_cuda {
     }
 }
 
-#[cfg(not(all(feature = "cuda", target_os = "linux")))]
+#[cfg(not(feature = "cuda"))]
 mod with_cuda {
     use super::{Done, c_char, c_void, planish_camera, planish_cuda};
     use crate::error::{PLANISH_ENGINE, failure};
 
     fn absent() -> Done<()> {
-        failure(PLANISH_ENGINE, "this build has no CUDA (planish-c's feature `cuda`, on Linux)")
+        failure(PLANISH_ENGINE, "this build has no CUDA (planish-c's feature `cuda`)")
     }
 
     pub(super) unsafe fn new(

@@ -80,7 +80,7 @@ pub use fleet::{Fleet, FleetDevice, FleetMember, SharedFrame};
 pub use frame::{
     DepthFrame, DepthImage, DepthView, Frame, IntoFrame, OwnedFrame, PointLayout, PointsView, RangeRule, Scalar,
 };
-#[cfg(all(feature = "cuda", target_os = "linux"))]
+#[cfg(feature = "cuda")]
 pub use gpu::CudaSmoother;
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{

@@ -1,60 +1,31 @@
 //! Frames in the memory of CUDA programs, as Python holds the smoother.
 
+use std::sync::Mutex;
+
+use planish::{CudaSmoother, Error};
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::camera::PyCamera;
-
-#[cfg(target_os = "linux")]
-type Inner = std::sync::Mutex<planish::CudaSmoother>;
-#[cfg(not(target_os = "linux"))]
-type Inner = std::convert::Infallible;
+use crate::errors::to_py;
+use crate::settings::from_dict;
 
 #[pyclass(frozen, name = "CudaEngine", module = "planish._planish")]
-pub struct PyCudaSmoother(Inner);
+pub struct PyCudaSmoother(Mutex<CudaSmoother>);
 
-#[cfg(target_os = "linux")]
-mod on_linux {
-    use std::sync::Mutex;
-
-    use planish::{CudaSmoother, Error};
-    use pyo3::exceptions::PyRuntimeError;
-
-    use super::{Bound, PyCamera, PyCudaSmoother, PyDict, PyResult, Python};
-    use crate::errors::to_py;
-    use crate::settings::from_dict;
-
-    pub(super) fn new(settings: &Bound<'_, PyDict>, camera: &PyCamera, is_metres: bool) -> PyResult<PyCudaSmoother> {
-        let smoother = CudaSmoother::open(&from_dict(settings)?, &camera.0, is_metres).map_err(to_py)?;
-        Ok(PyCudaSmoother(Mutex::new(smoother)))
-    }
-
-    impl PyCudaSmoother {
-        pub(super) fn with<T: Send>(
-            &self,
-            py: Python<'_>,
-            body: impl FnOnce(&mut CudaSmoother) -> Result<T, Error> + Send,
-        ) -> PyResult<T> {
-            let in_use = |_| {
-                PyRuntimeError::new_err(
-                    "this CudaSmoother is in use by another thread; open one CudaSmoother per thread",
-                )
-            };
-            let mut smoother = self.0.try_lock().map_err(in_use)?;
-            let smoother = &mut *smoother;
-            py.detach(|| body(smoother)).map_err(to_py)
-        }
-    }
-}
-
-#[cfg(not(target_os = "linux"))]
-mod on_linux {
-    use pyo3::exceptions::PyRuntimeError;
-
-    use super::{Bound, PyCamera, PyCudaSmoother, PyDict, PyResult};
-
-    pub(super) fn new(_: &Bound<'_, PyDict>, _: &PyCamera, _: bool) -> PyResult<PyCudaSmoother> {
-        Err(PyRuntimeError::new_err("CUDA's memory is shared on Linux only"))
+impl PyCudaSmoother {
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        body: impl FnOnce(&mut CudaSmoother) -> Result<T, Error> + Send,
+    ) -> PyResult<T> {
+        let in_use = |_| {
+            PyRuntimeError::new_err("this CudaSmoother is in use by another thread; open one CudaSmoother per thread")
+        };
+        let mut smoother = self.0.try_lock().map_err(in_use)?;
+        let smoother = &mut *smoother;
+        py.detach(|| body(smoother)).map_err(to_py)
     }
 }
 
@@ -62,13 +33,10 @@ mod on_linux {
 impl PyCudaSmoother {
     #[new]
     fn new(settings: &Bound<'_, PyDict>, camera: PyRef<'_, PyCamera>, is_metres: bool) -> PyResult<Self> {
-        on_linux::new(settings, &camera, is_metres)
+        let smoother = CudaSmoother::open(&from_dict(settings)?, &camera.0, is_metres).map_err(to_py)?;
+        Ok(Self(Mutex::new(smoother)))
     }
-}
 
-#[cfg(target_os = "linux")]
-#[pymethods]
-impl PyCudaSmoother {
     /// Hands over the image at an address.
     fn submit(&self, py: Python<'_>, depth: u64, row_stride: usize, stream: usize) -> PyResult<()> {
         // SAFETY: the Python class checks the arrays and keeps them; their memory is freed in the order of the stream.

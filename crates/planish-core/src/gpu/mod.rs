@@ -12,6 +12,9 @@
 mod copier;
 #[cfg(all(feature = "cuda", target_os = "linux"))]
 mod cuda;
+#[cfg(all(feature = "cuda", not(target_os = "linux")))]
+#[path = "cuda_absent.rs"]
+mod cuda;
 #[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
@@ -43,7 +46,7 @@ mod upload;
 #[cfg(feature = "gpu")]
 mod view;
 
-#[cfg(all(feature = "cuda", target_os = "linux"))]
+#[cfg(feature = "cuda")]
 pub use cuda::CudaSmoother;
 #[cfg(feature = "gpu")]
 pub use engine::lose_devices;
