@@ -67,7 +67,8 @@ mod with_cuda {
         }
         with(cuda, |smoother| {
             // SAFETY: as the caller promises.
-            Ok(unsafe { smoother.smooth(depth.addr() as u64, row_stride, result.addr() as u64, stream.addr())? })
+            unsafe { smoother.smooth(depth.addr() as u64, row_stride, result.addr() as u64, stream.addr()) }?;
+            Ok(())
         })
     }
 
@@ -79,8 +80,11 @@ mod with_cuda {
         if depth.is_null() {
             return failure(PLANISH_NULL, "the address of the depth is null");
         }
-        // SAFETY: as the caller promises.
-        with(cuda, |smoother| Ok(unsafe { smoother.submit(depth.addr() as u64, row_stride, stream.addr())? }))
+        with(cuda, |smoother| {
+            // SAFETY: as the caller promises.
+            unsafe { smoother.submit(depth.addr() as u64, row_stride, stream.addr()) }?;
+            Ok(())
+        })
     }
 
     pub(super) unsafe fn receive(
@@ -176,9 +180,10 @@ pub unsafe extern "C" fn planish_cuda_new(
     guarded(|| unsafe { with_cuda::new(settings, camera, kind, cuda) })
 }
 
-/// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one), and
-/// returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far. `result`
-/// has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then curvature, depth_m.
+/// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
+/// and returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far.
+/// `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
+/// curvature, depth_m.
 ///
 /// # Safety
 /// As described.

@@ -269,9 +269,10 @@ planish_code planish_cuda_new(const char *settings,
                               uint32_t kind,
                               struct planish_cuda **cuda);
 
-// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one), and
-// returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far. `result`
-// has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then curvature, depth_m.
+// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
+// and returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far.
+// `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
+// curvature, depth_m.
 planish_code planish_cuda_smooth(struct planish_cuda *cuda,
                                  const void *depth,
                                  size_t row_stride,

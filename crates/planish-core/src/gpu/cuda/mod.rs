@@ -1,5 +1,5 @@
-//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed by the Vulkan kernels, and the result is
-//! in that program's memory again.
+//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed by the Vulkan kernels, and the result
+//! is in that program's memory again.
 //!
 //! Vulkan exports the buffers of a few frames and two timeline semaphores, and CUDA imports them. On the caller's
 //! stream, a frame is: copy the depth into a buffer, signal `copied`, wait for `done`, copy the result out. Vulkan's
@@ -151,8 +151,8 @@ impl CudaSmoother {
     /// channel, row by row. Both are addresses in device memory; everything happens on the stream.
     ///
     /// # Safety
-    /// `depth` and `result` must be valid memory of this GPU, of that size, until the stream has run what this call adds
-    /// to it, and `stream` a stream of its primary context; 0 is the default one.
+    /// `depth` and `result` must be valid memory of this GPU, of that size, until the stream has run what this call
+    /// adds to it, and `stream` a stream of its primary context; 0 is the default one.
     ///
     /// # Errors
     /// If frames are in flight, the stride is too small, or the GPU fails.
