@@ -42,13 +42,14 @@
 //! | `gpu` | yes | the GPU engine, through wgpu |
 //! | `reference` | yes | the f64 engine that defines the results of the others |
 //! | `io` | yes | `io`: point clouds, depth images, cameras, settings files |
-//! | `npz`, `tiff`, `scans` | yes | NumPy archives; TIFF; LAS, LAZ, E57 and clouds larger than memory |
+//! | `exr`, `more-formats`, `npz`, `tiff`, `scans` | yes | OpenEXR; gzip, glTF, PTX and more; NumPy archives; TIFF; LAS, LAZ, E57 and clouds larger than memory |
 //! | `stream` | yes | `source`, `stream`, `rig`: cameras, recordings, the live loop, several cameras |
 //! | `simulate`, `evaluate` | yes | frames with known truth; measures and pictures of surfaces |
 //! | `ros`, `mcap` | no | ROS 2 messages; recordings in MCAP |
 //! | `mcap-compression` | no | compressed chunks in MCAP recordings that are written (zstd and LZ4 in C) |
 //! | `rerun` | no | a sink for the Rerun viewer; some 400 crates |
 //! | `webgpu`, `wgpu-interop` | no | kernels as data; the GPU engine on a `wgpu::Device` of the caller's |
+//! | `cuda` | no | depth and results in the memory of CUDA programs |
 //! | `serde` | with `io` | [`Settings`] and adapters as JSON or YAML |
 //!
 //! The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.

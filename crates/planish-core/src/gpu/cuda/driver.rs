@@ -1,6 +1,7 @@
 //! CUDA's driver library, loaded at run time: importing memory and semaphores of Vulkan, and copies on a stream.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
+use std::os::fd::{AsRawFd, IntoRawFd, OwnedFd};
 use std::ptr;
 
 use libloading::Library;
@@ -207,10 +208,10 @@ impl Cuda {
     }
 
     /// Imports memory by a file descriptor, which the driver owns afterwards.
-    pub(super) fn import_memory(&self, fd: c_int, allocated: u64, bytes: u64) -> Result<ImportedMemory, String> {
+    pub(super) fn import_memory(&self, fd: OwnedFd, allocated: u64, bytes: u64) -> Result<ImportedMemory, String> {
         self.within(|| {
             let description = MemoryDescription {
-                handle: HandleDescription { kind: OPAQUE_FD, _gap: 0, fd, _rest_of_union: [0; 3] },
+                handle: HandleDescription { kind: OPAQUE_FD, _gap: 0, fd: fd.as_raw_fd(), _rest_of_union: [0; 3] },
                 size: allocated,
                 flags: DEDICATED,
                 reserved: [0; 16],
@@ -221,6 +222,8 @@ impl Cuda {
             unsafe {
                 let code = (self.functions.import_memory)(&mut memory, &description);
                 self.check("cuImportExternalMemory", code)?;
+                // The driver owns it now.
+                let _ = fd.into_raw_fd();
                 let code = (self.functions.mapped_buffer)(&mut address, memory, &buffer);
                 self.check("cuExternalMemoryGetMappedBuffer", code)?;
             }
@@ -229,10 +232,15 @@ impl Cuda {
     }
 
     /// Imports a timeline semaphore by a file descriptor, which the driver owns afterwards.
-    pub(super) fn import_semaphore(&self, fd: c_int) -> Result<ImportedSemaphore, String> {
+    pub(super) fn import_semaphore(&self, fd: OwnedFd) -> Result<ImportedSemaphore, String> {
         self.within(|| {
             let description = SemaphoreDescription {
-                handle: HandleDescription { kind: TIMELINE_SEMAPHORE_FD, _gap: 0, fd, _rest_of_union: [0; 3] },
+                handle: HandleDescription {
+                    kind: TIMELINE_SEMAPHORE_FD,
+                    _gap: 0,
+                    fd: fd.as_raw_fd(),
+                    _rest_of_union: [0; 3],
+                },
                 flags: 0,
                 reserved: [0; 16],
             };
@@ -240,6 +248,8 @@ impl Cuda {
             // SAFETY: the description is complete.
             let code = unsafe { (self.functions.import_semaphore)(&mut semaphore, &description) };
             self.check("cuImportExternalSemaphore", code)?;
+            // The driver owns it now.
+            let _ = fd.into_raw_fd();
             Ok(ImportedSemaphore(semaphore as usize))
         })
     }

@@ -1,6 +1,7 @@
 //! Vulkan's side of memory and semaphores that are shared with CUDA.
 
-use std::ffi::{CStr, c_int};
+use std::ffi::CStr;
+use std::os::fd::{FromRawFd, OwnedFd};
 use std::sync::Arc;
 
 use ash::vk;
@@ -30,7 +31,7 @@ pub(super) struct Exporter {
 /// A buffer whose memory is exported once.
 pub(super) struct ExportedBuffer {
     pub(super) buffer: wgpu::Buffer,
-    pub(super) fd: c_int,
+    pub(super) fd: OwnedFd,
     /// Bytes of its memory.
     pub(super) allocated: u64,
 }
@@ -126,7 +127,7 @@ impl SharingDevice {
             let descriptor =
                 wgpu::BufferDescriptor { label: Some(label), size: bytes, usage, mapped_at_creation: false };
             let buffer = self.devices[queue].0.create_buffer_from_hal::<api::Vulkan>(raw, &descriptor);
-            Ok(ExportedBuffer { buffer, fd, allocated: required.size })
+            Ok(ExportedBuffer { buffer, fd: OwnedFd::from_raw_fd(fd), allocated: required.size })
         }
     }
 
@@ -147,7 +148,7 @@ impl SharingDevice {
 
 impl Exporter {
     /// Makes a timeline semaphore that begins at 0, and a file descriptor of it.
-    pub(super) fn semaphore(&self) -> Result<(vk::Semaphore, c_int), String> {
+    pub(super) fn semaphore(&self) -> Result<(vk::Semaphore, OwnedFd), String> {
         let mut export = vk::ExportSemaphoreCreateInfo::default().handle_types(SEMAPHORE_FD);
         let mut kind =
             vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE).initial_value(0);
@@ -157,7 +158,7 @@ impl Exporter {
             let semaphore = self.device.create_semaphore(&create, None).map_err(failed("vkCreateSemaphore"))?;
             let get = vk::SemaphoreGetFdInfoKHR::default().semaphore(semaphore).handle_type(SEMAPHORE_FD);
             let fd = self.semaphore_fd.get_semaphore_fd(&get).map_err(failed("vkGetSemaphoreFdKHR"))?;
-            Ok((semaphore, fd))
+            Ok((semaphore, OwnedFd::from_raw_fd(fd)))
         }
     }
 
