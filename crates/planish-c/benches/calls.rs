@@ -1,4 +1,4 @@
-//! A call of the C function beside the same call in Rust: depth to points in the caller's buffer, in alternating runs.
+//! Compares the C call with the Rust call, depth to points in the caller's buffer, in alternating runs.
 //!
 //! `cargo bench -p planish-c` prints medians and their ratio, after it has compared the results.
 

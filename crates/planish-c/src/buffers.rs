@@ -68,10 +68,10 @@ impl Extent {
     }
 }
 
-/// Refuses buffers to write that share memory with each other or with what is read.
+/// Refuses outputs that overlap each other or the inputs.
 pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
     for (i, buffer) in written.iter().enumerate() {
-        // What is read may not even lie between what is written: it is borrowed as a whole.
+        // Inputs are borrowed as a whole, with the gaps between their items.
         let whole = |other: &&Extent| {
             let end = |extent: &Extent| extent.begin + extent.bytes().unwrap_or(0);
             buffer.begin < end(other) && other.begin < end(buffer)
@@ -85,8 +85,8 @@ pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
     Ok(())
 }
 
-/// Reads a struct whose first member is its size, as this version or an older one of the library knows it: what is
-/// missing is 0. `least` is the size of the first version.
+/// Reads a struct whose first member is its size. Members that the caller's version lacks become 0. `least` is the size
+/// in the first version.
 ///
 /// # Safety
 /// The pointer is null, or `size` bytes are readable at it.

@@ -164,8 +164,8 @@ mod with_cuda {
 }
 
 /// Makes a smoother for depth images of one camera in CUDA's memory, on Linux: PLANISH_DEPTH_U16 in the camera's units
-/// or PLANISH_DEPTH_F32 in metres. Settings are those of planish_session_new; their outputs may be points, normals,
-/// curvature and depth_m. The GPU's Vulkan driver is needed too.
+/// or PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
+/// and depth_m. Needs the GPU's Vulkan driver too.
 ///
 /// # Safety
 /// `settings` is null or a text, `camera` null or as described, `cuda` null or writable.
@@ -181,7 +181,7 @@ pub unsafe extern "C" fn planish_cuda_new(
 }
 
 /// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
-/// and returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far.
+/// and returns at once. Both addresses are in device memory and must stay valid until the stream has used them.
 /// `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
 /// curvature, depth_m.
 ///
@@ -240,7 +240,7 @@ pub unsafe extern "C" fn planish_cuda_channels(cuda: *const planish_cuda, channe
     guarded(|| unsafe { with_cuda::channels(cuda, channels) })
 }
 
-/// Frees the smoother, after the stream has done what it was given. Null is allowed.
+/// Waits for the stream, then frees the smoother. Null is allowed.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_cuda_free(cuda: *mut planish_cuda) -> planish_code {
     guarded(|| with_cuda::free(cuda))

@@ -6,10 +6,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use planish::{EngineError, Error, FrameError, ParamError};
 
-/// What a function returns: 0, or an error.
+/// The result of a function: 0, or an error code.
 pub type planish_code = i32;
 
-/// The function did what it says.
+/// Success.
 pub const PLANISH_OK: planish_code = 0;
 /// A pointer is null that must not be.
 pub const PLANISH_NULL: planish_code = 1;
@@ -76,7 +76,7 @@ pub(crate) fn guarded(body: impl FnOnce() -> Done<()>) -> planish_code {
         .unwrap_or_else(|_| failure(PLANISH_INTERNAL, "an internal error of planish; please report it"));
     let Err(Failure { code, text }) = done else { return PLANISH_OK };
     let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
-    // During the thread's end there is no place for it.
+    // Fails only while the thread ends.
     let _ = LAST.try_with(|last| last.replace(text));
     code
 }

@@ -15,13 +15,13 @@ use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
 pub const PLANISH_DEPTH_U16: u32 = 1;
 /// Depth in metres; values that are not finite or not positive are holes.
 pub const PLANISH_DEPTH_F32: u32 = 2;
-/// Interleaved points in metres; a point that is not finite is a hole.
+/// Interleaved points of float in metres; a point that is not finite is a hole.
 pub const PLANISH_POINTS_F32: u32 = 3;
-/// The same in double precision.
+/// Interleaved points of double.
 pub const PLANISH_POINTS_F64: u32 = 4;
-/// Points as three arrays of x, y and z.
+/// Points as three arrays of float: x, y and z.
 pub const PLANISH_PLANES_F32: u32 = 5;
-/// The same in double precision.
+/// Points as three arrays of double.
 pub const PLANISH_PLANES_F64: u32 = 6;
 
 /// A pinhole camera.
@@ -59,8 +59,8 @@ pub struct planish_camera {
 pub struct planish_frame {
     /// sizeof(planish_frame).
     pub size: usize,
-    /// What it is: one of PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
-    /// PLANISH_PLANES_F32, PLANISH_PLANES_F64.
+    /// Its kind: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
+    /// PLANISH_PLANES_F32 or PLANISH_PLANES_F64.
     pub kind: u32,
     /// Columns, or the number of points without a grid.
     pub width: usize,
@@ -78,8 +78,8 @@ pub struct planish_frame {
     pub planes: [*const c_void; 3],
     /// The camera of a depth image. Points on a grid may have one: then depth can be had of them.
     pub camera: *const planish_camera,
-    /// Where the sensor is in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if it is
-    /// not known; ignored for depth images.
+    /// The sensor pose in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if unknown;
+    /// ignored for depth images.
     pub pose: *const f64,
     /// x, y, z of an origin near the points, to which results are relative; null for (0, 0, 0). Georeferenced points
     /// need one.
@@ -189,7 +189,7 @@ impl Given {
                     };
                     frame.row_stride = tight;
                 }
-                // An empty cloud has no data.
+                // The pointer of an empty cloud may be null.
                 if width * height > 0 {
                     extents.push(Extent::new("the frame's data", frame.data, align, (row, frame.row_stride, height))?);
                 }

@@ -1,4 +1,4 @@
-//! Handles, and what they stand for.
+//! The table of handles.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};

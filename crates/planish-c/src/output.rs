@@ -14,7 +14,7 @@ pub const PLANISH_POINTS: u32 = 1;
 pub const PLANISH_NORMALS: u32 = 2;
 /// Surface variation, 0 to 1/3.
 pub const PLANISH_CURVATURE: u32 = 4;
-/// What happened to each pixel.
+/// The status of each pixel.
 pub const PLANISH_STATUS: u32 = 8;
 /// The number of neighbours of each pixel.
 pub const PLANISH_NEIGHBOURS: u32 = 16;
@@ -143,7 +143,7 @@ impl Wanted {
         Ok(Self { output, extents })
     }
 
-    /// Returns the results that there are buffers for.
+    /// Returns the outputs that have a buffer.
     pub(crate) fn outputs(&self) -> Outputs {
         let out = &self.output;
         Outputs::default()

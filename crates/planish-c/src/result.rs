@@ -13,7 +13,7 @@ pub struct planish_result {
     _opaque: [u8; 0],
 }
 
-/// The arrays of a result: each has width * height values, or is null if it was not asked for.
+/// The arrays of a result. Each has width * height values, or is null if it was not requested.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct planish_view {

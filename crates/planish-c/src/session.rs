@@ -299,7 +299,7 @@ pub unsafe extern "C" fn planish_session_engine(
 }
 
 /// Takes the next thing that the session decided or found without being asked, as a sentence: a GPU that was lost, a
-/// camera that does not fit. `length` is 0 if there is none. A text that does not fit into the buffer stays.
+/// camera that does not fit. Without one, `length` is 0. An event longer than the buffer is kept.
 ///
 /// # Safety
 /// As of planish_session_settings.
@@ -333,7 +333,7 @@ pub extern "C" fn planish_session_stop(session: *const planish_session) -> plani
     })
 }
 
-/// Forgets the frames of the video so far: the next one is the first.
+/// Starts a new video: earlier frames have no effect on the next one.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_session_restart_video(session: *mut planish_session) -> planish_code {
     guarded(|| {

@@ -1,4 +1,4 @@
-//! The committed header is what the source says. To write it: `PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test
+//! The committed header matches the source. To update it: `PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test
 //! header`.
 
 use std::fs;

@@ -98,7 +98,7 @@ fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Ch
         let (before, last) = parts(name);
         last == "depth" || matches!(&last[..], "z" | "v" | "y" | "r") && before.rsplit('.').next() == Some("depth")
     };
-    // With x and y beside it, z is a component of normals or positions.
+    // If x and y exist too, z is a component of normals or positions.
     let is_z = |name: &str| {
         let (before, last) = parts(name);
         let sibling = |axis: &str| if before.is_empty() { axis.to_owned() } else { format!("{before}.{axis}") };

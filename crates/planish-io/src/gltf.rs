@@ -130,7 +130,7 @@ pub(super) fn is_gltf(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC)
 }
 
-/// Reads all vertices of the scene; `folder` has the buffers that are files of their own.
+/// Reads all vertices of the scene; `folder` contains external buffers.
 pub(super) fn decode(
     bytes: &[u8],
     folder: Option<&Path>,
@@ -271,7 +271,7 @@ struct File<'a> {
 }
 
 impl File<'_> {
-    /// Returns the meshes of the scene and their places; all meshes as they are, if there is no scene.
+    /// Returns the meshes of the scene with their transforms; without nodes, all meshes with the identity.
     fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
         let Document { scenes, scene, nodes, meshes, .. } = self.document;
         let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
@@ -294,7 +294,7 @@ impl File<'_> {
                 return Err(malformed("its nodes are a loop, or too many"));
             }
             let place = parent * node.place();
-            // A skin stands where its joints are; its node does not count.
+            // Joints place a skinned mesh; the transform of its node is ignored.
             found.extend(node.mesh.map(|mesh| (mesh, if node.skin.is_some() { DMat4::IDENTITY } else { place })));
             open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
         }
@@ -392,7 +392,7 @@ impl File<'_> {
 }
 
 impl Attributes {
-    /// Returns the names of attributes that other formats could keep: not those of textures and skins.
+    /// Returns the names of custom attributes; textures and skins are not among them.
     fn own(&self) -> impl Iterator<Item = &str> {
         self.others.keys().map(String::as_str).filter(|name| name.starts_with('_'))
     }
@@ -412,7 +412,7 @@ impl Node {
     }
 }
 
-/// The vertices so far; normals and colours may end before the positions.
+/// The vertices read so far. Normals and colours may be shorter than positions.
 #[derive(Default)]
 struct Vertices {
     positions: Vec<f64>,

@@ -148,7 +148,7 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
     decode_plain(&plain(bytes, options)?, announced, options, &mut Beside::default())
 }
 
-/// What belongs to a file beside its contents.
+/// Additional information about a file.
 #[derive(Default)]
 struct Beside<'a> {
     /// The file's folder, for formats of several files.

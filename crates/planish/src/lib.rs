@@ -42,7 +42,8 @@
 //! | `gpu` | yes | the GPU engine, through wgpu |
 //! | `reference` | yes | the f64 engine that defines the results of the others |
 //! | `io` | yes | `io`: point clouds, depth images, cameras, settings files |
-//! | `exr`, `more-formats`, `npz`, `tiff`, `scans` | yes | OpenEXR; gzip, glTF, PTX and more; NumPy archives; TIFF; LAS, LAZ, E57 and clouds larger than memory |
+//! | `exr`, `npz`, `tiff` | yes | OpenEXR; NumPy archives; TIFF |
+//! | `scans`, `more-formats` | yes | LAS, LAZ, E57, clouds larger than memory; gzip, glTF, PTX and others |
 //! | `stream` | yes | `source`, `stream`, `rig`: cameras, recordings, the live loop, several cameras |
 //! | `simulate`, `evaluate` | yes | frames with known truth; measures and pictures of surfaces |
 //! | `ros`, `mcap` | no | ROS 2 messages; recordings in MCAP |

@@ -35,16 +35,16 @@
 // Depth in metres; values that are not finite or not positive are holes.
 #define PLANISH_DEPTH_F32 2
 
-// Interleaved points in metres; a point that is not finite is a hole.
+// Interleaved points of float in metres; a point that is not finite is a hole.
 #define PLANISH_POINTS_F32 3
 
-// The same in double precision.
+// Interleaved points of double.
 #define PLANISH_POINTS_F64 4
 
-// Points as three arrays of x, y and z.
+// Points as three arrays of float: x, y and z.
 #define PLANISH_PLANES_F32 5
 
-// The same in double precision.
+// Points as three arrays of double.
 #define PLANISH_PLANES_F64 6
 
 // The smoothed points.
@@ -56,7 +56,7 @@
 // Surface variation, 0 to 1/3.
 #define PLANISH_CURVATURE 4
 
-// What happened to each pixel.
+// The status of each pixel.
 #define PLANISH_STATUS 8
 
 // The number of neighbours of each pixel.
@@ -110,7 +110,7 @@ typedef struct planish_result planish_result;
 // An engine that is kept open for frames of any shape, and its settings.
 typedef struct planish_session planish_session;
 
-// What a function returns: 0, or an error.
+// The result of a function: 0, or an error code.
 typedef int32_t planish_code;
 
 // A pinhole camera.
@@ -140,7 +140,7 @@ typedef struct planish_camera {
   size_t distortion_count;
 } planish_camera;
 
-// The arrays of a result: each has width * height values, or is null if it was not asked for.
+// The arrays of a result. Each has width * height values, or is null if it was not requested.
 typedef struct planish_view {
   // Columns, or points.
   size_t width;
@@ -170,8 +170,8 @@ typedef struct planish_view {
 typedef struct planish_frame {
   // sizeof(planish_frame).
   size_t size;
-  // What it is: one of PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
-  // PLANISH_PLANES_F32, PLANISH_PLANES_F64.
+  // Its kind: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
+  // PLANISH_PLANES_F32 or PLANISH_PLANES_F64.
   uint32_t kind;
   // Columns, or the number of points without a grid.
   size_t width;
@@ -189,8 +189,8 @@ typedef struct planish_frame {
   const void *planes[3];
   // The camera of a depth image. Points on a grid may have one: then depth can be had of them.
   const struct planish_camera *camera;
-  // Where the sensor is in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if it is
-  // not known; ignored for depth images.
+  // The sensor pose in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if unknown;
+  // ignored for depth images.
   const double *pose;
   // x, y, z of an origin near the points, to which results are relative; null for (0, 0, 0). Georeferenced points
   // need one.
@@ -230,7 +230,7 @@ typedef struct planish_output {
   float *sigma;
 } planish_output;
 
-// The function did what it says.
+// Success.
 #define PLANISH_OK 0
 
 // A pointer is null that must not be.
@@ -262,15 +262,15 @@ extern "C" {
 #endif // __cplusplus
 
 // Makes a smoother for depth images of one camera in CUDA's memory, on Linux: PLANISH_DEPTH_U16 in the camera's units
-// or PLANISH_DEPTH_F32 in metres. Settings are those of planish_session_new; their outputs may be points, normals,
-// curvature and depth_m. The GPU's Vulkan driver is needed too.
+// or PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
+// and depth_m. Needs the GPU's Vulkan driver too.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
                               uint32_t kind,
                               struct planish_cuda **cuda);
 
 // Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
-// and returns at once. Both addresses are in device memory, and must stay valid until the stream has come so far.
+// and returns at once. Both addresses are in device memory and must stay valid until the stream has used them.
 // `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
 // curvature, depth_m.
 planish_code planish_cuda_smooth(struct planish_cuda *cuda,
@@ -289,7 +289,7 @@ planish_code planish_cuda_receive(struct planish_cuda *cuda, float *result, void
 // Returns the number of channels of a result.
 planish_code planish_cuda_channels(const struct planish_cuda *cuda, size_t *channels);
 
-// Frees the smoother, after the stream has done what it was given. Null is allowed.
+// Waits for the stream, then frees the smoother. Null is allowed.
 planish_code planish_cuda_free(struct planish_cuda *cuda);
 
 // Returns the text of the last error of a function called on this thread, in UTF-8; empty if there was none. It is
@@ -334,14 +334,14 @@ planish_code planish_session_engine(const struct planish_session *session,
                                     size_t *length);
 
 // Takes the next thing that the session decided or found without being asked, as a sentence: a GPU that was lost, a
-// camera that does not fit. `length` is 0 if there is none. A text that does not fit into the buffer stays.
+// camera that does not fit. Without one, `length` is 0. An event longer than the buffer is kept.
 planish_code planish_next_event(struct planish_session *session, char *buffer, size_t capacity, size_t *length);
 
 // Stops the cloud that another thread is smoothing with this session; its call returns PLANISH_STOPPED. Frames on a
 // grid take too little time to be stopped.
 planish_code planish_session_stop(const struct planish_session *session);
 
-// Forgets the frames of the video so far: the next one is the first.
+// Starts a new video: earlier frames have no effect on the next one.
 planish_code planish_session_restart_video(struct planish_session *session);
 
 // Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y,

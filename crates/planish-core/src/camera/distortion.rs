@@ -32,7 +32,7 @@ const MAX_STEPS: usize = 50;
 const FOLD_SAMPLES: u32 = 24;
 /// Maximum residual of a ray, in focal lengths: a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
-/// Largest angle between the axis and a ray, in radians (86 degrees): x/z has no end at 90 degrees.
+/// Largest angle between the axis and a ray, in radians: 86 degrees, since x/z grows without limit towards 90.
 const WIDEST: f64 = 1.5;
 
 /// Names of lenses without distortion.
@@ -96,7 +96,7 @@ impl Distortion {
             let known = if are_zero { Some(Self::NONE) } else { Self::from_opencv(coefficients) };
             return known.ok_or_else(|| wrong_count("4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6)"));
         }
-        // The inverse of no distortion is none.
+        // Zero coefficients mean no distortion in these models too.
         if are_zero && name.ends_with("brown_conrady") {
             return Ok(Self::NONE);
         }

@@ -96,8 +96,8 @@ impl Camera {
         self.distortion.validate()
     }
 
-    /// Returns the share of pixels, 0 to 1, where the model of the lens has no ray: it folds, or reaches beyond 86
-    /// degrees from the axis. They are holes. Estimated from a thousand of them.
+    /// Estimates the share of pixels, 0 to 1, that are holes because the lens model maps no ray to them: it folds, or
+    /// reaches beyond 86 degrees from the axis. Looks at a thousand pixels.
     pub fn lost_to_lens(&self) -> f32 {
         const COLUMNS: usize = 32;
         let Self { width, height, fx, fy, cx, cy, distortion, .. } = *self;

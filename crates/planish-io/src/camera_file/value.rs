@@ -228,7 +228,7 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
         value => value.as_bool() == Some(true),
     };
     let is_fisheye = FISHEYE.iter().any(|name| names.get(name).is_some_and(|(_, value)| is_true(value)));
-    // A pinhole as the model of the camera says nothing about its lens.
+    // The camera model pinhole does not specify the lens distortion.
     let of_camera = CAMERA_MODEL.iter().filter_map(|key| text(key)).filter(|name| !is_pinhole(name));
     let mut models: Vec<&str> = text(MODEL).into_iter().chain(of_realsense).chain(of_camera).collect();
     if is_fisheye {

@@ -28,7 +28,7 @@ impl Layout {
         (!element.has_lists()).then(|| Self::of_scalars(element))
     }
 
-    /// Of the numbers of an element, without its lists.
+    /// Returns the layout of an element without its lists.
     pub(super) fn of_scalars(element: &Element) -> Self {
         let mut layout = Self { fields: Vec::new(), record: 0 };
         for property in &element.properties {

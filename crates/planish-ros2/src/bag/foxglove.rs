@@ -203,7 +203,7 @@ impl CompressedImage {
     }
 }
 
-/// Reads a `PointCloud`, which has no grid.
+/// Reads a `PointCloud`; the result is unorganized.
 pub(super) fn cloud(message: &[u8]) -> Result<PointCloud2, FormatError> {
     let mut cloud = PointCloud2 { height: 1, ..PointCloud2::default() };
     for field in Fields(message) {
@@ -265,7 +265,7 @@ pub(super) fn camera(message: &[u8]) -> Result<CameraInfo, FormatError> {
     Ok(info)
 }
 
-/// Copies the fields of a message but for these.
+/// Copies a message without the given fields.
 fn without(message: &[u8], numbers: &[u64]) -> Result<Vec<u8>, FormatError> {
     let mut kept = Vec::with_capacity(message.len());
     for field in Fields(message) {

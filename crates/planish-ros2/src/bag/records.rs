@@ -215,7 +215,7 @@ pub(super) struct Summary {
 }
 
 impl Summary {
-    /// Reads those of all files; `None` if one has none, or a damaged one.
+    /// Reads the summaries of all files; `None` if one is missing or damaged.
     pub(super) fn of(path: &Path, options: &ReadOptions) -> Option<Self> {
         let (mut summary, mut numbers) = (Self::default(), Numbers::default());
         let mut with_counts = 0;
@@ -234,7 +234,7 @@ impl Summary {
         Some(summary)
     }
 
-    /// Adds the summary of a file, and returns the numbers so far.
+    /// Adds the summary of a file; returns the numbers for the next file.
     fn add(&mut self, mut records: Records) -> Option<Numbers> {
         let summary = self;
         loop {

@@ -18,7 +18,7 @@ pub(super) enum Wire {
     FoxglovePng,
 }
 
-/// Returns what the messages of a channel are, and how they are written; `None` for others than these.
+/// Returns the kind and the encoding of the messages of a channel; `None` for unsupported ones.
 pub(super) fn kind_of(type_name: &str, message_encoding: &str) -> Option<(MessageKind, Wire)> {
     Some(match (message_encoding, type_name) {
         (MESSAGE_ENCODING, IMAGE_TYPE) => (MessageKind::Image, Wire::Ros),

@@ -59,7 +59,7 @@ fn a_recording_in_several_files_is_one() {
     std::fs::create_dir(&bag).unwrap();
     std::fs::write(bag.join("metadata.yaml"), "rosbag2_bagfile_information: {}\n").unwrap();
     let frames = frames(small_camera());
-    // Ten is after two, and the second has other channels before those of the first.
+    // b_10 comes after b_2. The second file numbers its channels differently.
     for (part, frames) in [("b_0", &frames[..1]), ("b_2", &frames[1..3]), ("b_10", &frames[3..])] {
         let mut writer = BagWriter::create(&bag.join(part).with_extension("mcap")).unwrap();
         for frame in frames {

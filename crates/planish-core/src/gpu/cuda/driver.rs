@@ -18,8 +18,8 @@ const TIMELINE_SEMAPHORE_FD: c_uint = 9;
 const DEDICATED: c_uint = 1;
 const DEVICE_MEMORY: c_uint = 2;
 
-/// The beginning of CUDA_EXTERNAL_MEMORY_HANDLE_DESC and CUDA_EXTERNAL_SEMAPHORE_HANDLE_DESC, of 24 bytes:
-/// what it is, and a union of 16 bytes at a multiple of 8.
+/// The first 24 bytes of CUDA_EXTERNAL_MEMORY_HANDLE_DESC and CUDA_EXTERNAL_SEMAPHORE_HANDLE_DESC: the kind of handle,
+/// then a union of 16 bytes at a multiple of 8.
 #[repr(C, align(8))]
 struct HandleDescription {
     kind: c_uint,
@@ -92,9 +92,9 @@ macro_rules! functions {
 
         impl Functions {
             fn load() -> Result<Self, String> {
-                // SAFETY: the driver's library runs no code of its own when it is loaded.
+                // SAFETY: loading the driver's library has no other effects.
                 let library = unsafe { Library::new(LIBRARY) }.map_err(|error| format!("no CUDA driver: {error}"))?;
-                // SAFETY: the types are those of cuda.h.
+                // SAFETY: the signatures match cuda.h.
                 unsafe {
                     Ok(Self {
                         $($name: *library
@@ -275,7 +275,7 @@ impl Cuda {
         })
     }
 
-    /// Copies rows of device memory; those of the destination have no gaps.
+    /// Copies rows of device memory to contiguous rows.
     ///
     /// # Safety
     /// Both are valid until the stream has run the copy.

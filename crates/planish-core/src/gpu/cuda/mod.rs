@@ -45,7 +45,7 @@ const WORD: u64 = 4;
 /// stream.
 pub struct CudaSmoother {
     slots: Vec<CudaSlot>,
-    /// Of each queue.
+    /// One list per queue.
     kernels: Vec<Vec<(wgpu::ComputePipeline, [usize; 2])>>,
     layout: Layout,
     /// Frames handed over, and received.
@@ -56,7 +56,7 @@ pub struct CudaSmoother {
     unfinished: VecDeque<(usize, wgpu::SubmissionIndex)>,
     /// Counts frames, in the order of the stream.
     copied: (vk::Semaphore, ImportedSemaphore),
-    /// Of each queue; counts frames.
+    /// One per queue; its value is the number of the last finished frame.
     done: Vec<(vk::Semaphore, ImportedSemaphore)>,
     cuda: Cuda,
     engine: Gpu,
@@ -75,7 +75,7 @@ impl CudaSmoother {
     /// settings may be points, normals, curvature and depth_m.
     ///
     /// # Errors
-    /// If the GPU's Vulkan driver exports no memory, there is no CUDA, or the settings are for something else.
+    /// If Vulkan or CUDA is missing, the Vulkan driver cannot export memory, or a setting does not apply.
     pub fn open(settings: &Settings, camera: &Camera, is_metres: bool) -> Result<Self, Error> {
         let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
         camera.validate()?;
@@ -88,7 +88,7 @@ impl CudaSmoother {
         let cuda = Cuda::open(sharing.uuid).map_err(unavailable)?;
         let shape = (camera.width, camera.height);
 
-        // An empty frame of the camera stands for all: what kernels need to know is the same for each.
+        // The header and rays depend on the camera only, so an empty frame provides them.
         let (raw, metres) = (vec![0u16; camera.width * camera.height], vec![0f32; camera.width * camera.height]);
         let view = if is_metres { DepthView::from_metres(&metres, camera) } else { DepthView::new(&raw, camera) };
         let frame = view?.into_frame()?;
@@ -238,7 +238,7 @@ impl CudaSmoother {
         FRAMES
     }
 
-    /// Returns the queue of a frame by its number from 0: that of its slot.
+    /// Returns the queue of a frame, counted from 0.
     fn queue_of(&self, frame: u64) -> usize {
         frame as usize % FRAMES % self.engine.adapter.devices.len()
     }
@@ -278,7 +278,7 @@ impl CudaSmoother {
     }
 }
 
-/// Refuses what the kernels on depth alone do not compute.
+/// Refuses settings that need more than the kernels.
 fn check(settings: &Settings, camera: &Camera, outputs: Outputs) -> Result<(), Error> {
     let refuse = |field, value: String, allowed| Err(ParamError { field, value, allowed }.into());
     let numbers = Outputs { points: false, normals: false, curvature: false, depth_m: false, ..outputs };

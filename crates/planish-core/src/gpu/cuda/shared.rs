@@ -39,7 +39,7 @@ pub(super) struct ExportedBuffer {
 const MEMORY_FD: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
 const SEMAPHORE_FD: vk::ExternalSemaphoreHandleTypeFlags = vk::ExternalSemaphoreHandleTypeFlags::OPAQUE_FD;
 
-/// What exporting needs beyond what wgpu asks for.
+/// Extensions for exporting, in addition to those of wgpu.
 const EXTENSIONS: [&CStr; 4] = [
     ash::khr::external_memory::NAME,
     ash::khr::external_memory_fd::NAME,
