@@ -45,6 +45,7 @@ impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let code = match &error {
             Error::Engine(EngineError::Stopped) => PLANISH_STOPPED,
+            Error::Engine(EngineError::Full { .. }) => PLANISH_ARGUMENT,
             Error::Engine(_) => PLANISH_ENGINE,
             Error::Param(_) => PLANISH_SETTING,
             _ => PLANISH_ARGUMENT,

@@ -117,16 +117,20 @@ pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
     if given.depth_units_per_metre != 0.0 {
         camera = camera.with_depth_units_per_metre(given.depth_units_per_metre);
     }
-    if !given.distortion.is_null() {
+    if !given.distortion.is_null() || !given.distortion_model.is_null() || given.distortion_count > 0 {
         const MOST: usize = 64;
         if given.distortion_count > MOST {
             let text = format!("{} coefficients of distortion; models have 4 to 8", given.distortion_count);
             return failure(PLANISH_ARGUMENT, text);
         }
-        let what = "distortion";
-        Extent::new(what, given.distortion, align_of::<f64>(), (8 * given.distortion_count, 8, 1))?;
-        // SAFETY: as the caller promises.
-        let coefficients = unsafe { slice::from_raw_parts(given.distortion, given.distortion_count) };
+        let coefficients: &[f64] = match given.distortion_count {
+            0 => &[],
+            count => {
+                Extent::new("distortion", given.distortion, align_of::<f64>(), (8 * count, 8, 1))?;
+                // SAFETY: as the caller promises.
+                unsafe { slice::from_raw_parts(given.distortion, count) }
+            }
+        };
         let model = match given.distortion_model.is_null() {
             true => "",
             // SAFETY: as the caller promises.
@@ -166,6 +170,8 @@ impl Given {
         }
         let mut extents = Vec::new();
         match frame.kind {
+            // The pointers of an empty cloud may be null.
+            PLANISH_PLANES_F32 | PLANISH_PLANES_F64 if width == 0 => {}
             PLANISH_PLANES_F32 | PLANISH_PLANES_F64 => {
                 for (what, plane) in
                     ["the plane of x", "the plane of y", "the plane of z"].into_iter().zip(frame.planes)
@@ -241,6 +247,7 @@ impl Given {
         }
         let count = width * height;
         let mut view = match kind {
+            _ if count == 0 => PointsView::from_rows(&[])?,
             // SAFETY: the same.
             PLANISH_PLANES_F32 => unsafe {
                 let [x, y, z] = planes.map(|plane| slice::from_raw_parts(plane.cast::<f32>(), count));
@@ -251,7 +258,6 @@ impl Given {
                 let [x, y, z] = planes.map(|plane| slice::from_raw_parts(plane.cast::<f64>(), count));
                 PointsView::from_planes_f64(x, y, z)?
             },
-            _ if count == 0 => PointsView::from_rows(&[])?,
             _ => {
                 let scalar = if kind == PLANISH_POINTS_F64 { Scalar::F64 } else { Scalar::F32 };
                 let planish_frame { offsets, point_stride, .. } = self.frame;
@@ -273,11 +279,31 @@ impl Given {
         if let Some(pose) = pose {
             view = view.with_pose(SensorPose::from_viewpoint(pose))?;
         }
-        if let Some(origin_m) = origin_m {
-            view = view.with_origin(origin_m)?;
+        match origin_m {
+            Some(origin_m) if origin_m.iter().any(|value| !value.is_finite()) => {
+                return failure(PLANISH_ARGUMENT, format!("origin_m is {origin_m:?}, which is not finite"));
+            }
+            Some(origin_m) => view = view.with_origin(origin_m)?,
+            None if matches!(kind, PLANISH_POINTS_F64 | PLANISH_PLANES_F64) => check_near(&view)?,
+            None => {}
         }
         Ok(view.into_frame()?)
     }
+}
+
+/// Refuses coordinates whose digits float cannot hold: results would lose them.
+fn check_near(view: &PointsView<'_>) -> Done<()> {
+    /// Half a millimetre from one float to the next.
+    const FAR_M: f64 = 4096.0;
+    const SAMPLE: usize = 4096;
+    let step = view.len().div_ceil(SAMPLE).max(1);
+    let sizes = (0..view.len()).step_by(step).flat_map(|i| view.get(i)).filter(|value| value.is_finite());
+    let largest = sizes.map(f64::abs).fold(0.0, f64::max);
+    if largest <= FAR_M {
+        return Ok(());
+    }
+    let text = format!("coordinates of {largest} m lose digits as float; set origin_m to a place near the points");
+    failure(PLANISH_ARGUMENT, text)
 }
 
 /// Fills in the layout of tight points; returns the bytes from the beginning of a point to the end of its coordinates.

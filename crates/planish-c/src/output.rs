@@ -137,17 +137,33 @@ impl Wanted {
         add("the buffer for depth_m", output.depth_m.cast(), 4)?;
         add("the buffer for frames", output.frames.cast(), 4)?;
         add("the buffer for sigma", output.sigma.cast(), 4)?;
-        if extents.is_empty() {
+        // The pointers of an empty cloud may be null.
+        if extents.is_empty() && count > 0 {
             return failure(PLANISH_ARGUMENT, "the output has no buffer; give one for points or another result");
         }
         Ok(Self { output, extents })
     }
 
-    /// Returns the outputs that have a buffer.
+    /// Refuses buffers for outputs that a frame was not submitted for.
+    pub(crate) fn check_outputs(&self, submitted: Outputs) -> Done<()> {
+        let submitted = submitted.names();
+        match self.outputs().names().into_iter().find(|name| self.output.count > 0 && !submitted.contains(name)) {
+            None => Ok(()),
+            Some(name) => {
+                let text = format!(
+                    "{name} is not among the outputs that the frame was submitted for: {}",
+                    submitted.join(", ")
+                );
+                failure(PLANISH_ARGUMENT, text)
+            }
+        }
+    }
+
+    /// Returns the outputs that have a buffer; points for an empty cloud without one.
     pub(crate) fn outputs(&self) -> Outputs {
         let out = &self.output;
         Outputs::default()
-            .with_points(!out.points.is_null())
+            .with_points(!out.points.is_null() || self.extents.is_empty())
             .with_normals(!out.normals.is_null())
             .with_curvature(!out.curvature.is_null())
             .with_status(!out.status.is_null())
@@ -159,11 +175,12 @@ impl Wanted {
     }
 
     /// Refuses buffers for another number of items.
-    pub(crate) fn check_count(&self, expected: usize) -> Done<()> {
+    pub(crate) fn check_count(&self, expected: usize, reason: &str) -> Done<()> {
         if self.output.count == expected {
             return Ok(());
         }
-        let text = format!("the output has room for {} items, but the result has {expected}", self.output.count);
+        let text =
+            format!("the output has room for {} items, but the result has {expected}{reason}", self.output.count);
         failure(PLANISH_ARGUMENT, text)
     }
 

@@ -27,6 +27,8 @@ struct State {
     session: Session,
     settings: Settings,
     events: VecDeque<String>,
+    /// The items and outputs of each frame in flight.
+    flights: VecDeque<(usize, Outputs)>,
 }
 
 /// A session, and what may be done while a thread uses it.
@@ -170,12 +172,20 @@ pub unsafe extern "C" fn planish_session_new(
         let session = unsafe { writable("the place for the session", session)? };
         // SAFETY: the same.
         let settings = unsafe { settings_from(settings)? };
-        let inner = Session::new(settings.clone())?;
+        let inner = Session::new(with_own_threads(&settings))?;
         let watch = inner.watch();
-        let state = Mutex::new(State { session: inner, settings, events: VecDeque::new() });
+        let (events, flights) = (VecDeque::new(), VecDeque::new());
+        let state = Mutex::new(State { session: inner, settings, events, flights });
         *session = SESSIONS.add(Held { state, watch });
         Ok(())
     })
+}
+
+/// Returns the settings with a number of threads: shared ones do not survive a fork.
+fn with_own_threads(settings: &Settings) -> Settings {
+    let mut settings = settings.clone();
+    settings.threads = settings.threads.or_else(|| std::thread::available_parallelism().ok().map(usize::from));
+    settings
 }
 
 /// Returns a place for a result.
@@ -201,7 +211,7 @@ fn set(session: *mut planish_session, name: &str, value: SettingValue) -> Done<(
     let mut settings = state.settings.clone();
     settings.set(name, value)?;
     settings.validate()?;
-    state.session.set_settings(settings.clone())?;
+    state.session.set_settings(with_own_threads(&settings))?;
     state.settings = settings;
     Ok(())
 }
@@ -251,6 +261,9 @@ pub unsafe extern "C" fn planish_session_set_bool(
     // SAFETY: as the caller promises.
     guarded(|| set(session, unsafe { text("name", name)? }, SettingValue::from(value)))
 }
+
+/// What the setting decimate means for the caller's buffers.
+const DECIMATED: &str = "; the setting decimate makes it smaller (planish_output_shape)";
 
 /// Writes the settings as JSON, ended by a zero and cut off after `capacity` bytes; `length` is its whole length.
 ///
@@ -396,7 +409,8 @@ pub unsafe extern "C" fn planish_smooth(
         // SAFETY: as the caller promises.
         let (given, mut wanted) = unsafe { (Given::new(frame)?, Wanted::new(output)?) };
         let [width, height] = state.output_shape(given.width(), given.height());
-        wanted.check_count(width * height)?;
+        let is_decimated = (width, height) != (given.width(), given.height());
+        wanted.check_count(width * height, if is_decimated { DECIMATED } else { "" })?;
         check_apart(&given.extents, &wanted.extents)?;
         state.smooth_into(&given, &mut wanted)
     })
@@ -449,12 +463,20 @@ pub unsafe extern "C" fn planish_submit(
         let mut state = held.lock()?;
         // SAFETY: as the caller promises.
         let given = unsafe { Given::new(frame)? };
-        state.session.set_outputs(outputs_of(outputs)?);
+        let outputs = outputs_of(outputs)?;
+        if state.settings.fill.is_some() || outputs.sigma {
+            let text = "the setting fill and the output sigma need planish_smooth: frames in flight are not kept";
+            return failure(PLANISH_SETTING, text);
+        }
+        state.session.set_outputs(outputs);
         // SAFETY: the same.
         let frame = unsafe { given.frame()? };
         let done = state.with_prepared(frame, |session, frame| Ok(session.submit_in_place(frame)?));
         state.take_events();
-        done
+        done?;
+        let [width, height] = state.output_shape(given.width(), given.height());
+        state.flights.push_back((width * height, outputs));
+        Ok(())
     })
 }
 
@@ -474,9 +496,17 @@ pub unsafe extern "C" fn planish_receive(
         // SAFETY: as the caller promises.
         let (mut wanted, received) = unsafe { (Wanted::new(output)?, writable("received", received)?) };
         check_apart(&[], &wanted.extents)?;
-        let view = state.session.receive();
-        state.take_events();
         *received = false;
+        // A frame that cannot be delivered stays in flight.
+        if let Some(&(count, outputs)) = state.flights.front() {
+            wanted.check_count(count, "")?;
+            wanted.check_outputs(outputs)?;
+        }
+        let view = state.session.receive();
+        while state.flights.len() > state.session.in_flight() {
+            state.flights.pop_front();
+        }
+        state.take_events();
         if let Some(view) = view? {
             // SAFETY: the same.
             view.copy_into(unsafe { wanted.buffers() })?;

@@ -29,6 +29,13 @@ template <typename Derived>
 Checked smooth(Session &session, const Eigen::MatrixBase<Derived> &points, Eigen::Matrix3Xf &smoothed,
                std::size_t height = 1) {
   using Scalar = typename Derived::Scalar;
+  if (points.cols() == 0) {
+    smoothed.resize(3, 0);
+    return detail::checked(Result());
+  }
+  if (height == 0 || static_cast<std::size_t>(points.cols()) % height != 0) {
+    return detail::checked(Result(PLANISH_ARGUMENT, "the number of points is not a multiple of the height of the grid"));
+  }
   const PointsMap<Scalar> map(points.derived());
   Eigen::Matrix3Xf result(3, points.cols());
   Output output(static_cast<std::size_t>(points.cols()));

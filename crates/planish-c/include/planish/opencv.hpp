@@ -20,8 +20,10 @@ inline Result frame_of(const cv::Mat &depth, const Camera &camera, Frame &frame)
   return Result();
 }
 
-/// Smooths a depth image into another of the same type. `smoothed` may be the same image.
-inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &camera, cv::Mat &smoothed) {
+/// Smooths a depth image into another of the same type. `smoothed` may be the same image. With `status`, each pixel gets
+/// one of PLANISH_STATUS_... in CV_8UC1; the setting fill needs it.
+inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &camera, cv::Mat &smoothed,
+                      cv::Mat *status = nullptr) {
   // In place the input has to be copied, since it is read while the output is written.
   const cv::Mat input = depth.data == smoothed.data && depth.data ? depth.clone() : depth;
   Frame frame(PLANISH_DEPTH_U16, 0, 0);
@@ -41,6 +43,10 @@ inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &came
     output.depth(result.ptr<std::uint16_t>());
   } else {
     output.depth_m(result.ptr<float>());
+  }
+  if (status) {
+    *status = cv::Mat(rows, cols, CV_8UC1);
+    output.status(status->ptr<std::uint8_t>());
   }
   done = session.try_smooth(frame, output);
   if (done && result.data != smoothed.data) {

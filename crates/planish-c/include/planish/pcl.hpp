@@ -30,7 +30,16 @@ constexpr std::size_t offset_of() {
   return pcl::traits::offset<PointT, Field>::value;
 }
 
-/// The cloud's points where they lie.
+/// Sets the pose of the sensor, if the cloud has one.
+template <typename PointT>
+void set_pose(Frame &frame, const pcl::PointCloud<PointT> &cloud) {
+  const auto &place = cloud.sensor_origin_;
+  const auto &turn = cloud.sensor_orientation_;
+  const bool is_at_origin = place.template head<3>().isZero() && turn.isApprox(Eigen::Quaternionf::Identity());
+  if (!is_at_origin) frame.pose(place[0], place[1], place[2], turn.w(), turn.x(), turn.y(), turn.z());
+}
+
+/// Borrows the points of a cloud.
 template <typename PointT>
 Frame frame_of(const pcl::PointCloud<PointT> &cloud) {
   using namespace pcl::fields;
@@ -38,10 +47,7 @@ Frame frame_of(const pcl::PointCloud<PointT> &cloud) {
   Frame frame(PLANISH_POINTS_F32, organized ? cloud.width : cloud.size(), organized ? cloud.height : 1);
   frame.data(cloud.points.data());
   frame.layout(sizeof(PointT), offset_of<PointT, x>(), offset_of<PointT, y>(), offset_of<PointT, z>());
-  const auto &place = cloud.sensor_origin_;
-  const auto &turn = cloud.sensor_orientation_;
-  const bool is_at_origin = place.template head<3>().isZero() && turn.isApprox(Eigen::Quaternionf::Identity());
-  if (!is_at_origin) frame.pose({place[0], place[1], place[2], turn.w(), turn.x(), turn.y(), turn.z()});
+  set_pose(frame, cloud);
   return frame;
 }
 
@@ -101,18 +107,32 @@ void put_curvature(pcl::PointCloud<PointT> &cloud, const std::vector<float> &cur
 }  // namespace detail
 
 /// Smooths a cloud, on its grid if it has one. All other fields are kept; points that became holes are NaN. Normals and
-/// curvature are written if the type of point has them. `smoothed` may be the same cloud.
+/// curvature are written if the type of point has them. `smoothed` may be the same cloud. With `status`, each point gets
+/// one of PLANISH_STATUS_...; the setting fill needs it.
 template <typename PointT>
-Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &smoothed) {
+Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &smoothed,
+               std::vector<std::uint8_t> *status = nullptr) {
   static_assert(pcl::traits::has_xyz<PointT>::value, "planish::smooth needs points with x, y and z");
+  if (status) status->assign(cloud.size(), PLANISH_STATUS_HOLE);
+  if (cloud.empty()) {
+    if (&cloud != &smoothed) smoothed = cloud;
+    return detail::checked(Result());
+  }
+  std::size_t width = 0, height = 0;
+  Result shape(planish_output_shape(session.c(), cloud.width, cloud.height, &width, &height));
+  if (shape && (width != cloud.width || height != cloud.height)) {
+    shape = Result(PLANISH_SETTING, "the setting decimate changes the number of points; smooth planish::points instead");
+  }
+  if (!shape) return detail::checked(std::move(shape));
   if (&cloud == &smoothed) {
     const pcl::PointCloud<PointT> copy(cloud);
-    return smooth(session, copy, smoothed);
+    return smooth(session, copy, smoothed, status);
   }
   detail::copy(cloud, smoothed);
   smoothed.is_dense = false;
   std::vector<float> curvature;
-  const Output output = detail::output_of(smoothed, true, curvature);
+  Output output = detail::output_of(smoothed, true, curvature);
+  if (status) output.status(status->data());
   Result done = session.try_smooth(detail::frame_of(cloud), output);
   if (done) detail::put_curvature(smoothed, curvature);
   return detail::checked(std::move(done));
@@ -148,8 +168,10 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   /// Radius of a neighbourhood in metres.
   void setSearchRadius(double radius) {
     session_.set("radius_m", radius);
-    // PCL's Gaussian follows the radius unless it is set, and so does planish's.
+    // The Gaussian follows the radius, as in PCL, until it is set again.
+    session_.set("bandwidth_m", "");
     search_radius_ = radius;
+    gauss_ = 0;
   }
   double getSearchRadius() const { return search_radius_; }
   /// Degree of the surface: 0 and 1 are a plane, 2 and 3 polynomials.
@@ -183,12 +205,21 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   }
 
   /// Smooths the cloud; the output has the points of the indices that have a surface.
-  void process(PointCloudOut &output) {
+  void process(PointCloudOut &result) {
     kept_.reset(new pcl::PointIndices);
-    output.clear();
+    // The result may be the input.
+    PointCloudOut output;
+    if (!(search_radius_ > 0)) refuse("setSearchRadius", "a radius, to be set first, and no default");
     if (!Base::initCompute()) {
       output.width = output.height = 0;
+      result.swap(output);
       return;
+    }
+    for (const auto index : *indices_) {
+      if (static_cast<std::size_t>(index) >= input_->size()) {
+        Base::deinitCompute();
+        refuse("setIndices", "indices of points of the cloud");
+      }
     }
     output.header = kept_->header = input_->header;
     output.sensor_origin_ = input_->sensor_origin_;
@@ -199,10 +230,12 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     frame.data(input_->points.data());
     frame.layout(sizeof(PointInT), detail::offset_of<PointInT, x>(), detail::offset_of<PointInT, y>(),
                  detail::offset_of<PointInT, z>());
+    detail::set_pose(frame, *input_);
     std::uint32_t outputs = PLANISH_POINTS | PLANISH_STATUS;
     if (compute_normals_) outputs |= PLANISH_NORMALS | PLANISH_CURVATURE;
     const Smoothed smoothed = session_.smooth(frame, outputs);
     output.reserve(indices_->size());
+    output.is_dense = true;
     for (const auto index : *indices_) {
       const auto i = static_cast<std::size_t>(index);
       const std::uint8_t status = smoothed.status()[i];
@@ -217,6 +250,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
           point.normal_x = smoothed.normals(0)[i];
           point.normal_y = smoothed.normals(1)[i];
           point.normal_z = smoothed.normals(2)[i];
+          output.is_dense = output.is_dense && std::isfinite(point.normal_z);
         }
       }
       if constexpr (pcl::traits::has_curvature<PointOutT>::value) {
@@ -227,8 +261,8 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     }
     output.width = static_cast<std::uint32_t>(output.size());
     output.height = 1;
-    output.is_dense = true;
     Base::deinitCompute();
+    result.swap(output);
   }
 
   /// Indices of the input that the points of the output came from.

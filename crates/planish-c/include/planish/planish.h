@@ -20,7 +20,8 @@
  *   sessions may be used at the same time. planish_session_stop may be called from any thread at any time.
  * - A session or result that was freed is an error (PLANISH_HANDLE), not undefined behaviour. The pointers that
  *   planish_result_get returns end with their result.
- * - No function calls abort, throws or prints. */
+ * - The setting fill needs the output status, which tells filled pixels from measured ones.
+ * - No function throws or prints. Running out of memory ends the process. */
 
 #ifndef PLANISH_H
 #define PLANISH_H

@@ -14,7 +14,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <initializer_list>
 #include <string>
 #include <utility>
 #include <vector>
@@ -103,7 +102,7 @@ class Camera {
   /// The camera for C, as long as this one lives unchanged.
   planish_camera c() const {
     planish_camera camera = values_;
-    if (!distortion_.empty()) {
+    if (!distortion_.empty() || !model_.empty()) {
       camera.distortion_model = model_.c_str();
       camera.distortion = distortion_.data();
       camera.distortion_count = distortion_.size();
@@ -155,10 +154,9 @@ class Frame {
     camera_ = {camera};
     return *this;
   }
-  /// Where the sensor is in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z.
-  Frame &pose(std::initializer_list<double> pose) {
-    pose_.assign(pose);
-    pose_.resize(7);
+  /// Where the sensor is in the frame of the points, in metres, and its orientation as a quaternion.
+  Frame &pose(double x, double y, double z, double qw, double qx, double qy, double qz) {
+    pose_ = {x, y, z, qw, qx, qy, qz};
     return *this;
   }
   /// An origin near the points, to which results are relative.

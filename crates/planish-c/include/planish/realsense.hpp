@@ -33,19 +33,24 @@ inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit)
 class DepthSmoother : public rs2::filter {
  public:
   explicit DepthSmoother(const std::string &settings = "")
-      : DepthSmoother(std::make_shared<Session>(settings)) {}
+      : DepthSmoother(std::make_shared<State>(State{Session(settings), {}})) {}
 
   /// What the session decided or found without being asked.
-  std::vector<std::string> take_events() { return session_->take_events(); }
+  std::vector<std::string> take_events() { return state_->session.take_events(); }
+  /// One of PLANISH_STATUS_... for each pixel of the last frame, such as PLANISH_STATUS_FILLED.
+  const std::vector<std::uint8_t> &status() const { return state_->status; }
 
  private:
-  explicit DepthSmoother(std::shared_ptr<Session> session)
-      : rs2::filter([session](rs2::frame frame, rs2::frame_source &source) {
-          run(*session, frame, source);
-        }),
-        session_(std::move(session)) {}
+  struct State {
+    Session session;
+    std::vector<std::uint8_t> status;
+  };
 
-  static rs2::frame smoothed(Session &session, const rs2::depth_frame &depth, rs2::frame_source &source) {
+  explicit DepthSmoother(std::shared_ptr<State> state)
+      : rs2::filter([state](rs2::frame frame, rs2::frame_source &source) { run(*state, frame, source); }),
+        state_(std::move(state)) {}
+
+  static rs2::frame smoothed(State &state, const rs2::depth_frame &depth, rs2::frame_source &source) {
     const auto profile = depth.get_profile().as<rs2::video_stream_profile>();
     const Camera camera = camera_of(profile.get_intrinsics(), depth.get_units());
     const int width = depth.get_width(), height = depth.get_height();
@@ -55,14 +60,15 @@ class DepthSmoother : public rs2::filter {
     auto *result = static_cast<std::uint16_t *>(const_cast<void *>(out.get_data()));
     const std::size_t stride = static_cast<std::size_t>(depth.get_stride_in_bytes());
     Output output(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
-    session.smooth(planish::depth(raw, camera, stride), output.depth(result));
+    state.status.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+    state.session.smooth(planish::depth(raw, camera, stride), output.depth(result).status(state.status.data()));
     return out;
   }
 
-  static void run(Session &session, rs2::frame frame, rs2::frame_source &source) {
+  static void run(State &state, rs2::frame frame, rs2::frame_source &source) {
     auto one = [&](const rs2::frame &frame) -> rs2::frame {
       const auto depth = frame.as<rs2::depth_frame>();
-      return depth ? smoothed(session, depth, source) : frame;
+      return depth ? smoothed(state, depth, source) : frame;
     };
     if (const auto frames = frame.as<rs2::frameset>()) {
       std::vector<rs2::frame> all;
@@ -73,7 +79,7 @@ class DepthSmoother : public rs2::filter {
     }
   }
 
-  std::shared_ptr<Session> session_;
+  std::shared_ptr<State> state_;
 };
 
 }  // namespace planish
