@@ -121,6 +121,22 @@ struct Scene {
     nodes: Vec<usize>,
 }
 
+/// The version, which decides what the rest means.
+#[derive(Deserialize)]
+struct Stated {
+    #[serde(default)]
+    asset: Asset,
+}
+
+#[derive(Deserialize, Default)]
+struct Asset {
+    version: Option<String>,
+}
+
+fn other_version(version: &str) -> FormatError {
+    FormatError::Unsupported(format!("version {} of glTF; version 2 is read", brief(version)))
+}
+
 fn malformed(what: impl std::fmt::Display) -> FormatError {
     FormatError::Malformed(format!("damaged glTF: {}", brief(&what.to_string())))
 }
@@ -138,6 +154,10 @@ pub(super) fn decode(
     notes: &mut Vec<String>,
 ) -> FormatResult<PointCloud> {
     let (json, binary) = if is_gltf(bytes) { chunks(bytes)? } else { (bytes, None) };
+    let Stated { asset } = serde_json::from_slice(json).map_err(malformed)?;
+    if let Some(version) = asset.version.filter(|version| !version.starts_with("2.")) {
+        return Err(other_version(&version));
+    }
     let document: Document = serde_json::from_slice(json).map_err(malformed)?;
     if let Some(extension) = document.extensions_required.iter().find(|name| !is_of_looks(name)) {
         return Err(FormatError::Unsupported(format!(
@@ -195,7 +215,7 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
     };
     let version = number(4)?;
     if version != 2 {
-        return Err(FormatError::Unsupported(format!("version {version} of glTF; version 2 is read")));
+        return Err(other_version(&version.to_string()));
     }
     let (mut json, mut binary, mut at) = (None, None, 12);
     while at < bytes.len() {
@@ -214,7 +234,7 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
 
 /// Returns true for an extension of materials, textures and lights, which move no vertices.
 fn is_of_looks(extension: &str) -> bool {
-    ["KHR_materials", "KHR_texture", "EXT_texture", "MSFT_texture", "KHR_lights"]
+    ["KHR_materials", "KHR_technique", "KHR_texture", "EXT_texture", "MSFT_texture", "KHR_lights"]
         .iter()
         .any(|prefix| extension.starts_with(prefix))
 }
@@ -537,6 +557,7 @@ mod tests {
             (r#""componentType":5126"#, r#""componentType":5123"#, "floats are read"),
             (r#""scene":0"#, r#""extensionsRequired":["KHR_draco_mesh_compression"]"#, "KHR_draco"),
             (r#""byteOffset":48"#, r#""byteOffset":49"#, "outside its buffer"),
+            (r#""version":"2.0""#, r#""version":"1.0","profile":{}"#, "version 1.0 of glTF"),
         ] {
             let json = document(r#"{"byteLength":56}"#).replace(from, to);
             let error = read(&glb(&json, &data())).unwrap_err().to_string();
