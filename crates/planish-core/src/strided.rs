@@ -10,6 +10,10 @@ pub struct StridedMut<'a> {
     stride: usize,
     len: usize,
     lifetime: PhantomData<&'a mut [f32]>,
+    /// WebAssembly has none, and no code for them.
+    #[cfg(target_family = "wasm")]
+    #[allow(dead_code)]
+    never: std::convert::Infallible,
 }
 
 // SAFETY: it is an exclusive borrow of the values of its vectors, like a slice of them.
@@ -20,6 +24,7 @@ unsafe impl Sync for StridedMut<'_> {}
 impl<'a> StridedMut<'a> {
     /// Borrows a buffer whose vectors begin at 0, `stride`, 2 `stride` and so on; the last one may end it. `None` if
     /// the stride is less than 3, or the buffer ends within a vector.
+    #[cfg(not(target_family = "wasm"))]
     pub fn new(values: &'a mut [f32], stride: usize) -> Option<Self> {
         let len = if stride < 3 { return None } else { values.len().div_ceil(stride) };
         let rest = values.len() % stride;
@@ -32,6 +37,7 @@ impl<'a> StridedMut<'a> {
     /// # Safety
     /// The three values of each vector must be valid for reads and writes, and accessed by nothing else, for `'a`.
     /// Values between them may be in use.
+    #[cfg(not(target_family = "wasm"))]
     pub unsafe fn from_raw(first: NonNull<f32>, stride: usize, len: usize) -> Self {
         Self { first, stride, len, lifetime: PhantomData }
     }

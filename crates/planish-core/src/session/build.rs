@@ -5,6 +5,7 @@ use crate::doubts::{doubt_about_lens, doubts};
 use crate::engines::SmootherOptions;
 use crate::fleet::FleetDevice;
 use crate::frame::Frame;
+use crate::threads::ONE_THREAD;
 
 impl Session {
     /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
@@ -62,7 +63,10 @@ impl Session {
     /// Reports each doubt about frames once.
     pub(super) fn doubt(&mut self, frame: Frame<'_>) {
         let camera = frame.camera().copied();
-        let of_lens = (camera != self.doubted_camera).then(|| camera.as_ref().and_then(doubt_about_lens)).flatten();
+        // WebAssembly has no text for it.
+        let of_lens = (camera != self.doubted_camera && !ONE_THREAD)
+            .then(|| camera.as_ref().and_then(doubt_about_lens))
+            .flatten();
         self.doubted_camera = camera;
         for doubt in doubts(frame).into_iter().chain(of_lens) {
             if !self.doubts.contains(&doubt) {

@@ -146,11 +146,11 @@ class CudaSmoother:
 
 
 def _interface(array: Any, name: str) -> dict[str, Any]:
-    try:
-        return array.__cuda_array_interface__
-    except AttributeError:
+    interface: dict[str, Any] | None = getattr(array, "__cuda_array_interface__", None)
+    if interface is None:
         found = type(array).__name__
-        raise TypeError(f"{name}: an array in CUDA's memory is expected (PyTorch, CuPy, JAX, Numba), not {found}") from None
+        raise TypeError(f"{name}: an array in CUDA's memory is expected (PyTorch, CuPy, JAX, Numba), not {found}")
+    return interface
 
 
 def _stream_of(array: Any) -> int:
