@@ -209,7 +209,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     kept_.reset(new pcl::PointIndices);
     // The result may be the input.
     PointCloudOut output;
-    if (!(search_radius_ > 0)) refuse("setSearchRadius", "a radius, to be set first, and no default");
+    if (!(search_radius_ > 0)) throw Error(Result(PLANISH_SETTING, "set the radius with setSearchRadius first"));
     if (!Base::initCompute()) {
       output.width = output.height = 0;
       result.swap(output);
@@ -218,7 +218,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     for (const auto index : *indices_) {
       if (static_cast<std::size_t>(index) >= input_->size()) {
         Base::deinitCompute();
-        refuse("setIndices", "indices of points of the cloud");
+        throw Error(Result(PLANISH_ARGUMENT, "setIndices: index " + std::to_string(index) + " is beyond the cloud"));
       }
     }
     output.header = kept_->header = input_->header;
