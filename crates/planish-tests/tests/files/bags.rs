@@ -95,6 +95,26 @@ fn a_recording_in_several_files_is_one() {
         |survey: &Survey| survey.topics.iter().map(|topic| (topic.name.clone(), topic.messages)).collect::<Vec<_>>();
     assert_eq!((told(&smoothed), &smoothed.others), (told(&survey), &survey.others));
     assert_eq!(of(&output).len(), 4);
+
+    // The metadata decide which files belong to it, and their order. Old versions write the folder before each name.
+    let list = |names: &[&str]| {
+        let lines: String = names.iter().map(|name| format!("    - bag/{name}.mcap\n")).collect();
+        let text = format!("rosbag2_bagfile_information:\n  relative_file_paths:\n{lines}  duration: 1\n");
+        std::fs::write(bag.join("metadata.yaml"), text).unwrap();
+    };
+    list(&["b_10", "b_0"]);
+    let times: Vec<_> = of(&bag).iter().map(|frame| raw(frame).0).collect();
+    assert_eq!(times, [frames[3].timestamp_s, frames[0].timestamp_s]);
+    list(&["b_0", "b_1"]);
+    assert!(Survey::of(&bag, &ReadOptions::default()).unwrap_err().to_string().contains("b_1.mcap"));
+
+    // A file that was cut off costs its rest, not the files after it.
+    list(&["b_0", "b_2", "b_10"]);
+    let bytes = std::fs::read(bag.join("b_0.mcap")).unwrap();
+    std::fs::write(bag.join("b_0.mcap"), &bytes[..bytes.len() / 4]).unwrap();
+    let report = smooth_bag(&bag, &output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ()).unwrap();
+    assert!(report.topics[0].smoothed >= 3, "{report:?}");
+    assert!(report.cut_off.as_ref().is_some_and(|text| text.contains("b_0.mcap")), "{report:?}");
 }
 
 #[test]
