@@ -14,6 +14,7 @@ mod handles;
 mod output;
 mod result;
 mod session;
+mod smooth;
 
 pub use cuda::{
     planish_cuda, planish_cuda_channels, planish_cuda_free, planish_cuda_new, planish_cuda_receive,
@@ -35,8 +36,10 @@ pub use output::{
 };
 pub use result::{planish_result, planish_result_free, planish_result_get, planish_view};
 pub use session::{
-    planish_in_flight, planish_next_event, planish_output_shape, planish_receive, planish_session,
-    planish_session_engine, planish_session_free, planish_session_new, planish_session_restart_video,
-    planish_session_set, planish_session_set_bool, planish_session_set_camera_pose, planish_session_set_number,
-    planish_session_settings, planish_session_stop, planish_smooth, planish_smooth_new, planish_submit,
+    planish_next_event, planish_session, planish_session_engine, planish_session_free, planish_session_new,
+    planish_session_restart_video, planish_session_set, planish_session_set_bool, planish_session_set_camera_pose,
+    planish_session_set_number, planish_session_settings, planish_session_stop,
+};
+pub use smooth::{
+    planish_in_flight, planish_output_shape, planish_receive, planish_smooth, planish_smooth_new, planish_submit,
 };

@@ -9,7 +9,7 @@ fn the_header_is_generated_from_the_source() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = cbindgen::Config::from_file(folder.join("cbindgen.toml")).unwrap();
     let mut builder = cbindgen::Builder::new().with_config(config);
-    for file in ["cuda", "error", "frame", "output", "result", "session"] {
+    for file in ["cuda", "error", "frame", "output", "result", "session", "smooth"] {
         builder = builder.with_src(folder.join("src").join(file).with_extension("rs"));
     }
     let mut header = Vec::new();
