@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use planish::Error;
-use planish::internal::write_rgb_png;
+use planish::io::write_rgb_png;
 use planish::io::{RgbImage, write_whole};
 use serde_json::{Value, json};
 

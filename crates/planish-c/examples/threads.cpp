@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <random>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -21,7 +22,9 @@ void expect(bool is_true, const char *what) {
 void calls(unsigned seed, long count) {
   std::mt19937 random(seed);
   auto below = [&](std::size_t n) { return static_cast<std::size_t>(random() % n); };
-  planish::Session session("engine=cpu threads=1");
+  // Every other one has threads of its own too.
+  const std::string engine = seed % 2 ? "engine=cpu threads=2" : "engine=cpu threads=1";
+  planish::Session session(engine);
   for (long i = 0; i < count; ++i) {
     const std::size_t width = 4 + below(29), height = 4 + below(21), pixels = width * height;
     std::vector<std::uint16_t> depth(pixels, 1200), result(pixels);
@@ -45,7 +48,7 @@ void calls(unsigned seed, long count) {
     expect(!is_wrong || !done.text().empty(), "an error has a text");
     if (!is_wrong) expect(std::abs(points[4 * (pixels / 2) + 2] - 1.203f) < 0.01f, "the wall stays where it is");
     // Now and then another session, or a result of the library's.
-    if (i % 1000 == 500) session = planish::Session("engine=cpu threads=1 preset=light");
+    if (i % 1000 == 500) session = planish::Session(engine + " preset=light");
     if (i % 50 == 25) {
       planish::Smoothed smoothed;
       expect(static_cast<bool>(session.try_smooth(planish::depth(depth.data(), camera), PLANISH_POINTS, smoothed)), "owned");

@@ -4,8 +4,7 @@ use std::ffi::{c_char, c_void};
 use std::slice;
 
 use planish::{
-    Camera, DepthView, Distortion, Frame, IntoFrame, PointLayout, PointsView, Scalar, SensorPose,
-    internal::validate_shape,
+    Camera, DepthView, Distortion, Frame, IntoFrame, PointLayout, PointsView, Scalar, SensorPose, validate_shape,
 };
 
 use crate::buffers::{Extent, sized, text};

@@ -103,7 +103,7 @@ pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};
 #[cfg(feature = "wgpu-interop")]
 pub use wgpu;
-pub use xyz::{MAX_PIXELS, Xyz};
+pub use xyz::{MAX_PIXELS, Xyz, validate_shape};
 
 /// For planish's other crates, not for users; it may change with every version.
 #[doc(hidden)]
@@ -129,5 +129,4 @@ pub mod internal {
     pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery, ResultFilter, ResultSight};
     pub use crate::smoothed::named_fields;
     pub use crate::threads::Threads;
-    pub use crate::xyz::validate_shape;
 }

@@ -7,7 +7,7 @@ use exr::meta::MetaData;
 use exr::prelude::{ReadChannels, ReadLayers};
 
 use super::{Contents, FormatResult, ReadOptions, brief, quoted};
-use planish_core::{FormatError, internal::validate_shape};
+use planish_core::{FormatError, validate_shape};
 
 /// Renderers write 1e10, or the largest value of a type, where a ray meets nothing.
 const NOTHING: f32 = 1e9;

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use super::{DepthSummary, ReadOptions};
-use planish_core::{DepthImage, FormatError, internal::validate_shape};
+use planish_core::{DepthImage, FormatError, validate_shape};
 
 /// Row by row, so that a frame is in memory once.
 pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {

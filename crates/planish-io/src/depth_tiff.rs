@@ -8,7 +8,7 @@ use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
 use super::{Contents, DepthSummary, ReadOptions, depth_of_integers};
-use planish_core::{DepthImage, FormatError, internal::validate_shape};
+use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;

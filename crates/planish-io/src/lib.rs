@@ -95,6 +95,7 @@ pub use read::read_in_parts;
 pub use read::{
     FileRead, decode, decode_with, read, read_depth_frame, read_file, read_organized, read_with, summarize_depth,
 };
+pub use rgb_png::{read_rgb_png, write_animated_png, write_rgb_png};
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
 pub use trajectory::{Trajectory, read_trajectory};
 pub use triangle_files::{WRITTEN_MESHES, write_mesh};
@@ -113,6 +114,5 @@ pub mod internal {
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::error_text::{brief, quoted};
     pub use crate::pcd::lzf;
-    pub use crate::rgb_png::{read_rgb_png, write_animated_png, write_rgb_png};
     pub use planish_core::AttributeValues;
 }

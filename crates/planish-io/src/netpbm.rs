@@ -1,7 +1,7 @@
 //! Depth images of the Netpbm family: PGM with 16 bits, and PFM with floats in metres.
 
 use super::{Contents, FormatResult, ReadOptions, quoted};
-use planish_core::{DepthImage, FormatError, internal::validate_shape};
+use planish_core::{DepthImage, FormatError, validate_shape};
 
 fn malformed<T>(what: String) -> FormatResult<T> {
     Err(FormatError::Malformed(what))

@@ -66,7 +66,7 @@ fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> 
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(malformed)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    planish_core::internal::validate_shape(width, height)?;
+    planish_core::validate_shape(width, height)?;
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
     // Deflate compresses by 1032 at most, and 1-bit pixels become bytes.
     if size / 8800 > bytes.len() {

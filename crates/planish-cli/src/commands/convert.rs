@@ -119,7 +119,7 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
         let full_scale = full_scale.unwrap_or(f64::MIN_POSITIVE);
         let map = planish::compare::difference_map(&a, &b, full_scale);
         let map = map.with_context(|| format!("{}: a picture needs two inputs on one grid", picture.display()))?;
-        planish::internal::write_rgb_png(picture, &map)?;
+        planish::io::write_rgb_png(picture, &map)?;
         errln!("{}: red is {} or more", picture.display(), length(full_scale, found.unit));
     }
     let is_within = args.max.is_none_or(|max| found.is_within(max));

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use planish::evaluate::{Errors, errors, flat_pixels};
-use planish::internal::write_rgb_png;
+use planish::io::write_rgb_png;
 use planish::io::{Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};

@@ -15,7 +15,7 @@ use planish::evaluate::{
     Calibration, CalibrationReport, Case, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes,
     tile_planes,
 };
-use planish::internal::write_rgb_png;
+use planish::io::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
 use planish::simulate::DepthNoise;

@@ -3,7 +3,7 @@
 use crate::exit::ExitCode;
 
 use anyhow::{Result, bail};
-use planish::internal::write_rgb_png;
+use planish::io::write_rgb_png;
 use planish::io::{Contents, FileRead};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 use planish::{FrameError, ParamError};

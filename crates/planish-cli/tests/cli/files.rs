@@ -398,7 +398,7 @@ fn a_general_cloud_is_drawn_from_where_one_asks() {
     let [general, picture] = ["general.ply", "picture.png"].map(|name| folder.path().join(name));
     write_cloud(&general, &cloud.points, Encoding::Binary).unwrap();
     ok(&["render", str(&general), str(&picture), "--from", "0,0,-1"]);
-    let image = planish::internal::read_rgb_png(&picture).unwrap();
+    let image = planish::io::read_rgb_png(&picture).unwrap();
     assert!(image.width > image.height && image.rgb.iter().any(|&value| value > 100));
     assert!(refused(&["render", str(&path), str(&path)]).contains("written as .png"));
     assert!(

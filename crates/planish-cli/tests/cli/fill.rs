@@ -31,7 +31,7 @@ fn files_flag_filled_pixels() {
     let count = report["status"]["filled"].as_u64().unwrap();
     assert!((16..2000).contains(&count), "{report}");
     let Contents::Depth(image) = io::read(&path("filled.png")).unwrap().1 else { panic!("depth") };
-    let picture = planish::internal::read_rgb_png(&path("filled.origin.png")).unwrap();
+    let picture = planish::io::read_rgb_png(&path("filled.origin.png")).unwrap();
     let mask: Vec<u8> = picture.rgb.iter().step_by(3).copied().collect();
     let is = |origin: Origin| move |value: &&u8| **value == origin.mask_value();
     assert_eq!(mask.iter().filter(is(Origin::Filled)).count() as u64, count);

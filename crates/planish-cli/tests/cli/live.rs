@@ -58,7 +58,7 @@ fn a_recording_streams_back() {
     };
     assert_eq!(names(&saved), names(&recording.join("depth")));
     for name in names(&recording.join("rgb")) {
-        let colour = |folder: &Path| planish::internal::read_rgb_png(&folder.join("rgb").join(&name)).unwrap();
+        let colour = |folder: &Path| planish::io::read_rgb_png(&folder.join("rgb").join(&name)).unwrap();
         assert_eq!(colour(&saved), colour(&recording));
     }
     let again = json_line(&ok(&["stream", str(&saved), "--json"]));

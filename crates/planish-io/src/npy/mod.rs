@@ -15,7 +15,7 @@ use super::{CloudRef, Contents, ReadOptions, depth_of_integers, organized_if_gri
 use crate::{Gridded, columns::cloud_from_columns};
 #[cfg(feature = "more-formats")]
 use planish_core::AttributeValues;
-use planish_core::{Attribute, DepthImage, FormatError, PointCloud, internal::validate_shape};
+use planish_core::{Attribute, DepthImage, FormatError, PointCloud, validate_shape};
 
 const LAYOUTS: &str =
     "depth is [H, W] of integers or floats (metres), points are [H, W, 3] or [N, 3] of floats or records";

@@ -176,7 +176,7 @@ impl RigSink for PictureSink {
     fn write(&mut self, frame: &RigFrame) -> Result<(), Error> {
         if self.drawn.is_none_or(|drawn| drawn.elapsed() >= EVERY) {
             self.drawn = Some(Instant::now());
-            planish_io::internal::write_rgb_png(&self.file, &top_down(frame)?)?;
+            planish_io::write_rgb_png(&self.file, &top_down(frame)?)?;
         }
         Ok(())
     }

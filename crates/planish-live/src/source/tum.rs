@@ -80,7 +80,7 @@ impl Source for TumSource {
             depth.timestamp_s = Some(entry.timestamp_s);
             if let Some(rgb) = &entry.rgb {
                 let file = self.folder.join(rgb);
-                let image = planish_io::internal::read_rgb_png(&file)?;
+                let image = planish_io::read_rgb_png(&file)?;
                 if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
                     let problem = format!("the colour is {}x{}, the depth is not", image.width, image.height);
                     return Err(malformed(&file, problem).into());
@@ -254,7 +254,7 @@ impl TumRecorder {
         if let Some(rgb) = &frame.rgb {
             let file = format!("rgb/{name}.png");
             let image = RgbImage { width: camera.width, height: camera.height, rgb: rgb.clone() };
-            planish_io::internal::write_rgb_png(&self.folder.join(&file), &image)?;
+            planish_io::write_rgb_png(&self.folder.join(&file), &image)?;
             self.append("rgb.txt", &format!("{name} {file}\n"))?;
         }
         // Written after its images, so that an interrupted recording is whole up to there.

@@ -114,10 +114,7 @@ impl FolderSink {
             let colour = format!("rgb/{name}.png");
             let folder = self.folder.join("rgb");
             std::fs::create_dir_all(&folder).map_err(|error| IoError { path: folder, problem: error.into() })?;
-            planish_io::internal::write_rgb_png(
-                &self.folder.join(&colour),
-                &RgbImage { width, height, rgb: rgb.clone() },
-            )?;
+            planish_io::write_rgb_png(&self.folder.join(&colour), &RgbImage { width, height, rgb: rgb.clone() })?;
             self.append("rgb.txt", &format!("{seconds:.6} {colour}\n"))?;
         }
         // After its images, so that a stream that is cut off leaves a data set up to there.

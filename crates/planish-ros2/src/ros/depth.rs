@@ -5,7 +5,7 @@
 //! float was made an integer, q = A/z + B.
 
 use super::{CompressedImage, Header, Image, rvl};
-use planish_core::{DepthImage, FormatError, internal::validate_shape};
+use planish_core::{DepthImage, FormatError, validate_shape};
 use planish_io::{ReadOptions, internal::decode_depth_png, internal::encode_depth_png, internal::quoted};
 
 /// Format, A and B before a compressed depth image.

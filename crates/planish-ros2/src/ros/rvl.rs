@@ -4,7 +4,7 @@
 //! Numbers are split into groups of three bits, lowest first. A fourth bit is set if more groups follow. Eight groups
 //! make a 32-bit word; the first is in its highest bits.
 
-use planish_core::{DepthImage, FormatError, internal::validate_shape};
+use planish_core::{DepthImage, FormatError, validate_shape};
 use planish_io::ReadOptions;
 
 /// Width and height.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
-use planish::internal::write_animated_png;
+use planish::io::write_animated_png;
 use planish::io::{self, Contents, RgbImage, camera_to_json, write_depth, write_whole};
 use planish::render::{difference_normals, half_size, relief, side_by_side};
 use planish::simulate::{DepthNoise, Event, Sequence, Truth};
