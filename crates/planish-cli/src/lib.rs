@@ -37,6 +37,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Stream(args) => commands::stream(&args),
         Command::Rig(args) => commands::rig::run(&args),
         Command::Record(args) => commands::record::run(&args),
+        Command::Recover(args) => commands::recover::run(&args),
         Command::Devices(args) => commands::devices::run(&args),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
@@ -46,6 +47,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     match result {
         Ok(code) => code.number(),
         Err(error) => {
+            signals::wait_if_ending();
             errln!("error: {error:#}");
             2
         }

@@ -1,4 +1,4 @@
-//! Handles SIGINT, SIGTERM and SIGHUP in every command, so that no half-written file remains.
+//! Handles SIGINT, SIGTERM and SIGHUP in every command, so that no half-written file remains and no recording is lost.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +12,9 @@ pub const INTERRUPTED: u8 = 130;
 /// Set by the first signal, for commands that check it.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// Set by the signal that ends the process.
+static IS_ENDING: AtomicBool = AtomicBool::new(false);
+
 /// SIGXFSZ, on Linux and macOS.
 #[cfg(unix)]
 const FILE_TOO_LARGE: i32 = 25;
@@ -22,6 +25,9 @@ pub fn install() -> Result<()> {
         // At the first signal the command ends in an orderly way; a second one means that something hangs.
         Some(stop) if !stop.swap(true, Ordering::Relaxed) => {}
         _ => {
+            IS_ENDING.store(true, Ordering::Relaxed);
+            #[cfg(feature = "mcap")]
+            planish::bag::finish_recordings();
             planish::io::remove_temporaries();
             exit(i32::from(INTERRUPTED));
         }
@@ -33,6 +39,13 @@ pub fn install() -> Result<()> {
     #[cfg(unix)]
     ignore(FILE_TOO_LARGE);
     Ok(())
+}
+
+/// Waits if a signal is ending the process: what failed then failed because of it.
+pub fn wait_if_ending() {
+    while IS_ENDING.load(Ordering::Relaxed) {
+        std::thread::park();
+    }
 }
 
 /// Returns the signals that the parent process wants ignored: SIGHUP under `nohup`, SIGINT for a shell's background

@@ -151,7 +151,7 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
 
 /// Refuses a path that cannot be written: its folder does not exist or is read-only, or it names something other than a
 /// file.
-pub(super) fn check_target(path: &Path) -> FormatResult<()> {
+pub fn check_target(path: &Path) -> FormatResult<()> {
     let path = behind_links(path)?;
     check_place(&path)?;
     Temporary::new(folder_of(&path)).map(drop)

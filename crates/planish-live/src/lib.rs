@@ -9,6 +9,7 @@
     clippy::print_stderr
 )]
 
+mod new_folder;
 pub mod rig;
 pub mod source;
 pub mod stream;

@@ -78,6 +78,8 @@ pub enum Command {
     Rig(RigArgs),
     /// Record a source as a data set in TUM layout, or as a ROS 2 recording
     Record(RecordArgs),
+    /// Complete a ROS 2 recording that was cut off
+    Recover(RecoverArgs),
     /// List instruction sets and GPUs of this machine, and the choice of `auto`
     Devices(DevicesArgs),
     /// Measure the error of smoothed surfaces, simulated or real
@@ -194,6 +196,18 @@ pub struct InfoArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub pose: PoseArgs,
+    /// Print a report as one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  planish recover walk.mcap.part")]
+pub struct RecoverArgs {
+    /// Recording (.mcap, or .mcap.part as a killed process leaves it); it is changed in place
+    ///
+    /// Every whole message is kept. NAME.mcap.part is renamed to NAME.mcap.
+    pub file: PathBuf,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,

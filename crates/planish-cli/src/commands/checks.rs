@@ -36,11 +36,13 @@ pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Refuses to overwrite a recording, which may be the only copy of its measurements.
+/// Refuses to overwrite a recording, which may be the only copy of its measurements, one that was cut off too.
 pub fn check_is_new(output: &Path) -> Result<()> {
     if output.exists() {
         bail!("{}: already exists; choose another name or delete it", output.display());
     }
+    #[cfg(feature = "mcap")]
+    planish::bag::refuse_cut_off(output)?;
     Ok(())
 }
 

@@ -11,6 +11,7 @@ pub mod info;
 pub mod manual;
 pub mod mesh;
 pub mod record;
+pub mod recover;
 pub mod render;
 pub mod rig;
 pub mod smooth;

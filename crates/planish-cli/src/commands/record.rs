@@ -143,10 +143,15 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     }
     let note = recorder.note();
     if frames > 0 || result.is_ok() {
-        let finished = recorder.finish();
-        // After a failed write this one fails too, and does not know why.
-        if result.is_ok() {
-            result = finished;
+        match (recorder.finish(), &result) {
+            (Ok(()), Ok(())) => {}
+            (Ok(()), Err(_)) => errln!("{frames} frames, until the error, are in {}", args.folder.display()),
+            (Err(error), Ok(())) => result = Err(error),
+            // A full disk may have no room for the index either.
+            (Err(_), Err(_)) => {
+                let name = args.folder.display();
+                errln!("{frames} frames are in {name}.part; make room, then `planish recover {name}.part`");
+            }
         }
     }
     if let Some(note) = note {

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{Rig, RigCamera, RigFrame, rig_to_json};
+use crate::new_folder::refuse_used;
 use crate::stream::{Consumer, FolderSink, Sink, SinkFormat};
 use planish_core::{Error, FormatError, IoError, Outputs};
 use planish_io::{self as io, CloudRef, Encoding};
@@ -65,11 +66,8 @@ impl FusedSink {
 /// Creates a folder for the results of a rig, with its `rig.json`, in which cameras have other sources.
 fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option<String>) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
+    refuse_used(folder)?;
     std::fs::create_dir_all(folder).map_err(at)?;
-    if std::fs::read_dir(folder).map_err(at)?.next().is_some() {
-        let problem = FormatError::Unsupported("the folder is not empty; results of a rig need an empty folder".into());
-        return Err(IoError { path: folder.to_path_buf(), problem });
-    }
     let mut saved = rig.clone();
     saved.cameras.iter_mut().for_each(|camera| {
         camera.source = source(camera);

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::files::{file_stem, read_frame};
 use super::{OwnedFrame, Source, malformed, with_shape};
+use crate::new_folder::refuse_used;
 use planish_core::{Camera, DepthFrame, DepthImage, Error, FormatError, IoError, SATURATED_DEPTH};
 use planish_io::{self as io, RgbImage};
 
@@ -192,11 +193,9 @@ impl Units {
 }
 
 impl TumRecorder {
-    /// Starts a recording; refuses a folder that already has a data set. The folder is made with the first frame.
+    /// Starts a recording; refuses a folder that has files. The folder is made with the first frame.
     pub fn create(folder: &Path) -> Result<Self, Error> {
-        if folder.join("depth.txt").exists() {
-            return Err(malformed(folder, "already contains a data set; record into another folder").into());
-        }
+        refuse_used(folder)?;
         Ok(Self { folder: folder.to_path_buf(), units: None, frames: 0, last_s: f64::NEG_INFINITY, too_far: 0 })
     }
 

@@ -14,6 +14,7 @@ pub struct BagSink {
     writer: Option<BagWriter>,
     name: String,
     outputs: Outputs,
+    /// Whether the recording is worthless unless it is whole, and the flag that says so.
     discard: Option<Arc<AtomicBool>>,
 }
 
@@ -25,7 +26,7 @@ impl BagSink {
 
     /// Sets a flag that discards the recording if it is set at the end, so that no partial one is left.
     pub fn discarding_if(self, discard: Arc<AtomicBool>) -> Self {
-        Self { discard: Some(discard), ..self }
+        Self { discard: Some(discard), writer: self.writer.map(BagWriter::all_or_nothing), ..self }
     }
 }
 

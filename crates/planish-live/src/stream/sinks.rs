@@ -10,8 +10,9 @@ use std::thread::{self, JoinHandle};
 
 use super::mailbox::TimeSpent;
 use super::{StreamFrame, StreamStatistics};
+use crate::new_folder::refuse_used;
 use crate::source::OwnedFrame;
-use planish_core::{DepthFrame, DepthImage, EngineError, Error, FormatError, IoError, Outputs};
+use planish_core::{DepthFrame, DepthImage, EngineError, Error, IoError, Outputs};
 use planish_io::{self as io, CloudRef, Encoding, RgbImage};
 
 /// Consumes results, one after another.
@@ -71,19 +72,12 @@ pub struct FolderSink {
     has_camera: bool,
 }
 
-/// The lists and the camera of a data set.
-const OF_A_DATA_SET: [&str; 4] = ["depth.txt", "rgb.txt", "points.txt", "camera.json"];
-
 impl FolderSink {
-    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has a data set already,
-    /// whose lists and camera would be mixed with the new ones.
+    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has files.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
+        refuse_used(folder)?;
         std::fs::create_dir_all(folder)
             .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
-        if OF_A_DATA_SET.iter().any(|name| folder.join(name).exists()) {
-            let problem = FormatError::Unsupported("already contains a data set; save into another folder".into());
-            return Err(IoError { path: folder.to_path_buf(), problem }.into());
-        }
         Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
     }
 

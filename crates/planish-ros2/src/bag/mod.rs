@@ -7,6 +7,7 @@ mod decompress;
 mod foxglove;
 mod parts;
 mod records;
+mod recover;
 mod schemas;
 mod smooth;
 mod source;
@@ -19,10 +20,11 @@ use std::path::{Path, PathBuf};
 use planish_core::{FormatError, IoError};
 use planish_io::internal::brief;
 
+pub use recover::{Recovered, part_of, recover};
 pub use smooth::{SmoothBagOptions, SmoothBagReport, TopicReport, smooth_bag};
 pub use source::BagSource;
 pub use survey::{MessageKind, OtherTopic, Survey, Topic};
-pub use writer::BagWriter;
+pub use writer::{BagWriter, finish_recordings, refuse_cut_off};
 
 /// The bytes that a recording in MCAP begins with.
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-use planish::bag::{BagSource, BagWriter, SmoothBagOptions, SmoothBagReport, Survey, is_bag, smooth_bag};
+use planish::bag::{
+    BagSource, BagWriter, SmoothBagOptions, SmoothBagReport, Survey, is_bag, part_of, recover, smooth_bag,
+};
 use planish::io::ReadOptions;
 use planish::ros::MessageSmoother;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
@@ -50,6 +52,86 @@ fn smoother() -> MessageSmoother {
 fn smooth(input: &Path, output: &Path) -> Result<SmoothBagReport, Error> {
     let options = SmoothBagOptions::default();
     smooth_bag(input, output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ())
+}
+
+#[test]
+fn a_recording_can_be_read_while_it_is_written_and_is_kept_without_an_end() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("depth.mcap");
+    let part = part_of(&path);
+    let frames = frames(small_camera());
+    let mut writer = BagWriter::create(&path).unwrap();
+    for (number, frame) in frames.iter().enumerate() {
+        writer.add(&OwnedFrame::Depth(frame.clone())).unwrap();
+        // It ends without an end, which is an error after the last frame.
+        let mut source = BagSource::open(&part, None, None, None).unwrap();
+        let read = std::iter::from_fn(|| source.next_frame().ok().flatten()).count();
+        assert_eq!(read, number + 1, "each frame is there at once");
+    }
+    assert!(!path.exists());
+    let error = BagWriter::create(&path).map(drop).unwrap_err().to_string();
+    assert!(error.contains("depth.mcap.part") && error.contains("planish recover"), "{error}");
+    drop(writer);
+    assert!(!part.exists());
+    assert_eq!(read_all(&path).len(), FRAMES as usize);
+    let survey = Survey::of(&path, &ReadOptions::default()).unwrap();
+    assert_eq!(survey.topics[0].messages, Some(FRAMES), "it has a summary");
+    // Nobody would miss one without frames, or one that can be computed again.
+    drop(BagWriter::create(&folder.path().join("empty.mcap")).unwrap());
+    let mut writer = BagWriter::create(&folder.path().join("again.mcap")).unwrap().all_or_nothing();
+    writer.add(&OwnedFrame::Depth(frames[0].clone())).unwrap();
+    drop(writer);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
+    let folder = TempDir::new().unwrap();
+    let (path, frames) = recording(&folder, small_camera());
+    let bytes = std::fs::read(&path).unwrap();
+    let options = ReadOptions::default();
+    let found = recover(&path, &options).unwrap();
+    assert!(found.was_whole && found.messages == 2 * FRAMES && std::fs::read(&path).unwrap() == bytes);
+    let cut = folder.path().join("cut.mcap.part");
+    let mut before = 0;
+    for length in (60..bytes.len()).step_by(997).chain(bytes.len() - 300..bytes.len()) {
+        let _ = std::fs::remove_file(cut.with_extension(""));
+        std::fs::write(&cut, &bytes[..length]).unwrap();
+        let found = recover(&cut, &options).unwrap();
+        assert!(!found.was_whole && !cut.exists() && found.damaged_chunks == 0, "{length}: {found:?}");
+        // Each frame is its camera_info and its image.
+        assert!((before..=2 * FRAMES).contains(&found.messages), "{length}: {found:?}");
+        before = found.messages;
+        let read = if found.messages < 2 { Vec::new() } else { read_all(&found.path) };
+        assert_eq!(read.len() as u64, found.messages / 2, "{length}");
+        for (read, frame) in read.iter().zip(&frames) {
+            let OwnedFrame::Depth(read) = read else { panic!("depth") };
+            assert_eq!((&read.raw, read.timestamp_s), (&frame.raw, frame.timestamp_s));
+        }
+        // What other programs look up: the summary and its indices.
+        let whole = std::fs::read(&found.path).unwrap();
+        let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+        assert_eq!(summary.stats.as_ref().unwrap().message_count, found.messages);
+        let mut indexed = 0;
+        for chunk in &summary.chunk_indexes {
+            let index = summary.read_message_indexes(&whole, chunk).unwrap();
+            for entry in index.values().flatten() {
+                summary.seek_message(&whole, chunk, entry).unwrap();
+                indexed += 1;
+            }
+        }
+        assert_eq!(indexed, found.messages, "{length}");
+        assert!(recover(&found.path, &options).unwrap().was_whole);
+    }
+    assert_eq!(before, 2 * FRAMES);
+    // A file that only became longer, as after a power failure, and what is no recording.
+    std::fs::write(&cut, [&bytes[..bytes.len() / 2], &[0; 5000]].concat()).unwrap();
+    assert!(recover(&cut, &options).unwrap_err().to_string().contains("exists"));
+    std::fs::remove_file(cut.with_extension("")).unwrap();
+    let found = recover(&cut, &options).unwrap();
+    assert!(found.messages >= FRAMES / 2 && found.damaged_chunks == 0, "{found:?}");
+    std::fs::write(&cut, b"something else").unwrap();
+    assert!(recover(&cut, &options).is_err() && std::fs::read(&cut).unwrap() == b"something else");
 }
 
 #[test]
