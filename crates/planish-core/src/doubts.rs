@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::camera::Camera;
-use crate::frame::{Frame, RangeRule};
+use crate::frame::{Frame, PointsView, RangeRule};
 use crate::threads::ONE_THREAD;
 
 /// No depth camera has most of its points farther away, or nearer, in metres.
@@ -53,6 +53,15 @@ pub enum Doubt {
         /// The camera.
         camera: Camera,
     },
+    /// Points of an unorganized cloud are so far from the origin of its coordinates that f32 holds too little of them.
+    Coarse {
+        /// The difference of two neighbouring values of f32 there, in metres.
+        step_m: f32,
+        /// The distance between neighbouring points there, in metres.
+        spacing_m: f32,
+        /// The share of such points, 0 to 1.
+        share: f32,
+    },
     /// Pixels are lost, since the model of the lens shows nothing there.
     Lens {
         /// The share of pixels, 0 to 1.
@@ -68,10 +77,12 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
-/// Returns doubts about a frame; none for unorganized clouds, since any scanner may have measured them.
+/// Returns doubts about a frame. Unorganized clouds may be anything that f32 can hold, since any scanner may have
+/// measured them.
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
-    if frame.grid().is_none() {
-        return Vec::new();
+    if let (None, Frame::Points(points)) = (frame.grid(), frame) {
+        // WebAssembly has no text for it.
+        return if ONE_THREAD { Vec::new() } else { about_resolution(&points).into_iter().collect() };
     }
     let units = match frame {
         Frame::Depth(depth) => (!depth.is_metres()).then_some(depth.camera().depth_units_per_metre),
@@ -87,6 +98,46 @@ pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     }
     found.extend(frame.camera().and_then(of_camera));
     found
+}
+
+/// Compares the steps of f32 with the distances between neighbours, at a sample of points far from the origin.
+fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
+    /// Nobody measures finer than this from a kilometre away, in metres.
+    const FINE_M: f32 = 1e-4;
+    /// The share of a distance that rounding may take.
+    const SHARE_OF_DISTANCE: f64 = 0.1;
+    /// The share of points that may be too coarse without a word.
+    const FEW: f32 = 0.01;
+    /// How many points get neighbours, and among how many these are looked for.
+    const LOOKED_AT: usize = 32;
+    const AMONG: usize = 200_000;
+    let step_of = |[x, y, z]: [f64; 3]| f32::EPSILON * x.abs().max(y.abs()).max(z.abs()) as f32;
+    let is_valid = |point: &[f64; 3]| point.iter().all(|value| value.is_finite());
+
+    let stride = points.len().div_ceil(SAMPLE).max(1);
+    let sample = || (0..points.len()).step_by(stride).map(|i| points.get(i)).filter(is_valid);
+    let far: Vec<[f64; 3]> = sample().filter(|&point| step_of(point) > FINE_M).collect();
+    let far_share = far.len() as f32 / sample().count() as f32;
+    if far.is_empty() || far_share <= FEW {
+        return None;
+    }
+    let looked_at: Vec<[f64; 3]> = far.iter().step_by(far.len().div_ceil(LOOKED_AT)).copied().collect();
+    let stride = points.len().div_ceil(AMONG);
+    // On a surface, a part of the points is this much sparser.
+    let sparser = (stride as f64).sqrt();
+    let spacing_m = |of: &[f64; 3]| {
+        let squares = (0..points.len()).step_by(stride).map(|i| {
+            let other = points.get(i);
+            (0..3).map(|axis| (other[axis] - of[axis]).powi(2)).sum::<f64>()
+        });
+        squares.filter(|&square| square > 0.0).fold(f64::INFINITY, f64::min).sqrt() / sparser
+    };
+    let is_coarse = |(step_m, spacing_m): &(f32, f64)| f64::from(*step_m) > SHARE_OF_DISTANCE * spacing_m;
+    let found = looked_at.iter().map(|point| (step_of(*point), spacing_m(point)));
+    let coarse: Vec<(f32, f64)> = found.filter(is_coarse).collect();
+    let share = far_share * coarse.len() as f32 / looked_at.len() as f32;
+    let (step_m, spacing_m) = *coarse.get(coarse.len() / 2)?;
+    (share > FEW).then_some(Doubt::Coarse { step_m, spacing_m: spacing_m as f32, share })
 }
 
 fn of_camera(camera: &Camera) -> Option<Doubt> {
@@ -156,6 +207,13 @@ impl fmt::Display for Doubt {
             Self::FocalLength { camera: Camera { width, height, fx, .. } } => {
                 write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; is it in pixels?")
             }
+            Self::Coarse { step_m, spacing_m, share } => write!(
+                f,
+                "{:.0} % of the points are so far from the others, or from the origin, that f32 has steps of \
+                 {step_m:.1e} m there, with neighbours {spacing_m:.1e} m apart; smooth distant parts one by one, each \
+                 with an origin near it",
+                100.0 * share
+            ),
             Self::Lens { lost } => write!(
                 f,
                 "{:.0} % of the pixels are holes: the model of the lens has no ray there, since it folds or reaches \
@@ -188,6 +246,27 @@ mod tests {
         // Folds at 0.37 focal lengths; half the width is 0.61.
         let Some(Doubt::Lens { lost }) = of(&[-0.9, 0.0, 0.0, 0.0]) else { panic!("no doubt") };
         assert!((0.3..0.9).contains(&lost), "{lost}");
+    }
+
+    #[test]
+    fn points_too_far_for_f32_are_doubtful_and_strays_are_not() {
+        let plane = |from: f32, count: usize| -> Vec<[f32; 3]> {
+            (0..count).map(|i| [from + 0.01 * (i % 100) as f32, 0.01 * (i / 100) as f32, 1.0]).collect()
+        };
+        let of = |points: &[[f32; 3]]| doubts(PointsView::from_rows(points).unwrap().into_frame().unwrap());
+        assert_eq!(of(&plane(0.0, 5000)), []);
+        // A step of 0.12 mm, with points 10 mm apart; of 8 mm.
+        assert_eq!(of(&plane(1e3, 5000)), []);
+        let Some(Doubt::Coarse { step_m, spacing_m, share }) = of(&plane(65_600.0, 5000)).pop() else { panic!("fine") };
+        assert!((0.007..0.009).contains(&step_m) && spacing_m < 0.02 && share > 0.9, "{step_m} {spacing_m} {share}");
+        let both = [plane(0.0, 5000), plane(1e5, 500)].concat();
+        assert!(matches!(of(&both)[..], [Doubt::Coarse { share, .. }] if (0.05..0.15).contains(&share)));
+        // Where nothing was measured, and points far from each other.
+        let strays = [plane(0.0, 5000), vec![[-5e6, -5e6, -100.0]; 100]].concat();
+        assert_eq!(of(&strays), []);
+        let sparse: Vec<[f32; 3]> = (0..200).map(|i| [1e5 + 50.0 * i as f32, 7.0 * i as f32, 0.0]).collect();
+        assert_eq!(of(&sparse), []);
+        assert_eq!(of(&[]), []);
     }
 
     #[test]

@@ -74,6 +74,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
         // Integers, and floats of both sizes.
         (x, y, z) => {
             let exact = [x, y, z].map(|values| values.map_or_else(Vec::new, to_f64));
+            check_range(&exact)?;
             let origin = [origin_of(&exact[0]), origin_of(&exact[1]), origin_of(&exact[2])];
             let relative = |axis: usize| exact[axis].iter().map(|value| (value - origin[axis]) as f32).collect();
             (Xyz::from_arrays([relative(0), relative(1), relative(2)])?, origin, Some(exact))
@@ -86,6 +87,19 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     cloud.position_columns = PositionColumns { index, precision };
     exact.into_iter().for_each(|exact| cloud.keep_exact(exact));
     Ok(cloud)
+}
+
+/// Refuses coordinates that are numbers, but not for f32: they would become holes.
+fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
+    for (name, values) in AXES.iter().zip(coordinates) {
+        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
+        if let Some(value) = values.iter().find(is_beyond) {
+            return Err(FormatError::Malformed(format!(
+                "a coordinate {name} is {value:e}; numbers beyond 3.4e38 cannot be processed"
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn to_f64(values: AttributeValues) -> Vec<f64> {

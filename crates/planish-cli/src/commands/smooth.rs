@@ -288,13 +288,6 @@ impl Worker<'_> {
         if depth_out && frame.camera().is_none() {
             bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
         }
-        if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
-            let hint = match doubt {
-                Doubt::Range { units: None, .. } => "state the unit with --unit; if it is right, add --force",
-                _ => "if it is right, add --force",
-            };
-            bail!("{}: {doubt} ({hint})", input.display());
-        }
         let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
         for setting in self.settings.unused_by_frames() {
@@ -372,6 +365,13 @@ impl Worker<'_> {
         outputs: Outputs,
     ) -> Result<(PointCounts, SmoothTimes)> {
         self.check_memory(frame).with_context(|| output.display().to_string())?;
+        if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
+            let hint = match doubt {
+                Doubt::Range { units: None, .. } => "state the unit with --unit; if it is right, add --force",
+                _ => "if it is right, add --force",
+            };
+            bail!("{}: {doubt} ({hint})", input.display());
+        }
         self.session.set_outputs(outputs);
         let mut times_ms = Vec::new();
         while times_ms.len() < self.args.repeat as usize {
@@ -408,8 +408,11 @@ impl Worker<'_> {
                 );
             }
         }
-        if lost == valid && valid > 0 {
-            let reason = "every point became a hole, since none has enough neighbours; nothing is written";
+        if lost + isolated == valid && valid > 0 {
+            let reason = match isolated {
+                0 => "every point became a hole, since none has enough neighbours; nothing is written",
+                _ => "no point has enough neighbours to be smoothed; nothing is written",
+            };
             return Err(NothingLeft(format!("{}: {reason}", input.display())).into());
         }
         Ok((PointCounts { valid, lost }, summarize(times_ms)))

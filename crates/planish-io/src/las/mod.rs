@@ -215,7 +215,11 @@ impl Records {
         let of_file = cloud.provenance.get::<LasHeader>().map(|LasHeader(of_file)| of_file);
         let mut builder = match of_file {
             Some(of_file) => Builder::from(of_file.header.clone()),
-            None => new_builder(cloud, kept, has_colour).map_err(cannot)?,
+            None => {
+                let builder = new_builder(cloud, kept, has_colour).map_err(cannot)?;
+                check_steps(&builder, cloud, kept)?;
+                builder
+            }
         };
         // Records that describe the old compression, and COPC's index.
         builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
@@ -295,6 +299,27 @@ impl Records {
 
 fn is_colour(name: &str) -> bool {
     ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
+}
+
+/// Refuses coordinates so far apart that the steps of 32 bits would move points.
+fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatResult<()> {
+    /// What no scanner resolves, in metres.
+    const FINE_M: f64 = 1e-3;
+    let las::Vector { x, y, z } = builder.transforms;
+    for (axis, Transform { scale, offset }) in [x, y, z].into_iter().enumerate() {
+        let is_moved = |&i: &usize| {
+            let steps = (cloud.coordinate(axis, i) - offset) / scale;
+            (steps - steps.round()).abs() * scale > 0.5 * FINE_M
+        };
+        if scale > FINE_M && kept.iter().any(is_moved) {
+            let name = ["x", "y", "z"][axis];
+            return Err(FormatError::Unsupported(format!(
+                "LAS stores coordinates in 32 bits, so {name} would be rounded to steps of {scale} m; a few points are \
+                 probably far from all others: remove them with `planish clean --box`, or write another format"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// Returns a header for a cloud that was not read from LAS.
