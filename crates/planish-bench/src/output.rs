@@ -17,7 +17,7 @@ pub fn print(text: Arguments<'_>) {
     if CLOSED.load(Ordering::Relaxed) {
         return;
     }
-    if let Err(error) = std::io::stdout().lock().write_fmt(text) {
+    if let Err(error) = write(&mut std::io::stdout().lock(), text) {
         if error.kind() == ErrorKind::BrokenPipe {
             CLOSED.store(true, Ordering::Relaxed);
             return;
@@ -29,7 +29,15 @@ pub fn print(text: Arguments<'_>) {
 
 /// Writes to standard error, if anybody reads it.
 pub fn print_error(text: Arguments<'_>) {
-    let _ = std::io::stderr().lock().write_fmt(text);
+    let _ = write(&mut std::io::stderr().lock(), text);
+}
+
+/// Writes a text at once, without what could control the terminal.
+fn write(to: &mut impl Write, text: Arguments<'_>) -> std::io::Result<()> {
+    match text.as_str() {
+        Some(text) => to.write_all(planish::io::printable(text).as_bytes()),
+        None => to.write_all(planish::io::printable(&text.to_string()).as_bytes()),
+    }
 }
 
 /// `println!` without its panic.

@@ -20,7 +20,7 @@ use args::{Args, Command};
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     // SAFETY: the process has no other thread yet.
     unsafe { planish::silence_vulkan_drivers() };
-    quiet_the_decoder_of_laz();
+    quiet_caught_panics();
     if let Err(error) = signals::install() {
         errln!("warning: {error:#}");
     }
@@ -68,12 +68,12 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// The LAZ decoder panics on some damaged files. The library catches that and reports the damage; the panic message
-/// would not help anyone.
-fn quiet_the_decoder_of_laz() {
+/// Some decoders panic on damaged files. The library catches that and reports the damage; the messages would not help
+/// anyone.
+fn quiet_caught_panics() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        if !panic.location().is_some_and(|location| location.file().contains("/laz-")) {
+        if !planish::io::internal::catches_panics() {
             usual(panic);
         }
     }));

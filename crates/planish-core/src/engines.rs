@@ -176,14 +176,15 @@ impl SmootherOptions {
 }
 
 /// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without it, Mesa's Vulkan drivers print an error
-/// for each query.
+/// for each query. They look for a desktop's socket there, which another user could plant in a shared folder, so it
+/// becomes a path that cannot exist.
 ///
 /// # Safety
 /// No other thread may run: it changes the environment.
 pub unsafe fn silence_vulkan_drivers() {
     if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: no other thread reads the environment.
-        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", "/dev/null/none") };
     }
 }
 

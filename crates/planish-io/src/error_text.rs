@@ -2,6 +2,19 @@
 
 use std::borrow::Cow;
 
+/// Returns a text for a terminal: control characters, and those that reverse the direction of text, are written as
+/// `\\u001b`, as in JSON. Lines and tabs stay. Names in files, topics and paths may have any of them.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_hidden = |c: char| {
+        c.is_control() && !matches!(c, '\n' | '\t') || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    if !text.contains(is_hidden) {
+        return Cow::Borrowed(text);
+    }
+    let escaped = text.chars().map(|c| if is_hidden(c) { format!("\\u{:04x}", c as u32) } else { c.to_string() });
+    Cow::Owned(escaped.collect())
+}
+
 /// Returns the beginning of a text from a file, for error messages.
 pub fn quoted(text: &str) -> String {
     const MOST: usize = 80;
@@ -26,5 +39,17 @@ pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     match std::str::from_utf8(bytes) {
         Ok(text) => text.into(),
         Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_controls_a_terminal_is_written_out_and_other_text_is_kept() {
+        assert!(matches!(printable("Höhe 試 \t\"x\"\n"), Cow::Borrowed(_)));
+        assert_eq!(printable("a\u{1b}[2Jb\r\u{9b}c\u{7f}"), "a\\u001b[2Jb\\u000d\\u009bc\\u007f");
+        assert_eq!(printable("exe\u{202e}dcp"), "exe\\u202edcp");
     }
 }

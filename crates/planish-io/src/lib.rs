@@ -33,6 +33,8 @@ mod format;
 mod frame_files;
 #[cfg(feature = "more-formats")]
 mod gltf;
+#[cfg(feature = "scans")]
+mod guarded;
 mod input;
 #[cfg(feature = "more-formats")]
 mod kitti;
@@ -74,6 +76,7 @@ pub use camera_file::{
 pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, depth_of_integers, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
+pub use error_text::printable;
 pub(crate) use error_text::{brief, quoted, text_of};
 #[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
@@ -113,6 +116,8 @@ pub mod internal {
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::error_text::{brief, quoted};
+    #[cfg(feature = "scans")]
+    pub use crate::guarded::catches_panics;
     pub use crate::pcd::lzf;
     pub use planish_core::AttributeValues;
 }

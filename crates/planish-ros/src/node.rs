@@ -421,7 +421,7 @@ impl Work {
         let now = Instant::now();
         let is_new = self.warned.get(&text).is_none_or(|last| now.duration_since(*last) >= WARN_EVERY);
         if is_new {
-            eprintln!("warning: {text}");
+            eprintln!("warning: {}", planish::io::printable(&text));
             rosout!(self.node, LogLevel::Warn, "{}", text);
             // Texts that differ each time must not fill the memory.
             if self.warned.len() > 100 {

@@ -2,12 +2,12 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use planish::PointCloud;
 use planish::io::{Encoding, write_cloud};
+use planish::{DepthImage, PointCloud};
 
 use super::{json_line, ok, planish, refused, small_frame, str, text, with_frame};
 
@@ -334,4 +334,120 @@ fn the_encoding_of_standard_input_is_kept() {
     assert!(child.wait().unwrap().success());
     let header = fs::read(&output).unwrap();
     assert!(String::from_utf8_lossy(&header[..400]).contains("DATA binary_compressed"));
+}
+
+/// Returns a depth image that a stream repeats, as fast as it is written.
+#[cfg(feature = "mcap")]
+fn repeated_depth(folder: &Path) -> PathBuf {
+    let frame = small_frame(1);
+    let path = folder.join("depth.png");
+    let image = DepthImage { width: frame.camera.width, height: frame.camera.height, raw: frame.raw };
+    planish::io::write_depth(&path, &image).unwrap();
+    path
+}
+
+#[cfg(feature = "mcap")]
+fn record(input: &Path, output: &Path) -> std::process::Child {
+    let child = Command::new(env!("CARGO_BIN_EXE_planish"))
+        .args(["record", str(input), str(output), "--camera", "70,70,39.5,29.5"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let part = output.with_extension("mcap.part");
+    let start = Instant::now();
+    while fs::metadata(&part).map_or(0, |metadata| metadata.len()) < 100_000 {
+        assert!(start.elapsed() < Duration::from_secs(60), "no frame was recorded");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child
+}
+
+#[cfg(all(unix, feature = "mcap"))]
+#[test]
+fn a_recording_that_is_killed_is_completed_and_never_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = repeated_depth(folder.path());
+    let camera = small_frame(1).camera;
+    let frame_bytes = (2 * camera.width * camera.height + 2000) as u64;
+    for run in 0..10 {
+        let output = folder.path().join(format!("walk {run}.mcap"));
+        let part = output.with_extension("mcap.part");
+        let mut child = record(&input, &output);
+        std::thread::sleep(Duration::from_millis(17 * run));
+        let before = fs::metadata(&part).unwrap().len();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert!(!output.exists());
+        // Another program writes beside it, and another recording gets the name.
+        write_cloud(&folder.path().join("beside.pcd"), &small_frame(1).deproject().unwrap(), Encoding::Binary).unwrap();
+        let error = refused(&["record", str(&input), str(&output), "--frames", "1", "--camera", "70,70,39.5,29.5"]);
+        assert!(error.contains("planish recover"), "{error}");
+        let report = json_line(&ok(&["recover", str(&part), "--json"]));
+        let messages = report["messages"].as_u64().unwrap();
+        assert!(!part.exists() && report["damaged_chunks"] == 0);
+        // Two messages are a frame and its camera; what was in the file is kept, but for the last frame.
+        assert!(messages / 2 >= before / frame_bytes - 1, "{messages} of {before} bytes");
+        let described = ok(&["info", str(&output)]);
+        assert!(described.contains(&format!("{} messages", messages / 2)), "{described}");
+        assert_eq!(json_line(&ok(&["recover", str(&output), "--json"]))["was_whole"], true);
+    }
+}
+
+#[cfg(all(unix, feature = "mcap"))]
+#[test]
+fn signals_however_many_end_a_recording_that_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = repeated_depth(folder.path());
+    for (run, gap_ms) in [0, 0, 1, 5, 20, 60].into_iter().enumerate() {
+        let output = folder.path().join(format!("{run}.mcap"));
+        let mut child = record(&input, &output);
+        let signal = ["-INT", "-TERM", "-HUP"][run % 3];
+        for _ in 0..2 {
+            let id = child.id().to_string();
+            let _ = Command::new("kill").args([signal, &id]).stderr(Stdio::null()).status().unwrap();
+            std::thread::sleep(Duration::from_millis(gap_ms));
+        }
+        let code = child.wait().unwrap().code();
+        assert!(matches!(code, Some(0 | 130)), "{signal} {gap_ms} ms: {code:?}");
+        assert!(output.exists() && !output.with_extension("mcap.part").exists(), "{signal} {gap_ms} ms");
+        assert_eq!(json_line(&ok(&["recover", str(&output), "--json"]))["was_whole"], true);
+    }
+}
+
+#[cfg(feature = "mcap")]
+#[test]
+fn frames_are_recorded_into_empty_folders_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = repeated_depth(folder.path());
+    let raw = folder.path().join("raw");
+    fs::create_dir(&raw).unwrap();
+    fs::write(raw.join("000000.png"), "mine").unwrap();
+    let camera = ["--camera", "70,70,39.5,29.5"];
+    for arguments in [
+        &["record", str(&input), str(&raw), "--frames", "1"][..],
+        &["stream", str(&input), "--frames", "1", "--save", str(&raw), "--format", "png"],
+        &["stream", str(&input), "--frames", "1", "--save", str(&raw)],
+    ] {
+        let error = refused(&[arguments, &camera].concat());
+        assert!(error.contains("raw: the folder is not empty"), "{error}");
+    }
+    assert_eq!(fs::read(raw.join("000000.png")).unwrap(), b"mine");
+    assert_eq!(fs::read_dir(&raw).unwrap().count(), 1);
+}
+
+#[test]
+fn names_in_files_cannot_control_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a\u{1b}[31m.ply");
+    let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                  property float \u{1b}]0;title\u{7}\nend_header\n0 0 1 2\n";
+    fs::write(&path, header).unwrap();
+    let missing = folder.path().join("\u{9b}2J\u{202e}.pcd");
+    for arguments in [&["info", str(&path)][..], &["info", str(&missing)], &["smooth", str(&path), str(&missing)]] {
+        let output = planish(arguments);
+        let printed = text(&output.stdout) + &text(&output.stderr);
+        assert!(!printed.contains(['\u{1b}', '\u{7}', '\u{9b}', '\u{202e}']), "{printed:?}");
+        assert!(printed.contains("\\u00") || printed.contains("\\u{1b}"), "{printed:?}");
+    }
 }

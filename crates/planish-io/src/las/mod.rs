@@ -9,7 +9,6 @@ mod validate;
 mod writer;
 
 use std::io::Cursor;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
@@ -17,6 +16,7 @@ use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 use super::format::las_or_laz;
 use super::length_unit::{LengthUnit, unit_of_geo_keys, unit_of_wkt};
 use super::{Format, FormatResult, ReadOptions};
+use crate::guarded::guarded;
 use planish_core::{Attribute, AttributeValues, CoordinateSteps, FormatError, PointCloud, Precision, Provenance, Xyz};
 pub(crate) use stream::LasReader;
 use writer::LasWriter;
@@ -39,13 +39,13 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     options.check(points, 2 * record + 12)?;
     let identity = identity_of(&repaired.head);
     // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
-    let decoded = catch_unwind(AssertUnwindSafe(|| {
+    let decoded = guarded(|| {
         let mut reader = Reader::new(WithHead::new(repaired.head, Cursor::new(bytes.to_vec()))?)?;
         let mut builder = Builder::from(reader.header().clone());
         builder.evlrs = extended;
         Ok((builder.into_header()?, reader.read_all()?))
-    }));
-    let (header, found) = decoded.map_err(|_| unreadable())?.map_err(damaged)?;
+    });
+    let (header, found) = decoded.ok_or_else(unreadable)?.map_err(damaged)?;
     if found.len() != points {
         return Err(FormatError::Malformed(format!(
             "the file is truncated: it has {} of {points} points",

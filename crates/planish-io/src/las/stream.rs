@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -15,6 +14,7 @@ use super::errors::{damaged, unreadable};
 use super::repair::WithHead;
 use super::writer::LasWriter;
 use super::{Checked, FileHeader, MOST_RETURNS, Records, identity_of};
+use crate::guarded::guarded;
 use planish_core::{FormatError, PointCloud};
 
 /// Offset of the return number in records before LAS 1.4, in the lowest three bits.
@@ -41,14 +41,14 @@ impl RecordReader for LasReader {
         let head = super::validate::FileBytes::read(&file, 0, 107).unwrap_or_default();
         let Checked { points, extended, repaired, .. } = Checked::of(&file, las_or_laz(&head))?;
         let identity = identity_of(&repaired.head);
-        let opened = catch_unwind(AssertUnwindSafe(|| {
+        let opened = guarded(|| {
             let file = BufReader::with_capacity(1 << 20, File::open(path)?);
             let reader = Reader::new(WithHead::new(repaired.head, file)?)?;
             let mut builder = Builder::from(reader.header().clone());
             builder.evlrs = extended;
             Ok((builder.into_header()?, reader))
-        }));
-        let (header, reader) = opened.map_err(|_| unreadable())?.map_err(damaged)?;
+        });
+        let (header, reader) = opened.ok_or_else(unreadable)?.map_err(damaged)?;
         super::check_transforms(&header)?;
         let buffer = PointDataBuilder::new().for_header(&header).build();
         let header = Arc::new(FileHeader { header, identity });
@@ -75,8 +75,8 @@ impl RecordReader for LasReader {
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]> {
         let wanted = most.min(self.points - self.read);
         let (reader, buffer) = (&mut self.reader, &mut self.buffer);
-        let filled = catch_unwind(AssertUnwindSafe(|| reader.fill_points(wanted as u64, buffer)));
-        let found = filled.map_err(|_| unreadable())?.map_err(damaged)? as usize;
+        let filled = guarded(|| reader.fill_points(wanted as u64, buffer));
+        let found = filled.ok_or_else(unreadable)?.map_err(damaged)? as usize;
         self.read += found;
         if found < wanted {
             return Err(FormatError::Malformed(format!(

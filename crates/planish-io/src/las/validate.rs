@@ -2,13 +2,13 @@
 
 use std::fs::File;
 use std::io::{Cursor, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::Vlr;
 use laz::laszip::ChunkTable;
 use laz::{LazItem, LazItemType, LazVlr};
 
 use super::super::FormatResult;
+use crate::guarded::guarded;
 use planish_core::FormatError;
 
 /// A file's bytes, in memory or on disk.
@@ -177,8 +177,8 @@ fn check_table(
     let layers: usize = description.items().iter().map(layers).sum();
     let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
     // The decoder of the table trusts its input like that of the points.
-    let table = catch_unwind(AssertUnwindSafe(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok()));
-    let table = table.ok()??;
+    let table = guarded(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok());
+    let table = table??;
     let (mut at, mut stated) = (points_at + ChunkTable::OFFSET_SIZE as u64, 0u64);
     for chunk in &table {
         if has_layers && chunk.byte_count > 0 {
