@@ -1,6 +1,6 @@
 //! Embeds the commit and compiler version, so that benchmark results can be traced.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
@@ -8,7 +8,33 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     String::from_utf8(output.stdout).ok()?.lines().next().map(str::to_owned)
 }
 
+/// Writes the list of the page's files for `planish view`, from the folder PLANISH_PAGE; an empty one without it.
+fn embed_page() {
+    println!("cargo::rerun-if-env-changed=PLANISH_PAGE");
+    let mut list = String::new();
+    let mut folders: Vec<PathBuf> = std::env::var_os("PLANISH_PAGE")
+        .map(|folder| Path::new(&folder).canonicalize().expect("PLANISH_PAGE is the folder of the page"))
+        .into_iter()
+        .collect();
+    let root = folders.first().cloned().unwrap_or_default();
+    while let Some(folder) = folders.pop() {
+        println!("cargo::rerun-if-changed={}", folder.display());
+        let entries = std::fs::read_dir(&folder).expect("PLANISH_PAGE is the folder of the page");
+        for path in entries.map(|entry| entry.expect("a readable folder").path()) {
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(&root).expect("below the folder").to_string_lossy().replace('\\', "/");
+                list.push_str(&format!("({name:?}, include_bytes!({path:?}).as_slice()), "));
+            }
+        }
+    }
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by Cargo"));
+    std::fs::write(out.join("page.rs"), format!("&[{list}]")).expect("a folder for output");
+}
+
 fn main() {
+    embed_page();
     let version = std::env::var("CARGO_PKG_VERSION").unwrap_or_default();
     // A package from a registry has no repository, but may be inside another one.
     let own_repository = Path::new("../../.git").exists() && Path::new("../planish/Cargo.toml").exists();

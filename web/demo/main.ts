@@ -307,7 +307,7 @@ async function take(opening: () => Promise<Frame>, called: string): Promise<bool
 }
 
 /** Opens a frame, a camera file, or one of each; of several frames the first. */
-async function openFiles(files: FileList | null | undefined): Promise<void> {
+async function openFiles(files: Iterable<File> | null | undefined): Promise<void> {
   const isCamera = (file: File) => /\.(json|ya?ml)$/i.test(file.name);
   const all = [...(files ?? [])];
   const [frames, cameras] = [all.filter((file) => !isCamera(file)), all.filter(isCamera)];
@@ -382,7 +382,10 @@ async function start(): Promise<void> {
   const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
   const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome, Edge, and recent Safari and Firefox support it)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
-  await take(() => ask<Frame>({ method: "simulate", seed }), "simulated");
+  // `planish view` names its files, beside the page, in the address.
+  const named = location.hash.slice(1).split(",").filter(Boolean);
+  if (named.length === 0) return void (await take(() => ask<Frame>({ method: "simulate", seed }), "simulated"));
+  await openFiles(await Promise.all(named.map(async (file) => new File([await (await fetch(`./${file}`)).blob()], decodeURIComponent(file)))));
 }
 
 start().catch((error) => {

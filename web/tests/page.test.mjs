@@ -1,7 +1,8 @@
 // The page: every control, each format, wrong files, keys, and the command's result for the same frame.
 
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
+import { execFileSync, spawn } from "node:child_process";
+import { once } from "node:events";
 import { mkdtemp, readFile, writeFile, rm } from "node:fs/promises";
 import { brotliCompressSync } from "node:zlib";
 import { readdirSync, readFileSync } from "node:fs";
@@ -265,6 +266,46 @@ test("it gives what the command gives, by WebAssembly and by WebGPU", { timeout:
     const { largest, different } = compare(of(saved), of(expected));
     console.log(`${webgpu ? "WebGPU" : "WebAssembly"}: ${largest} m from the command at most`);
     assert.ok(largest < 6e-4 && different === 0, `${largest} ${different}`);
+  }
+});
+
+/** Starts `planish view`, and returns the first line that it prints. */
+async function view(t, ...parameters) {
+  const viewer = spawn(command, ["view", ...parameters, "--page", `${root}/dist-page`, "--no-browser"], { stdio: ["ignore", "pipe", "inherit"] });
+  t.after(() => viewer.kill("SIGKILL"));
+  const [first] = await once(viewer.stdout, "data");
+  return { viewer, address: String(first).split("\n")[0] };
+}
+
+test("`planish view` shows what the page cannot read itself, with its camera, and ends by Ctrl-C", { timeout: 120_000 }, async (t) => {
+  const laz = join(folder, "a scan #1.laz");
+  execFileSync(command, ["demo", "--out", join(folder, "demo")], { stdio: "ignore" });
+  execFileSync(command, ["convert", join(folder, "demo", "raw.pcd"), laz], { stdio: "ignore" });
+  const png = join(folder, "depth.png");
+  execFileSync(command, ["convert", join(folder, "demo", "raw.pcd"), png], { stdio: "ignore" });
+  for (const [file, parameters, said] of [[laz, [], /a scan #1\.pcd \(PCD\): [\d,]+ points/], [png, ["--camera", "600,601,319.5,239.5"], /depth\.png .*640x480/]]) {
+    const { viewer, address } = await view(t, file, ...parameters);
+    const shown = await browser.newPage();
+    shown.on("pageerror", (error) => errors.push(error.message));
+    await shown.goto(address);
+    const isDone = (camera) => {
+      const says = document.querySelector("#status").textContent;
+      const fx = document.querySelector('[name="fx"]').value;
+      return says.includes("points") && !document.body.hasAttribute("aria-busy") && (!camera || fx === "600");
+    };
+    await shown.waitForFunction(isDone, parameters.length > 0, { timeout: 100_000 });
+    assert.match(await shown.textContent("#status"), said);
+    assert.equal(await shown.isVisible("#error"), false);
+    await shown.close();
+    // Nobody gets anything without the token, which each run makes anew.
+    const { origin, pathname } = new URL(address);
+    assert.match(pathname, /^\/[0-9a-f]{32}\/$/);
+    for (const path of ["/", "/index.html", `/${"0".repeat(32)}/`, `${pathname}../index.html`]) {
+      assert.equal((await fetch(origin + path)).status, 404, path);
+    }
+    viewer.kill("SIGINT");
+    const [code] = await once(viewer, "exit");
+    assert.equal(code, 0);
   }
 });
 

@@ -34,6 +34,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Mesh(args) => commands::mesh::run(&args),
         Command::Info(args) => commands::info::run(&args),
         Command::Render(args) => commands::render::run(&args),
+        Command::View(args) => commands::view::run(&args),
         Command::Stream(args) => commands::stream(&args),
         Command::Rig(args) => commands::rig::run(&args),
         Command::Record(args) => commands::record::run(&args),

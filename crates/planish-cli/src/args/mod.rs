@@ -72,6 +72,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Draw a cloud as a shaded relief
     Render(RenderArgs),
+    /// Show a frame or cloud in the browser, raw and smoothed
+    View(ViewArgs),
     /// Smooth live frames of a camera, or a recording
     Stream(StreamArgs),
     /// Create, check or simulate a rig of several cameras
@@ -223,6 +225,26 @@ pub struct RenderArgs {
     /// Direction from an unorganized cloud to the viewer; 0,0,1 looks from above if z points up
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub from: Option<Direction>,
+    #[command(flatten)]
+    pub reading: ReadArgs,
+    #[command(flatten)]
+    pub camera: CameraArgs,
+}
+
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  planish view frame.png --camera 525,525,319.5,239.5\n  planish view scan.laz")]
+pub struct ViewArgs {
+    /// Cloud or depth image, in any format that planish reads
+    pub file: PathBuf,
+    /// Port on this machine [default: a free one]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    pub port: u16,
+    /// Print the address and open no browser
+    #[arg(long)]
+    pub no_browser: bool,
+    /// Folder with the page, for builds that do not contain it
+    #[arg(long, value_name = "FOLDER", hide_short_help = true)]
+    pub page: Option<PathBuf>,
     #[command(flatten)]
     pub reading: ReadArgs,
     #[command(flatten)]

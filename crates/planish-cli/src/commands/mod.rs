@@ -18,6 +18,7 @@ pub mod smooth;
 mod sources;
 mod status_line;
 pub mod stream;
+pub mod view;
 
 pub use checks::check_output;
 use std::path::Path;

@@ -1,0 +1,245 @@
+//! `planish view`: a frame or cloud in the browser, raw and smoothed, on the page of `web/`, which this process serves.
+
+use crate::exit::ExitCode;
+use std::collections::hash_map::RandomState;
+use std::fmt::Write as _;
+use std::hash::{BuildHasher, Hasher};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::path::{Component, Path};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
+use planish_bench::outln;
+
+use super::checks::report_notes;
+use super::{organized, read_input};
+use crate::args::ViewArgs;
+use crate::signals::stop_flag;
+
+/// The page, if this build has it: names below its folder, and contents.
+const PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+
+/// What a browser may take for a request, and the longest request that is read.
+const PATIENCE: Duration = Duration::from_secs(5);
+const LONGEST_REQUEST: u64 = 16 << 10;
+
+/// How often to look for a signal.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// What the server has.
+struct Served {
+    /// Names of the page's files and of the frame, and their contents.
+    files: Vec<(String, Vec<u8>)>,
+    /// The folder in which they seem to be: nobody else on this machine knows it.
+    token: String,
+}
+
+pub fn run(args: &ViewArgs) -> Result<ExitCode> {
+    let mut files = page(args.page.as_deref())?;
+    let (file, camera) = read_input(&args.file, &args.reading.read_options(), &args.camera)?;
+    let FileRead { contents, notes, .. } = file;
+    report_notes(&args.file, &notes);
+    let camera_of_depth = if contents.is_depth() { camera.camera(contents.shape())? } else { None };
+    let of_file = || args.file.display().to_string();
+    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
+    // The page reads fewer formats than the command.
+    let (extension, bytes) = match contents {
+        Contents::Depth(image) => ("png", io::encode_depth(Format::DepthPng, &image)),
+        Contents::General(cloud) => ("pcd", io::encode_cloud(Format::Pcd, CloudRef::General(&cloud), Encoding::Binary)),
+        contents => {
+            let cloud = organized(contents, &camera, &args.file)?;
+            ("pcd", io::encode_cloud(Format::Pcd, CloudRef::Organized(&cloud), Encoding::Binary))
+        }
+    };
+    let mut shown = format!("{}.{extension}", escaped(&stem));
+    files.push((shown.clone(), bytes.with_context(of_file)?));
+    if let Some(camera) = camera_of_depth {
+        shown.push_str(",camera.json");
+        files.push(("camera.json".to_owned(), io::camera_to_json(&camera).into_bytes()));
+    }
+
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, args.port))
+        .with_context(|| format!("--port {}: cannot listen on 127.0.0.1", args.port))?;
+    let port = listener.local_addr()?.port();
+    let served = Arc::new(Served { files, token: token() });
+    let address = format!("http://127.0.0.1:{port}/{}/#{shown}", served.token);
+    outln!("{address}");
+    outln!("  nothing leaves this machine; Ctrl-C ends it");
+    if std::env::var_os("SSH_CONNECTION").is_some() {
+        outln!("  from your own machine: ssh -L {port}:127.0.0.1:{port} HOST, then open the address there");
+    } else if !args.no_browser {
+        open_browser(&address);
+    }
+    serve(&listener, &served)
+}
+
+/// Returns the files of the page.
+fn page(folder: Option<&Path>) -> Result<Vec<(String, Vec<u8>)>> {
+    let Some(folder) = folder else {
+        if PAGE.is_empty() {
+            bail!(
+                "this build does not contain the page; build it with `web/build-page` and add --page web/dist-page, or \
+                 install a package, which has it"
+            );
+        }
+        return Ok(PAGE.iter().map(|(name, bytes)| ((*name).to_owned(), bytes.to_vec())).collect());
+    };
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(&next).with_context(|| format!("--page {}", next.display()))? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let below = path.strip_prefix(folder).unwrap_or(&path).components();
+            let names: Vec<_> = below
+                .filter_map(|part| match part {
+                    Component::Normal(name) => Some(name.to_string_lossy()),
+                    _ => None,
+                })
+                .collect();
+            files.push((names.join("/"), std::fs::read(&path).with_context(|| path.display().to_string())?));
+        }
+    }
+    if !files.iter().any(|(name, _)| name == "index.html") {
+        bail!("--page {}: has no index.html; it is the folder that `web/build-page` makes", folder.display());
+    }
+    Ok(files)
+}
+
+/// Returns 128 random bits in hexadecimal: the standard library seeds its hash tables from the system.
+fn token() -> String {
+    let bits = || RandomState::new().build_hasher().finish();
+    format!("{:016x}{:016x}", bits(), bits())
+}
+
+/// Returns a name as part of an address.
+fn escaped(name: &str) -> String {
+    name.bytes().fold(String::new(), |mut text, byte| {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' => text.push(byte.into()),
+            byte => _ = write!(text, "%{byte:02X}"),
+        }
+        text
+    })
+}
+
+fn open_browser(address: &str) {
+    let (program, arguments): (&str, &[&str]) = match std::env::consts::OS {
+        "macos" => ("open", &[]),
+        "windows" => ("rundll32", &["url.dll,FileProtocolHandler"]),
+        _ if ["DISPLAY", "WAYLAND_DISPLAY"].iter().all(|name| std::env::var_os(name).is_none()) => return,
+        _ => ("xdg-open", &[]),
+    };
+    // Without one, the address is there to click.
+    let _ = Command::new(program)
+        .args(arguments)
+        .arg(address)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+}
+
+/// Answers requests until a signal comes.
+fn serve(listener: &TcpListener, served: &Arc<Served>) -> Result<ExitCode> {
+    let stop = stop_flag();
+    listener.set_nonblocking(true)?;
+    while !stop.load(Ordering::Relaxed) {
+        match listener.accept() {
+            Ok((stream, _)) => {
+                let served = Arc::clone(served);
+                // A browser that does not get one asks again.
+                let _ = std::thread::Builder::new().spawn(move || _ = answer(stream, &served));
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                std::thread::sleep(LOOK);
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Answers one request: GET of a file below the token.
+fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
+    stream.set_nonblocking(false)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let mut reader = BufReader::new(stream.try_clone()?.take(LONGEST_REQUEST));
+    let mut first = String::new();
+    reader.read_line(&mut first)?;
+    let mut line = String::new();
+    while reader.read_line(&mut line)? > 2 {
+        line.clear();
+    }
+    let mut words = first.split(' ');
+    let (method, path) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    let below = path.strip_prefix('/').and_then(|path| path.strip_prefix(&*served.token)?.strip_prefix('/'));
+    let name = below.map(|name| if name.is_empty() { "index.html" } else { name });
+    let found = name.and_then(|name| served.files.iter().find(|(file, _)| file == name));
+    let (status, kind, body) = match (method, found) {
+        ("GET", Some((name, body))) => ("200 OK", kind_of(name), &body[..]),
+        ("GET", None) => ("404 Not Found", "text/plain", &b"not found\n"[..]),
+        _ => ("405 Method Not Allowed", "text/plain", &b"only GET\n"[..]),
+    };
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
+         Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n",
+        body.len()
+    )?;
+    stream.write_all(body)
+}
+
+fn kind_of(name: &str) -> &'static str {
+    match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("js") => "text/javascript",
+        Some("css") => "text/css",
+        Some("wasm") => "application/wasm",
+        Some("json") => "application/json",
+        Some("svg") => "image/svg+xml",
+        Some("png") => "image/png",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_gets_what_is_below_the_token_and_nothing_else() {
+        let files = vec![("index.html".to_owned(), b"page".to_vec()), ("a%20b.pcd".to_owned(), b"points".to_vec())];
+        let served = Arc::new(Served { files, token: token() });
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        let ask = |request: &str| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(request.as_bytes()).unwrap();
+            answer(listener.accept().unwrap().0, &served).unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            text
+        };
+        let token = &served.token;
+        assert_eq!(token.len(), 32);
+        assert!(ask(&format!("GET /{token}/ HTTP/1.1\r\n\r\n")).ends_with("\r\n\r\npage"));
+        let points = ask(&format!("GET /{token}/{}.pcd HTTP/1.1\r\nHost: x\r\n\r\n", escaped("a b")));
+        assert!(points.starts_with("HTTP/1.1 200 OK\r\n") && points.ends_with("points"), "{points}");
+        for request in ["GET / HTTP/1.1\r\n\r\n", "GET /index.html HTTP/1.1\r\n\r\n", "\r\n\r\n", "GET\r\n\r\n"] {
+            let text = ask(request);
+            assert!(!text.contains("page") && text.starts_with("HTTP/1.1 40"), "{text}");
+        }
+        assert!(ask(&format!("GET /{token}/../index.html HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 404"));
+        assert!(ask(&format!("POST /{token}/ HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 405"));
+    }
+}
