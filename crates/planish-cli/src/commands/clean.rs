@@ -11,7 +11,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes, report_unit};
-use super::{ms_since, organized, read_input};
+use super::{check_work, ms_since, organized, read_input};
 use crate::args::CleanArgs;
 
 /// Number of points removed by each step.
@@ -44,6 +44,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     let FileRead { format, encoding, contents, notes, .. } = file;
     report_notes(input, &notes);
+    check_work(io::Work::Clean, &contents, &args.reading.read_options(), input)?;
     let (mut points, mut grid) = match contents {
         Contents::General(points) => {
             report_columns(input, format, &points);

@@ -10,7 +10,7 @@ use planish_bench::{errln, outln};
 use serde_json::json;
 
 use super::checks::{check_not_input, report_columns, report_notes};
-use super::{organized, read_input};
+use super::{check_work, organized, read_input};
 use crate::args::{CameraArgs, CompareArgs, ConvertArgs, MergeArgs};
 use crate::exit::ExitCode;
 
@@ -30,6 +30,9 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
         Some(Format::Npy) => file.contents.is_depth(),
         _ => false,
     };
+    if !stays_depth {
+        check_work(io::Work::Convert, &file.contents, &args.reading.read_options(), input)?;
+    }
     let camera = match (file.contents.is_depth(), stays_depth) {
         (true, false) => Some(camera.required(shape, input)?),
         _ => camera.camera(shape)?,
@@ -94,6 +97,9 @@ fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<C
         false => camera.camera(shape)?,
     };
     question(file, &contents, camera.as_ref());
+    if camera.is_some() || !contents.is_depth() {
+        check_work(io::Work::Compare, &contents, options, file)?;
+    }
     let contents = contents.with_points(camera.as_ref()).with_context(|| file.display().to_string())?;
     Ok(contents)
 }

@@ -15,6 +15,7 @@ use planish::{
 use planish_bench::outln;
 use serde::Serialize;
 
+use super::check_work;
 use super::checks::refuse_unit;
 use crate::args::{CameraArgs, InfoArgs};
 
@@ -82,6 +83,7 @@ pub fn run(args: &InfoArgs) -> Result<ExitCode> {
     }
     let FileRead { format, mut contents, camera, notes, .. } = read?;
     let camera = args.camera.or(camera);
+    check_work(io::Work::Describe, &contents, &options, &args.file)?;
     if let (Some(pose), Contents::Organized(OrganizedCloud { points, .. }) | Contents::General(points)) =
         (args.pose.pose()?, &mut contents)
     {

@@ -6,7 +6,7 @@ use planish::mesh::{FrameMesh, mesh_of};
 use planish_bench::{errln, outln};
 
 use super::checks::{check_not_input, report_notes};
-use super::{organized, read_input};
+use super::{check_work, organized, read_input};
 use crate::args::{MeshArgs, by_option_of_error};
 use crate::exit::ExitCode;
 
@@ -20,6 +20,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
     let settings = args.smoothing.settings()?;
     let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &file.notes);
+    check_work(io::Work::Mesh, &file.contents, &args.reading.read_options(), input)?;
     if let Contents::General(cloud) = &file.contents {
         bail!(
             "{}: an unorganized cloud of {} points has no pixels to connect; build its mesh with Open3D \

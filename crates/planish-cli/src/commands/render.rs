@@ -4,12 +4,12 @@ use crate::exit::ExitCode;
 
 use anyhow::{Result, bail};
 use planish::io::write_rgb_png;
-use planish::io::{Contents, FileRead};
+use planish::io::{Contents, FileRead, Work};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 use planish::{FrameError, ParamError};
 
 use super::checks::{check_not_input, report_notes};
-use super::{organized, read_input};
+use super::{check_work, organized, read_input};
 use crate::args::RenderArgs;
 
 /// Pixels of an unorganized cloud's picture.
@@ -23,6 +23,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let (FileRead { contents, notes, .. }, camera) =
         read_input(&args.file, &args.reading.read_options(), &args.camera)?;
     report_notes(&args.file, &notes);
+    check_work(Work::Render, &contents, &args.reading.read_options(), &args.file)?;
     let cloud = match contents {
         Contents::General(points) => {
             seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE).map_err(|error| match error {

@@ -437,6 +437,30 @@ fn frames_are_recorded_into_empty_folders_only() {
 }
 
 #[test]
+fn every_command_refuses_what_needs_more_memory_than_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (width, height) = (2000, 2000);
+    let path = folder.path().join("large.png");
+    planish::io::write_depth(&path, &DepthImage { width, height, raw: vec![1500; width * height] }).unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let [png, ply, mesh] = ["relief.png", "points.ply", "mesh.ply"].map(out);
+    let limits = ["--camera", "1600,1600,999.5,999.5", "--max-memory", "60M"];
+    for arguments in [
+        &["smooth", str(&path), str(&ply)][..],
+        &["convert", str(&path), str(&ply)],
+        &["render", str(&path), str(&png)],
+        &["mesh", str(&path), str(&mesh)],
+        &["info", str(&path)],
+        &["clean", str(&path), str(&ply), "--voxel", "0.01"],
+        &["compare", str(&path), str(&path)],
+    ] {
+        let error = refused_at_once(&[arguments, &limits].concat());
+        assert!(error.contains("memory"), "{arguments:?}: {error}");
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
 fn names_in_files_cannot_control_the_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a\u{1b}[31m.ply");

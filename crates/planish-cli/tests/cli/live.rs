@@ -73,7 +73,10 @@ fn a_recording_streams_back() {
     assert_eq!(camera(&saved), camera(&recording));
     // An existing data set is not overwritten.
     let list = fs::read(saved.join("depth.txt")).unwrap();
-    assert!(refused(&["stream", str(&recording), "--save", str(&saved), "--format", "png"]).contains("another folder"));
+    assert!(
+        refused(&["stream", str(&recording), "--save", str(&saved), "--format", "png"])
+            .contains("the folder is not empty")
+    );
     assert_eq!(fs::read(saved.join("depth.txt")).unwrap(), list);
     assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
     #[cfg(feature = "mcap")]

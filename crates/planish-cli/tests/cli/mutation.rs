@@ -160,7 +160,8 @@ fn mutated_files_are_survived(files: usize, seed: u64) {
                 fs::write(&kept, &bytes).unwrap();
                 format!("{arguments:?} on {}: {code:?} {stderr}", kept.display())
             };
-            assert!(matches!(code, Some(0 | 2)) && !stderr.contains("panicked"), "{}", keep());
+            // 1: nothing of it can be smoothed.
+            assert!(matches!(code, Some(0..=2)) && !stderr.contains("panicked"), "{}", keep());
             read += usize::from(code == Some(0));
         }
         // In any case the output is either complete or absent.

@@ -162,7 +162,7 @@ impl Scan {
                 Read::by_ref(file).take(read).read_to_end(&mut data)?;
             }
             if opcode == op::CHUNK && length > left {
-                let contents = contents_of(&data, options).0;
+                let contents = cut_contents(&data).unwrap_or_else(|| contents_of(&data, options).0);
                 let cut_end = cut(at);
                 if !contents.index.is_empty() {
                     self.take(&contents);
@@ -332,6 +332,34 @@ impl Contents {
     }
 }
 
+/// Returns the whole records of a chunk that was cut and is not compressed; `None` for others. Its header may not be
+/// written yet: some programs put the sizes there at the end.
+fn cut_contents(chunk: &[u8]) -> Option<Contents> {
+    let mut rest = chunk.get(header_bytes(chunk)?..)?;
+    if !chunk.get(BEFORE_COMPRESSION..)?.starts_with(&[0; 4]) {
+        return None;
+    }
+    let mut contents = Contents::default();
+    while let Some((&[opcode, ref length @ ..], after)) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>() {
+        let Ok(length) = usize::try_from(u64::from_le_bytes(*length)) else { break };
+        let Some((data, next)) = after.split_at_checked(length) else { break };
+        if opcode == op::CHUNK || !contents.add(opcode, data) {
+            break;
+        }
+        rest = next;
+    }
+    Some(contents)
+}
+
+/// Two times, the size and the checksum, at the beginning of a chunk.
+const BEFORE_COMPRESSION: usize = 8 + 8 + 8 + 4;
+
+/// Returns the bytes of a chunk's header: those, the name of its compression and its size.
+fn header_bytes(chunk: &[u8]) -> Option<usize> {
+    let name = u32::from_le_bytes(*chunk.get(BEFORE_COMPRESSION..)?.first_chunk()?) as usize;
+    name.checked_add(BEFORE_COMPRESSION + 4 + 8)
+}
+
 /// Returns the whole records of a chunk, and whether it has no others. A chunk that was cut gives those before the cut.
 fn contents_of(chunk: &[u8], options: &ReadOptions) -> (Contents, bool) {
     let mut contents = Contents::default();
@@ -385,12 +413,9 @@ enum Step {
 
 /// Returns the length of a chunk's record by its header, which may be more than there is of it.
 fn length_of(chunk: &[u8]) -> Option<u64> {
-    /// Two times, the size and the checksum.
-    const BEFORE_COMPRESSION: usize = 8 + 8 + 8 + 4;
-    let name = u32::from_le_bytes(*chunk.get(BEFORE_COMPRESSION..)?.first_chunk()?) as usize;
-    let header = BEFORE_COMPRESSION.checked_add(4)?.checked_add(name)?;
-    let size = u64::from_le_bytes(*chunk.get(header..)?.first_chunk()?);
-    size.checked_add(header as u64 + 8)
+    let header = header_bytes(chunk)?;
+    let size = u64::from_le_bytes(*chunk.get(header - 8..)?.first_chunk()?);
+    size.checked_add(header as u64)
 }
 
 /// Adds the indices of a chunk's messages to what follows it; `at` is where `to` begins in the file.

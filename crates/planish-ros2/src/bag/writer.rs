@@ -103,8 +103,8 @@ impl BagWriter {
             check_target(path)?;
             let file = OpenOptions::new().read(true).write(true).create_new(true).open(part_of(path))?;
             let handle = file.try_clone()?;
-            // Without compression: a frame that is written is in the file.
-            let options = WriteOptions::new().compression(None).profile(PROFILE);
+            // A chunk is written in one go, with its length: what is in the file is never changed again.
+            let options = WriteOptions::new().compression(None).disable_seeking(true).profile(PROFILE);
             let mut writer = options.create(BufWriter::new(file)).map_err(of_mcap)?;
             writer.flush().map_err(of_mcap)?;
             Ok((writer, handle))

@@ -124,6 +124,16 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         assert!(recover(&found.path, &options).unwrap().was_whole);
     }
     assert_eq!(before, 2 * FRAMES);
+    // A chunk whose sizes are not written yet, as by programs that write them last.
+    let chunk = bytes.windows(9).rposition(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
+    let mut unsized_chunk = bytes[..bytes.len() * 19 / 20].to_vec();
+    unsized_chunk[chunk + 1..chunk + 9].fill(0xff);
+    unsized_chunk[chunk + 9 + 16..chunk + 9 + 24].fill(0xff);
+    unsized_chunk[chunk + 9 + 32..chunk + 9 + 40].fill(0xff);
+    let _ = std::fs::remove_file(cut.with_extension(""));
+    std::fs::write(&cut, &unsized_chunk).unwrap();
+    let found = recover(&cut, &options).unwrap();
+    assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
     // A file that only became longer, as after a power failure, and what is no recording.
     std::fs::write(&cut, [&bytes[..bytes.len() / 2], &[0; 5000]].concat()).unwrap();
     assert!(recover(&cut, &options).unwrap_err().to_string().contains("exists"));
