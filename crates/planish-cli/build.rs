@@ -8,10 +8,10 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     String::from_utf8(output.stdout).ok()?.lines().next().map(str::to_owned)
 }
 
-/// Writes the list of the page's files for `planish view`, from the folder PLANISH_PAGE; an empty one without it.
+/// Lists the files below the folder PLANISH_PAGE for `planish view`; none by default.
 fn embed_page() {
     println!("cargo::rerun-if-env-changed=PLANISH_PAGE");
-    let mut list = String::new();
+    let mut files = Vec::new();
     let mut folders: Vec<PathBuf> = std::env::var_os("PLANISH_PAGE")
         .map(|folder| Path::new(&folder).canonicalize().expect("PLANISH_PAGE is the folder of the page"))
         .into_iter()
@@ -25,10 +25,13 @@ fn embed_page() {
                 folders.push(path);
             } else {
                 let name = path.strip_prefix(&root).expect("below the folder").to_string_lossy().replace('\\', "/");
-                list.push_str(&format!("({name:?}, include_bytes!({path:?}).as_slice()), "));
+                files.push(format!("({name:?}, include_bytes!({path:?}).as_slice()), "));
             }
         }
     }
+    // In one order on every machine.
+    files.sort();
+    let list = files.concat();
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by Cargo"));
     std::fs::write(out.join("page.rs"), format!("&[{list}]")).expect("a folder for output");
 }

@@ -385,7 +385,12 @@ async function start(): Promise<void> {
   // `planish view` names its files, beside the page, in the address.
   const named = location.hash.slice(1).split(",").filter(Boolean);
   if (named.length === 0) return void (await take(() => ask<Frame>({ method: "simulate", seed }), "simulated"));
-  await openFiles(await Promise.all(named.map(async (file) => new File([await (await fetch(`./${file}`)).blob()], decodeURIComponent(file)))));
+  const get = async (file: string) => {
+    const response = await fetch(`./${file}`);
+    if (!response.ok) throw new Error(`${file}: ${response.statusText}`);
+    return new File([await response.blob()], decodeURIComponent(file));
+  };
+  await openFiles(await Promise.all(named.map(get)));
 }
 
 start().catch((error) => {

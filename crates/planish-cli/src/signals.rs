@@ -41,7 +41,7 @@ pub fn install() -> Result<()> {
     Ok(())
 }
 
-/// Waits if a signal is ending the process: what failed then failed because of it.
+/// Waits forever if a signal is ending the process, so that errors that it causes are not printed.
 pub fn wait_if_ending() {
     while IS_ENDING.load(Ordering::Relaxed) {
         std::thread::park();

@@ -53,7 +53,7 @@ pub enum Doubt {
         /// The camera.
         camera: Camera,
     },
-    /// Points of an unorganized cloud are so far from the origin of its coordinates that f32 holds too little of them.
+    /// Coordinates of an unorganized cloud are too large for f32's precision.
     Coarse {
         /// The difference of two neighbouring values of f32 there, in metres.
         step_m: f32,
@@ -71,7 +71,7 @@ pub enum Doubt {
 
 /// Returns doubts about a camera's lens; some microseconds of work.
 pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
-    /// Share of pixels that a lens may lose at the corners without a word.
+    /// Share of pixels that a lens may lose at the corners without a warning.
     const FEW: f32 = 0.01;
     let lost = camera.lost_to_lens();
     (lost > FEW).then_some(Doubt::Lens { lost })
@@ -81,7 +81,7 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
 /// measured them.
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     if let (None, Frame::Points(points)) = (frame.grid(), frame) {
-        // WebAssembly has no text for it.
+        // The web build omits this check.
         return if ONE_THREAD { Vec::new() } else { about_resolution(&points).into_iter().collect() };
     }
     let units = match frame {
@@ -106,7 +106,7 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     const FINE_M: f32 = 1e-4;
     /// The share of a distance that rounding may take.
     const SHARE_OF_DISTANCE: f64 = 0.1;
-    /// The share of points that may be too coarse without a word.
+    /// The share of points that may be too coarse without a warning.
     const FEW: f32 = 0.01;
     /// How many points get neighbours, and among how many these are looked for.
     const LOOKED_AT: usize = 32;
@@ -209,9 +209,9 @@ impl fmt::Display for Doubt {
             }
             Self::Coarse { step_m, spacing_m, share } => write!(
                 f,
-                "{:.0} % of the points are so far from the others, or from the origin, that f32 has steps of \
-                 {step_m:.1e} m there, with neighbours {spacing_m:.1e} m apart; smooth distant parts one by one, each \
-                 with an origin near it",
+                "{:.0} % of the points have coordinates too large for f32: its steps are {step_m:.1e} m there, and \
+                 neighbours are {spacing_m:.1e} m apart; crop distant parts with `planish clean --box` and smooth them \
+                 separately",
                 100.0 * share
             ),
             Self::Lens { lost } => write!(

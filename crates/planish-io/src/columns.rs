@@ -89,14 +89,14 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     Ok(cloud)
 }
 
-/// Refuses coordinates that are numbers, but not for f32: they would become holes.
+/// Refuses finite coordinates beyond f32's range, which would become holes.
 fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
+    // The difference of two of them must fit too.
+    const LARGEST_M: f64 = 1.7e38;
     for (name, values) in AXES.iter().zip(coordinates) {
-        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
+        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > LARGEST_M;
         if let Some(value) = values.iter().find(is_beyond) {
-            return Err(FormatError::Malformed(format!(
-                "a coordinate {name} is {value:e}; numbers beyond 3.4e38 cannot be processed"
-            )));
+            return Err(FormatError::Unsupported(format!("a coordinate {name} is {value:e}; the largest is 1.7e38")));
         }
     }
     Ok(())

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 /// Returns a text for a terminal: control characters, and those that reverse the direction of text, are written as
-/// `\\u001b`, as in JSON. Lines and tabs stay. Names in files, topics and paths may have any of them.
+/// `\u001b`, as in JSON. Lines and tabs stay. Names in files, topics and paths may have any of them.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_hidden = |c: char| {
         c.is_control() && !matches!(c, '\n' | '\t') || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

@@ -3,18 +3,18 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Calls of such decoders that run now.
+/// Number of guarded calls in progress.
 static RUNNING: AtomicUsize = AtomicUsize::new(0);
 
 /// Calls a decoder; returns `None` if it panics.
-pub(crate) fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
+pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
     RUNNING.fetch_add(1, Ordering::Relaxed);
     let decoded = catch_unwind(AssertUnwindSafe(decode)).ok();
     RUNNING.fetch_sub(1, Ordering::Relaxed);
     decoded
 }
 
-/// Returns true while a decoder runs whose panics are caught: their messages would help nobody. Decoders may have
+/// Returns true while a guarded decoder runs; the messages of its panics should not be printed. Decoders may have
 /// threads of their own, so this holds for all threads.
 pub fn catches_panics() -> bool {
     RUNNING.load(Ordering::Relaxed) > 0

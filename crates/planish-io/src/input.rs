@@ -28,7 +28,7 @@ pub struct ReadOptions {
     pub columns: Option<usize>,
 }
 
-/// What is done with a frame or cloud once it is read.
+/// An operation to check against the memory limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Work {
@@ -47,7 +47,7 @@ pub enum Work {
 }
 
 impl Work {
-    /// Memory for each point, contents of the file included, as measured with 36 million pixels of depth.
+    /// Peak memory per point in bytes, contents of the file included, measured with 36 million pixels of depth.
     const fn bytes_per_point(self) -> usize {
         match self {
             Self::Convert => 48,

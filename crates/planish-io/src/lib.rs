@@ -33,7 +33,6 @@ mod format;
 mod frame_files;
 #[cfg(feature = "more-formats")]
 mod gltf;
-#[cfg(feature = "scans")]
 mod guarded;
 mod input;
 #[cfg(feature = "more-formats")]
@@ -116,8 +115,7 @@ pub mod internal {
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
     pub use crate::error_text::{brief, quoted};
-    #[cfg(feature = "scans")]
-    pub use crate::guarded::catches_panics;
+    pub use crate::guarded::{catches_panics, guarded};
     pub use crate::pcd::lzf;
     pub use planish_core::AttributeValues;
 }

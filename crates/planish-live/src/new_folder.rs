@@ -5,7 +5,7 @@ use std::path::Path;
 use planish_core::{FormatError, IoError};
 
 /// Refuses a folder that has files: they could be overwritten, or mixed with the new ones, and links in it lead
-/// elsewhere. Hidden files count as none.
+/// elsewhere. Hidden files are ignored.
 pub(crate) fn refuse_used(folder: &Path) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     let entries = match std::fs::read_dir(folder) {

@@ -206,9 +206,9 @@ pub struct InfoArgs {
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  planish recover walk.mcap.part")]
 pub struct RecoverArgs {
-    /// Recording (.mcap, or .mcap.part as a killed process leaves it); it is changed in place
+    /// Recording to complete in place: .mcap, or the .mcap.part of a killed process
     ///
-    /// Every whole message is kept. NAME.mcap.part is renamed to NAME.mcap.
+    /// Whole messages are kept. NAME.mcap.part is renamed to NAME.mcap.
     pub file: PathBuf,
     /// Print a report as one JSON object
     #[arg(long)]

@@ -36,7 +36,7 @@ pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Refuses to overwrite a recording, which may be the only copy of its measurements, one that was cut off too.
+/// Refuses to overwrite a recording, finished or not; it may be the only copy of its measurements.
 pub fn check_is_new(output: &Path) -> Result<()> {
     if output.exists() {
         bail!("{}: already exists; choose another name or delete it", output.display());

@@ -145,12 +145,12 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     if frames > 0 || result.is_ok() {
         match (recorder.finish(), &result) {
             (Ok(()), Ok(())) => {}
-            (Ok(()), Err(_)) => errln!("{frames} frames, until the error, are in {}", args.folder.display()),
+            (Ok(()), Err(_)) => errln!("{} contains the {frames} frames before the error", args.folder.display()),
             (Err(error), Ok(())) => result = Err(error),
             // A full disk may have no room for the index either.
-            (Err(_), Err(_)) => {
+            (Err(error), Err(_)) => {
                 let name = args.folder.display();
-                errln!("{frames} frames are in {name}.part; make room, then `planish recover {name}.part`");
+                errln!("{error:#}; {name}.part contains {frames} frames: run `planish recover {name}.part`");
             }
         }
     }

@@ -30,7 +30,7 @@ pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
             if found.was_whole { "complete already" } else { "complete now" }
         );
         if found.dropped_bytes > 0 {
-            outln!("  {} bytes at its end, part of a message, are gone", found.dropped_bytes);
+            outln!("  dropped {} bytes of incomplete data at the end", found.dropped_bytes);
         }
     }
     if found.damaged_chunks > 0 {

@@ -411,7 +411,9 @@ impl Worker<'_> {
         if lost + isolated == valid && valid > 0 {
             let reason = match isolated {
                 0 => "every point became a hole, since none has enough neighbours; nothing is written",
-                _ => "no point has enough neighbours to be smoothed; nothing is written",
+                _ => {
+                    "no point has enough neighbours to be smoothed; nothing is written (are they in metres? see --unit)"
+                }
             };
             return Err(NothingLeft(format!("{}: {reason}", input.display())).into());
         }

@@ -4,13 +4,13 @@ use crate::exit::ExitCode;
 use std::collections::hash_map::RandomState;
 use std::fmt::Write as _;
 use std::hash::{BuildHasher, Hasher};
-use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::{Component, Path};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
@@ -24,19 +24,26 @@ use crate::signals::stop_flag;
 /// The page, if this build has it: names below its folder, and contents.
 const PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
-/// What a browser may take for a request, and the longest request that is read.
+/// How long a request, and each write of an answer, may take.
 const PATIENCE: Duration = Duration::from_secs(5);
-const LONGEST_REQUEST: u64 = 16 << 10;
+
+/// Maximum size of a request in bytes.
+const LONGEST_REQUEST: usize = 16 << 10;
+
+/// Requests at a time; a browser has about six connections.
+const MOST_REQUESTS: usize = 32;
 
 /// How often to look for a signal.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What the server has.
+/// The files that are served.
 struct Served {
     /// Names of the page's files and of the frame, and their contents.
     files: Vec<(String, Vec<u8>)>,
-    /// The folder in which they seem to be: nobody else on this machine knows it.
+    /// The first part of their paths, which cannot be guessed.
     token: String,
+    /// Requests in progress.
+    requests: AtomicUsize,
 }
 
 pub fn run(args: &ViewArgs) -> Result<ExitCode> {
@@ -66,10 +73,10 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, args.port))
         .with_context(|| format!("--port {}: cannot listen on 127.0.0.1", args.port))?;
     let port = listener.local_addr()?.port();
-    let served = Arc::new(Served { files, token: token() });
+    let served = Arc::new(Served { files, token: token(), requests: AtomicUsize::new(0) });
     let address = format!("http://127.0.0.1:{port}/{}/#{shown}", served.token);
     outln!("{address}");
-    outln!("  nothing leaves this machine; Ctrl-C ends it");
+    outln!("  data stays on this machine; press Ctrl-C to stop");
     if std::env::var_os("SSH_CONNECTION").is_some() {
         outln!("  from your own machine: ssh -L {port}:127.0.0.1:{port} HOST, then open the address there");
     } else if !args.no_browser {
@@ -84,7 +91,7 @@ fn page(folder: Option<&Path>) -> Result<Vec<(String, Vec<u8>)>> {
         if PAGE.is_empty() {
             bail!(
                 "this build does not contain the page; build it with `web/build-page` and add --page web/dist-page, or \
-                 install a package, which has it"
+                 install a packaged planish, which includes it"
             );
         }
         return Ok(PAGE.iter().map(|(name, bytes)| ((*name).to_owned(), bytes.to_vec())).collect());
@@ -109,7 +116,7 @@ fn page(folder: Option<&Path>) -> Result<Vec<(String, Vec<u8>)>> {
         }
     }
     if !files.iter().any(|(name, _)| name == "index.html") {
-        bail!("--page {}: has no index.html; it is the folder that `web/build-page` makes", folder.display());
+        bail!("--page {}: index.html not found; pass the folder built by `web/build-page`", folder.display());
     }
     Ok(files)
 }
@@ -138,7 +145,7 @@ fn open_browser(address: &str) {
         _ if ["DISPLAY", "WAYLAND_DISPLAY"].iter().all(|name| std::env::var_os(name).is_none()) => return,
         _ => ("xdg-open", &[]),
     };
-    // Without one, the address is there to click.
+    // Failure is fine: the address is printed.
     let _ = Command::new(program)
         .args(arguments)
         .arg(address)
@@ -154,15 +161,21 @@ fn serve(listener: &TcpListener, served: &Arc<Served>) -> Result<ExitCode> {
     listener.set_nonblocking(true)?;
     while !stop.load(Ordering::Relaxed) {
         match listener.accept() {
+            // Too many: the connection is closed, and a browser tries again.
+            Ok(_) if served.requests.load(Ordering::Relaxed) >= MOST_REQUESTS => {}
             Ok((stream, _)) => {
-                let served = Arc::clone(served);
-                // A browser that does not get one asks again.
-                let _ = std::thread::Builder::new().spawn(move || _ = answer(stream, &served));
+                served.requests.fetch_add(1, Ordering::Relaxed);
+                let shared = Arc::clone(served);
+                let work = move || {
+                    let _ = answer(stream, &shared);
+                    shared.requests.fetch_sub(1, Ordering::Relaxed);
+                };
+                if std::thread::Builder::new().spawn(work).is_err() {
+                    served.requests.fetch_sub(1, Ordering::Relaxed);
+                }
             }
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
-                std::thread::sleep(LOOK);
-            }
-            Err(error) => return Err(error.into()),
+            // None, or one that was closed again, or too many open files.
+            Err(_) => std::thread::sleep(LOOK),
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -171,16 +184,22 @@ fn serve(listener: &TcpListener, served: &Arc<Served>) -> Result<ExitCode> {
 /// Answers one request: GET of a file below the token.
 fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let mut reader = BufReader::new(stream.try_clone()?.take(LONGEST_REQUEST));
-    let mut first = String::new();
-    reader.read_line(&mut first)?;
-    let mut line = String::new();
-    while reader.read_line(&mut line)? > 2 {
-        line.clear();
+    let (mut request, deadline) = (Vec::new(), Instant::now() + PATIENCE);
+    while !request.windows(4).any(|end| end == b"\r\n\r\n") && request.len() < LONGEST_REQUEST {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Ok(());
+        }
+        stream.set_read_timeout(Some(left))?;
+        let mut buffer = [0; 1024];
+        match stream.read(&mut buffer)? {
+            0 => break,
+            read => request.extend_from_slice(&buffer[..read]),
+        }
     }
-    let mut words = first.split(' ');
+    let request = String::from_utf8_lossy(&request);
+    let mut words = request.lines().next().unwrap_or_default().split(' ');
     let (method, path) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     let below = path.strip_prefix('/').and_then(|path| path.strip_prefix(&*served.token)?.strip_prefix('/'));
     let name = below.map(|name| if name.is_empty() { "index.html" } else { name });
@@ -219,7 +238,7 @@ mod tests {
     #[test]
     fn a_request_gets_what_is_below_the_token_and_nothing_else() {
         let files = vec![("index.html".to_owned(), b"page".to_vec()), ("a%20b.pcd".to_owned(), b"points".to_vec())];
-        let served = Arc::new(Served { files, token: token() });
+        let served = Arc::new(Served { files, token: token(), requests: AtomicUsize::new(0) });
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let address = listener.local_addr().unwrap();
         let ask = |request: &str| {

@@ -303,7 +303,7 @@ fn is_colour(name: &str) -> bool {
 
 /// Refuses coordinates so far apart that the steps of 32 bits would move points.
 fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatResult<()> {
-    /// What no scanner resolves, in metres.
+    /// The coarsest steps that are acceptable, in metres.
     const FINE_M: f64 = 1e-3;
     let las::Vector { x, y, z } = builder.transforms;
     for (axis, Transform { scale, offset }) in [x, y, z].into_iter().enumerate() {

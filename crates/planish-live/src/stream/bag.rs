@@ -14,7 +14,7 @@ pub struct BagSink {
     writer: Option<BagWriter>,
     name: String,
     outputs: Outputs,
-    /// Whether the recording is worthless unless it is whole, and the flag that says so.
+    /// Flag that discards the recording at the end.
     discard: Option<Arc<AtomicBool>>,
 }
 

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
@@ -13,7 +12,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use super::parts::{Numbers, parts_of};
 use super::{decompress, of_mcap};
 use planish_core::{FormatError, IoError};
-use planish_io::{ReadOptions, internal::quoted};
+use planish_io::ReadOptions;
+use planish_io::internal::{guarded, quoted};
 
 /// Number of bytes to read at once, whatever length a record claims.
 const READ_BYTES: usize = 1 << 20;
@@ -106,7 +106,7 @@ impl Records {
             // With overflow checks the reader panics on a record that reaches beyond its chunk.
             let reader = &mut self.reader;
             let next = move || std::convert::identity(reader).next_event();
-            let Ok(event) = catch_unwind(AssertUnwindSafe(next)) else {
+            let Some(event) = guarded(next) else {
                 return Err(beyond_its_chunk());
             };
             let Some(event) = event else { return Ok(Next::End) };

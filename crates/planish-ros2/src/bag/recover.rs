@@ -1,4 +1,6 @@
-//! Completes a recording that was cut off, in place: what is whole stays where it is, and gets an index.
+//! Completes a truncated recording in place: whole records stay, and an index is appended.
+
+mod chunk;
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -11,25 +13,29 @@ use mcap::records::{
     Channel, ChunkHeader, ChunkIndex, DataEnd, Footer, MessageIndex, MessageIndexEntry, Record, SchemaHeader,
     Statistics, op,
 };
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::{MAGIC, decompress, of_mcap};
+use super::{MAGIC, of_mcap};
+use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
 use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
 
 /// Bytes before a record: its kind and its length.
 const RECORD_HEADER: u64 = 9;
 
+/// No recorder has this much in one record that is being written, in bytes.
+const LARGEST_LOSS: u64 = 256 << 20;
+
 /// What [`recover`] did.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Recovered {
     /// The complete recording.
     pub path: PathBuf,
     /// Whether it was complete already.
     pub was_whole: bool,
-    /// Messages that it has.
+    /// Number of messages.
     pub messages: u64,
-    /// Bytes at its end that were part of a message, and were dropped.
+    /// Incomplete bytes removed from the end; of a compressed chunk, those in the file.
     pub dropped_bytes: u64,
     /// Chunks that cannot be read; they stay in the file, without an index.
     pub damaged_chunks: u64,
@@ -43,21 +49,31 @@ pub fn part_of(path: &Path) -> PathBuf {
 }
 
 /// Completes a recording that was cut off, by a killed process or a full disk, in place; `NAME.mcap.part` is then
-/// renamed to `NAME.mcap`. Every message that is whole is kept, those of a chunk that was cut too.
+/// renamed to `NAME.mcap`. Every whole message is kept, those of a chunk that was cut too, but for chunks that are
+/// damaged: these stay as they are.
 ///
 /// # Errors
-/// If the file is no recording, if it cannot be written, or if `NAME.mcap` exists.
+/// If the file is no recording, is being written, cannot be written, or is damaged rather than cut off, and if
+/// `NAME.mcap` exists. The file is then unchanged.
 pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError> {
     let complete = match path.extension() {
         Some(extension) if extension == "part" => path.with_extension(""),
         _ => path.to_path_buf(),
     };
-    if complete != path && complete.exists() {
+    if complete != path && complete.symlink_metadata().is_ok() {
         let problem = format!("{} exists; rename one of them", complete.display());
         return Err(IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) });
     }
     let recovered = || -> Result<Recovered, FormatError> {
-        let recovered = complete_in_place(path, options)?;
+        if !path.metadata()?.is_file() {
+            return Err(FormatError::Unsupported("not a regular file; give the .mcap or .mcap.part itself".into()));
+        }
+        let mut file = OpenOptions::new().read(true).write(true).open(path)?;
+        if is_being_written(&file) {
+            return Err(FormatError::Unsupported("another process is writing it".into()));
+        }
+        let recovered = complete_in_place(&mut file, options)?;
+        drop(file);
         if complete != path {
             std::fs::rename(path, &complete)?;
         }
@@ -66,21 +82,51 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
     recovered().map_err(IoError::at(path))
 }
 
+/// Marks a file as being written, until it is closed. Windows would keep others from reading it.
+pub(super) fn mark_as_being_written(file: &File) {
+    #[cfg(unix)]
+    let _ = file.try_lock();
+    #[cfg(not(unix))]
+    let _ = file;
+}
+
+/// Returns true if another process, or another part of this one, is writing the file; otherwise it is marked.
+pub(super) fn is_being_written(file: &File) -> bool {
+    #[cfg(unix)]
+    return matches!(file.try_lock(), Err(std::fs::TryLockError::WouldBlock));
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        false
+    }
+}
+
 /// Completes a recording under the name that it has.
-pub(super) fn complete_in_place(path: &Path, options: &ReadOptions) -> Result<Recovered, FormatError> {
-    let mut file = OpenOptions::new().read(true).write(true).open(path)?;
+pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Result<Recovered, FormatError> {
     let bytes = file.metadata()?.len();
     let mut scan = Scan::default();
-    let end = scan.run(&mut file, bytes, options)?;
+    let end = scan.run(file, bytes, options)?;
     let recovered = |was_whole, dropped_bytes| Recovered {
-        path: path.to_path_buf(),
+        path: PathBuf::new(),
         was_whole,
         messages: scan.counts.values().sum(),
         dropped_bytes,
         damaged_chunks: scan.damaged_chunks,
     };
-    if end.is_whole {
+    let is_ended = ends_whole(file, bytes)?;
+    if end.is_data_end && is_ended {
         return Ok(recovered(true, 0));
+    }
+    // Whoever writes a recording adds to its end: more than one record is lost only where it is damaged.
+    if is_ended || end.dropped > LARGEST_LOSS {
+        return Err(FormatError::Malformed(format!(
+            "damaged at byte {}, not cut off: {} bytes follow; nothing was changed",
+            end.valid,
+            bytes - end.valid
+        )));
+    }
+    if !scan.has_header {
+        return Err(FormatError::Malformed("it ends before its first record; there is nothing to recover".into()));
     }
     let tail = scan.tail(end.valid)?;
     // Only from here on the file changes.
@@ -95,12 +141,14 @@ pub(super) fn complete_in_place(path: &Path, options: &ReadOptions) -> Result<Re
 struct End {
     valid: u64,
     dropped: u64,
-    is_whole: bool,
+    /// It ends with the record that ends the data.
+    is_data_end: bool,
 }
 
 /// What is known of a recording's records.
 #[derive(Default)]
 struct Scan {
+    has_header: bool,
     schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     channels: BTreeMap<u16, Channel>,
     counts: BTreeMap<u16, u64>,
@@ -115,42 +163,35 @@ struct Scan {
     metadata: u32,
 }
 
-/// The records of a chunk.
-#[derive(Default)]
-struct Contents {
-    bytes: Vec<u8>,
-    index: BTreeMap<u16, Vec<MessageIndexEntry>>,
-    schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
-    channels: BTreeMap<u16, Channel>,
-    times: Option<(u64, u64)>,
-}
-
 impl Scan {
     /// Reads the records up to the end of the data, or to the first that is not whole.
     fn run(&mut self, file: &mut File, bytes: u64, options: &ReadOptions) -> Result<End, FormatError> {
         let mut magic = [0; MAGIC.len()];
         file.seek(SeekFrom::Start(0))?;
         if file.read_exact(&mut magic).is_err() || magic != MAGIC {
-            return Err(FormatError::Malformed("not a recording in MCAP: its first bytes are others".into()));
+            return Err(FormatError::Malformed("not a recording in MCAP: it does not begin as one".into()));
         }
         let mut at = MAGIC.len() as u64;
         loop {
-            let cut = |at| Ok(End { valid: at, dropped: bytes - at, is_whole: false });
+            let cut = |dropped| Ok(End { valid: at, dropped, is_data_end: false });
             let mut header = [0; RECORD_HEADER as usize];
             if bytes - at < RECORD_HEADER {
-                return cut(at);
+                return cut(bytes - at);
             }
             file.seek(SeekFrom::Start(at))?;
             file.read_exact(&mut header)?;
             let opcode = header[0];
             let length = u64::from_le_bytes(*header[1..].first_chunk().unwrap_or(&[0; 8]));
             let left = bytes - at - RECORD_HEADER;
-            // A file that the kernel had only made longer has zeros there.
+            // After a power failure the end may be zeros.
+            if opcode == 0 && is_zero(file)? {
+                return cut(0);
+            }
             if opcode == 0 || length > left && opcode != op::CHUNK {
-                return cut(at);
+                return cut(bytes - at);
             }
             if opcode == op::DATA_END {
-                return Ok(End { valid: at, dropped: 0, is_whole: ends_whole(file, bytes)? });
+                return Ok(End { valid: at, dropped: 0, is_data_end: true });
             }
             let is_needed = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::MESSAGE_INDEX);
             let mut data = Vec::new();
@@ -161,27 +202,24 @@ impl Scan {
                 data.try_reserve_exact(size).map_err(|_| FormatError::Os(std::io::ErrorKind::OutOfMemory.into()))?;
                 Read::by_ref(file).take(read).read_to_end(&mut data)?;
             }
-            if opcode == op::CHUNK && length > left {
-                let contents = cut_contents(&data).unwrap_or_else(|| contents_of(&data, options).0);
-                let cut_end = cut(at);
-                if !contents.index.is_empty() {
-                    self.take(&contents);
-                    self.salvaged = Some(contents);
-                }
-                return cut_end;
+            let is_last = length >= left;
+            if opcode == op::CHUNK && (length > left || is_last && !contents_of(&data, false, options).1) {
+                let dropped = self.salvage(&data, options);
+                return cut(dropped);
             }
             match opcode {
-                op::CHUNK => self.chunk(at, length, &data, options)?,
+                op::HEADER => self.has_header = true,
+                op::CHUNK => self.chunk(at, length, &data, options),
                 op::MESSAGE_INDEX => self.message_index(at, length, &data),
                 op::ATTACHMENT => self.attachments += 1,
                 op::METADATA => self.metadata += 1,
-                // Outside of chunks, as some programs write.
+                // Some programs write messages outside of chunks.
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                     let mut contents = Contents::default();
-                    if !contents.add(opcode, &data) {
-                        return cut(at);
+                    match contents.add(opcode, &data, false) {
+                        true => self.take(&contents),
+                        false => self.damaged_chunks += 1,
                     }
-                    self.take(&contents);
                 }
                 _ => {}
             }
@@ -189,18 +227,41 @@ impl Scan {
         }
     }
 
-    /// A whole chunk. Its indices of messages follow.
-    fn chunk(&mut self, at: u64, length: u64, data: &[u8], options: &ReadOptions) -> Result<(), FormatError> {
-        self.missing.clear();
-        let (contents, is_whole) = contents_of(data, options);
-        let Ok(Record::Chunk { header, .. }) = mcap::parse_record(op::CHUNK, data) else {
-            self.damaged_chunks += 1;
-            return Ok(());
+    /// Keeps the whole records of a chunk that was cut; returns the bytes that are lost.
+    fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
+        let (contents, kept) = match cut_contents(data) {
+            Some(contents) => {
+                let kept = header_bytes(data).unwrap_or(0) + contents.bytes.len();
+                (contents, kept)
+            }
+            None => {
+                let contents = contents_of(data, true, options).0;
+                let kept = if contents.index.is_empty() { 0 } else { data.len() };
+                (contents, kept)
+            }
         };
-        if !is_whole {
-            self.damaged_chunks += 1;
-            return Ok(());
+        if contents.index.is_empty() {
+            return data.len() as u64;
         }
+        self.take(&contents);
+        self.salvaged = Some(contents);
+        data.len().saturating_sub(kept) as u64
+    }
+
+    /// Indexes a whole chunk. Its indices of messages follow.
+    fn chunk(&mut self, at: u64, length: u64, data: &[u8], options: &ReadOptions) {
+        self.missing.clear();
+        let (contents, is_whole) = contents_of(data, false, options);
+        let header = match mcap::parse_record(op::CHUNK, data) {
+            Ok(Record::Chunk { header, .. }) if is_whole => header,
+            _ => {
+                self.damaged_chunks += 1;
+                // Later chunks may refer to them.
+                self.schemas.extend(contents.schemas);
+                self.channels.extend(contents.channels);
+                return;
+            }
+        };
         self.take(&contents);
         self.missing = contents.index;
         self.chunks.push(ChunkIndex {
@@ -214,16 +275,15 @@ impl Scan {
             compressed_size: header.compressed_size,
             uncompressed_size: header.uncompressed_size,
         });
-        Ok(())
     }
 
-    /// An index of messages of the chunk before.
+    /// Registers an index of messages of the last chunk.
     fn message_index(&mut self, at: u64, length: u64, data: &[u8]) {
         let (Some(chunk), Some(&[low, high])) = (self.chunks.last_mut(), data.first_chunk()) else { return };
         let channel = u16::from_le_bytes([low, high]);
+        chunk.message_index_length += RECORD_HEADER + length;
         if self.missing.remove(&channel).is_some() {
             chunk.message_index_offsets.insert(channel, at);
-            chunk.message_index_length += RECORD_HEADER + length;
         }
     }
 
@@ -236,8 +296,7 @@ impl Scan {
         self.times = together(self.times, contents.times);
     }
 
-    /// What belongs after the whole part of the file, which ends at `at`: messages of a chunk that was cut, missing
-    /// indices, and the summary.
+    /// Returns the bytes to append at `at`: missing indices, messages of a chunk that was cut, and the summary.
     fn tail(&self, at: u64) -> Result<Vec<u8>, FormatError> {
         let mut tail = Vec::new();
         let mut chunks = self.chunks.clone();
@@ -308,116 +367,6 @@ impl Scan {
     }
 }
 
-impl Contents {
-    /// Adds a record; returns false if it cannot be read.
-    fn add(&mut self, opcode: u8, data: &[u8]) -> bool {
-        let offset = self.bytes.len() as u64;
-        let Ok(parsed) = mcap::parse_record(opcode, data) else { return false };
-        match parsed {
-            Record::Schema { header, data } => {
-                self.schemas.insert(header.id, (header, data.into_owned()));
-            }
-            Record::Channel(channel) => {
-                self.channels.insert(channel.id, channel);
-            }
-            Record::Message { header, .. } => {
-                let entry = MessageIndexEntry { log_time: header.log_time, offset };
-                self.index.entry(header.channel_id).or_default().push(entry);
-                self.times = together(self.times, Some((header.log_time, header.log_time)));
-            }
-            _ => {}
-        }
-        record(&mut self.bytes, opcode, data);
-        true
-    }
-}
-
-/// Returns the whole records of a chunk that was cut and is not compressed; `None` for others. Its header may not be
-/// written yet: some programs put the sizes there at the end.
-fn cut_contents(chunk: &[u8]) -> Option<Contents> {
-    let mut rest = chunk.get(header_bytes(chunk)?..)?;
-    if !chunk.get(BEFORE_COMPRESSION..)?.starts_with(&[0; 4]) {
-        return None;
-    }
-    let mut contents = Contents::default();
-    while let Some((&[opcode, ref length @ ..], after)) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>() {
-        let Ok(length) = usize::try_from(u64::from_le_bytes(*length)) else { break };
-        let Some((data, next)) = after.split_at_checked(length) else { break };
-        if opcode == op::CHUNK || !contents.add(opcode, data) {
-            break;
-        }
-        rest = next;
-    }
-    Some(contents)
-}
-
-/// Two times, the size and the checksum, at the beginning of a chunk.
-const BEFORE_COMPRESSION: usize = 8 + 8 + 8 + 4;
-
-/// Returns the bytes of a chunk's header: those, the name of its compression and its size.
-fn header_bytes(chunk: &[u8]) -> Option<usize> {
-    let name = u32::from_le_bytes(*chunk.get(BEFORE_COMPRESSION..)?.first_chunk()?) as usize;
-    name.checked_add(BEFORE_COMPRESSION + 4 + 8)
-}
-
-/// Returns the whole records of a chunk, and whether it has no others. A chunk that was cut gives those before the cut.
-fn contents_of(chunk: &[u8], options: &ReadOptions) -> (Contents, bool) {
-    let mut contents = Contents::default();
-    let mut bytes = Vec::with_capacity(chunk.len() + RECORD_HEADER as usize);
-    // Of the length that the chunk was to have: it is only known to be that of its data where it is whole.
-    let length = length_of(chunk).unwrap_or(chunk.len() as u64);
-    bytes.push(op::CHUNK);
-    bytes.extend(length.to_le_bytes());
-    bytes.extend(chunk);
-    let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
-    let reader_options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true)
-        .with_validate_chunk_crcs(true)
-        .with_record_length_limit(limit);
-    let mut reader = LinearReader::new_with_options(reader_options);
-    if decompress::register(&mut reader).is_err() {
-        return (contents, false);
-    }
-    let mut rest = &bytes[..];
-    loop {
-        // With overflow checks the reader panics on a record that reaches beyond its chunk.
-        let next = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match reader.next_event() {
-            None => Step::End,
-            Some(Ok(LinearReadEvent::ReadRequest(wanted))) => Step::Read(wanted),
-            Some(Ok(LinearReadEvent::Record { opcode, data })) => Step::Record(opcode, data.to_vec()),
-            Some(Err(McapError::UnexpectedEof)) if rest.is_empty() => Step::End,
-            Some(Err(_)) => Step::Damaged,
-        }));
-        match next {
-            Ok(Step::Read(wanted)) => {
-                let (now, later) = rest.split_at(wanted.min(rest.len()));
-                reader.insert(now.len())[..now.len()].copy_from_slice(now);
-                reader.notify_read(now.len());
-                rest = later;
-            }
-            Ok(Step::Record(opcode, data)) if opcode != op::CHUNK && contents.add(opcode, &data) => {}
-            Ok(Step::End) => return (contents, length == chunk.len() as u64),
-            _ => return (contents, false),
-        }
-    }
-}
-
-/// What the reader of a chunk says.
-enum Step {
-    Read(usize),
-    Record(u8, Vec<u8>),
-    End,
-    Damaged,
-}
-
-/// Returns the length of a chunk's record by its header, which may be more than there is of it.
-fn length_of(chunk: &[u8]) -> Option<u64> {
-    let header = header_bytes(chunk)?;
-    let size = u64::from_le_bytes(*chunk.get(header - 8..)?.first_chunk()?);
-    size.checked_add(header as u64)
-}
-
 /// Adds the indices of a chunk's messages to what follows it; `at` is where `to` begins in the file.
 fn index_messages(
     to: &mut Vec<u8>,
@@ -434,23 +383,10 @@ fn index_messages(
     Ok(())
 }
 
-fn record(to: &mut Vec<u8>, opcode: u8, data: &[u8]) {
-    to.push(opcode);
-    to.extend((data.len() as u64).to_le_bytes());
-    to.extend(data);
-}
-
 fn encoded<T: for<'a> BinWrite<Args<'a> = ()>>(value: &T) -> Result<Vec<u8>, FormatError> {
     let mut bytes = Cursor::new(Vec::new());
     value.write_le(&mut bytes).map_err(|error| of_mcap(McapError::Parse(error)))?;
     Ok(bytes.into_inner())
-}
-
-fn together(a: Option<(u64, u64)>, b: Option<(u64, u64)>) -> Option<(u64, u64)> {
-    match (a, b) {
-        (Some((first, last)), Some((other_first, other_last))) => Some((first.min(other_first), last.max(other_last))),
-        (a, b) => a.or(b),
-    }
 }
 
 /// Returns true if a file ends with a footer.
@@ -464,4 +400,22 @@ fn ends_whole(file: &mut File, bytes: u64) -> Result<bool, FormatError> {
     file.seek(SeekFrom::Start(bytes - FOOTER_BYTES))?;
     file.read_exact(&mut footer)?;
     Ok(footer[0] == op::FOOTER && footer.ends_with(&MAGIC))
+}
+
+/// Returns true if only zeros follow.
+fn is_zero(file: &mut File) -> Result<bool, FormatError> {
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(true),
+            read if buffer[..read].iter().all(|&byte| byte == 0) => {}
+            _ => return Ok(false),
+        }
+    }
+}
+
+fn record(to: &mut Vec<u8>, opcode: u8, data: &[u8]) {
+    to.push(opcode);
+    to.extend((data.len() as u64).to_le_bytes());
+    to.extend(data);
 }

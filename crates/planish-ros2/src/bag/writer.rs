@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 use mcap::records::MessageHeader;
 use mcap::{McapError, WriteOptions, Writer};
 
-use super::recover::{complete_in_place, part_of};
+use super::of_mcap;
+use super::recover::{complete_in_place, mark_as_being_written, part_of};
 use super::schemas::{
     CAMERA_INFO, CAMERA_INFO_TYPE, CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, PROFILE, SCHEMA_ENCODING,
 };
-use super::{MAGIC, of_mcap};
 use crate::ros::{CameraInfo, DepthPixels, Header, Image, PointCloud2, Time, camera_info_topic, to_cdr};
 use planish_core::{Camera, DepthImage, Error, FormatError, IoError, OwnedFrame};
 use planish_io::ReadOptions;
@@ -36,15 +36,19 @@ pub(super) fn channel_metadata() -> BTreeMap<String, String> {
     BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())])
 }
 
-/// Recordings that are being written, to be finished when the process has to end.
-static OPEN: Mutex<Vec<Weak<Mutex<Option<Open>>>>> = Mutex::new(Vec::new());
+/// Recordings that are being written, to be finished when the process has to end; `None` once it does.
+static OPEN: Mutex<Option<Vec<Weak<Shared>>>> = Mutex::new(Some(Vec::new()));
+
+/// A recording that its writer or a signal finishes, whichever comes first.
+type Shared = Mutex<Option<Open>>;
 
 /// How long to wait for a frame that is being written when the process has to end.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Finishes all recordings that are being written, for a process that is about to end; later frames are errors.
+/// Finishes all recordings that are being written, for a process that is about to end; later frames and recordings are
+/// errors.
 pub fn finish_recordings() {
-    let open = std::mem::take(&mut *OPEN.lock().unwrap_or_else(PoisonError::into_inner));
+    let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
     let deadline = Instant::now() + PATIENCE;
     for recording in open.iter().filter_map(Weak::upgrade) {
         while let Err(TryLockError::WouldBlock) = recording.try_lock()
@@ -63,9 +67,9 @@ pub fn finish_recordings() {
     }
 }
 
-/// Writes frames to a recording. While it is written, its name is `NAME.mcap.part`, which other programs can read up to
-/// the last frame; [`finish`](Self::finish) and dropping it give it its name. A process that is killed leaves the part,
-/// which [`recover`](super::recover()) completes.
+/// Writes frames to `NAME.mcap.part`, which other programs can read up to the last frame. [`finish`](Self::finish) or
+/// drop renames it to `NAME.mcap`. A process that is killed leaves the part, which [`recover`](super::recover())
+/// completes.
 ///
 /// Depth is written to `/camera/depth/image_rect` (`image_raw` with distortion) with its `camera_info`: as 16UC1 if the
 /// camera's unit is the millimetre, otherwise as 32FC1 in metres. Clouds are written to `/camera/depth/points`, and
@@ -74,7 +78,7 @@ pub fn finish_recordings() {
 pub struct BagWriter {
     path: PathBuf,
     /// None once it is finished.
-    open: Arc<Mutex<Option<Open>>>,
+    open: Arc<Shared>,
     frames: u32,
 }
 
@@ -88,7 +92,7 @@ struct Open {
     /// The file, and its length after the last frame.
     file: File,
     whole_bytes: u64,
-    /// Whether a recording that is not finished is worthless.
+    /// Whether to delete the file unless it is finished.
     is_all_or_nothing: bool,
 }
 
@@ -98,34 +102,17 @@ impl BagWriter {
     /// # Errors
     /// If `NAME.mcap.part` exists, a recording that was cut off: it is never overwritten.
     pub fn create(path: &Path) -> Result<Self, Error> {
+        // Locked until it is registered: a signal finds all files that exist.
+        let mut all = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(all) = &mut *all else { return Err(IoError::at(path)(stopped()).into()) };
         refuse_cut_off(path)?;
-        let opened = || -> Result<_, FormatError> {
-            check_target(path)?;
-            let file = OpenOptions::new().read(true).write(true).create_new(true).open(part_of(path))?;
-            let handle = file.try_clone()?;
-            // A chunk is written in one go, with its length: what is in the file is never changed again.
-            let options = WriteOptions::new().compression(None).disable_seeking(true).profile(PROFILE);
-            let mut writer = options.create(BufWriter::new(file)).map_err(of_mcap)?;
-            writer.flush().map_err(of_mcap)?;
-            Ok((writer, handle))
-        };
-        let (writer, file) = opened().map_err(IoError::at(path))?;
-        let open = Open {
-            path: path.to_path_buf(),
-            writer,
-            file,
-            whole_bytes: MAGIC.len() as u64,
-            channels: BTreeMap::new(),
-            has_failed: false,
-            has_frames: false,
-            is_all_or_nothing: false,
-        };
-        let open = Arc::new(Mutex::new(Some(open)));
-        OPEN.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&open));
+        let open = Arc::new(Mutex::new(Some(Open::create(path).map_err(IoError::at(path))?)));
+        all.retain(|recording| recording.strong_count() > 0);
+        all.push(Arc::downgrade(&open));
         Ok(Self { path: path.to_path_buf(), open, frames: 0 })
     }
 
-    /// Makes it a recording that is removed unless it is finished: of what can be computed again.
+    /// Deletes the recording unless it is finished, for results that can be computed again.
     pub fn all_or_nothing(self) -> Self {
         if let Some(open) = &mut *self.lock() {
             open.is_all_or_nothing = true;
@@ -233,7 +220,7 @@ impl BagWriter {
     ) -> Result<(), IoError> {
         let mut open = self.lock();
         let Some(open) = &mut *open else {
-            return Err(IoError::at(&self.path)(FormatError::Os(ErrorKind::Interrupted.into())));
+            return Err(IoError::at(&self.path)(stopped()));
         };
         let result = message.and_then(|bytes| open.write(topic, (type_name, definition), header, self.frames, &bytes));
         result.map_err(IoError::at(&self.path))
@@ -243,13 +230,12 @@ impl BagWriter {
     fn end_frame(&mut self) -> Result<(), IoError> {
         self.frames += 1;
         if let Some(open) = &mut *self.lock() {
-            open.has_frames = true;
             let mut flush = || -> Result<u64, FormatError> {
                 open.writer.flush().map_err(of_mcap)?;
                 Ok(open.file.metadata()?.len())
             };
             match flush() {
-                Ok(bytes) => open.whole_bytes = bytes,
+                Ok(bytes) => (open.whole_bytes, open.has_frames) = (bytes, true),
                 Err(problem) => {
                     open.has_failed = true;
                     return Err(IoError { path: self.path.clone(), problem });
@@ -268,6 +254,39 @@ impl Drop for BagWriter {
 }
 
 impl Open {
+    fn create(path: &Path) -> Result<Self, FormatError> {
+        check_target(path)?;
+        if path.is_symlink() {
+            return Err(FormatError::Unsupported("a link has this name; choose another".into()));
+        }
+        let part = part_of(path);
+        let file = OpenOptions::new().read(true).write(true).create_new(true).open(&part)?;
+        mark_as_being_written(&file);
+        let begun = || -> Result<_, FormatError> {
+            // A chunk is written in one go, with its length: what is in the file is never changed again.
+            let options = WriteOptions::new().compression(None).disable_seeking(true).profile(PROFILE);
+            let mut writer = options.create(BufWriter::new(file.try_clone()?)).map_err(of_mcap)?;
+            writer.flush().map_err(of_mcap)?;
+            Ok((writer, file.metadata()?.len()))
+        };
+        match begun() {
+            Ok((writer, whole_bytes)) => Ok(Self {
+                path: path.to_path_buf(),
+                writer,
+                channels: BTreeMap::new(),
+                has_failed: false,
+                has_frames: false,
+                file,
+                whole_bytes,
+                is_all_or_nothing: false,
+            }),
+            Err(problem) => {
+                let _ = std::fs::remove_file(part);
+                Err(problem)
+            }
+        }
+    }
+
     fn write(
         &mut self,
         topic: &str,
@@ -294,7 +313,7 @@ impl Open {
         result.map_err(of_mcap)
     }
 
-    /// Completes it, or removes it where nobody would miss it.
+    /// Finishes the recording, or deletes it if it is empty or all-or-nothing.
     fn close(self) -> Result<(), FormatError> {
         if self.has_frames && !self.is_all_or_nothing {
             return self.finish();
@@ -307,19 +326,28 @@ impl Open {
     fn finish(mut self) -> Result<(), FormatError> {
         let part = part_of(&self.path);
         let finished = if self.has_failed { Err(McapError::AttemptedWriteAfterFailure) } else { self.writer.finish() };
-        let path = self.path.clone();
-        // The rest of its buffer goes out here, if it can.
-        drop(self.writer);
+        let Self { path, writer, mut file, whole_bytes, .. } = self;
+        // Dropping flushes the buffer.
+        drop(writer);
         if finished.is_err() {
-            // A full disk: what is whole gets an index in the place of what is not.
-            self.file.set_len(self.whole_bytes)?;
-            complete_in_place(&part, &ReadOptions::default())?;
+            // Disk full: truncate to the last whole frame, and write the index there.
+            file.set_len(whole_bytes)?;
+            complete_in_place(&mut file, &ReadOptions::default())?;
         }
+        file.sync_all()?;
         if path.symlink_metadata().is_ok() && !path.is_file() {
-            return Err(FormatError::Unsupported(format!("its name was taken meanwhile; it is {}", part.display())));
+            let text = format!("something else has this name now; the recording is in {}", part.display());
+            return Err(FormatError::Unsupported(text));
         }
+        // Windows renames closed files only.
+        drop(file);
         Ok(std::fs::rename(&part, &path)?)
     }
+}
+
+/// The error of a recording that a signal has finished.
+fn stopped() -> FormatError {
+    FormatError::Os(ErrorKind::Interrupted.into())
 }
 
 /// Refuses a recording whose `NAME.mcap.part` exists: it is being written, or was cut off.
@@ -330,8 +358,8 @@ pub fn refuse_cut_off(path: &Path) -> Result<(), IoError> {
     }
     let name = part.display();
     let problem = format!(
-        "a recording that is being written or was cut off; complete it with `planish recover {name}`, or choose another \
-         name"
+        "a recording that is being written or was cut off; complete it with `planish recover {name}`, delete it, or \
+         choose another name"
     );
     Err(IoError { path: part.clone(), problem: FormatError::Unsupported(problem) })
 }

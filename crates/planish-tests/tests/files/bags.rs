@@ -134,6 +134,26 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     std::fs::write(&cut, &unsized_chunk).unwrap();
     let found = recover(&cut, &options).unwrap();
     assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
+    // What is damaged and not cut, or being written, is left alone.
+    let at = bytes.windows(9).position(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
+    for change in [|bytes: &mut Vec<u8>, at: usize| bytes[at + 4] ^= 0x40, |bytes, at| bytes[at..at + 9].fill(0)] {
+        let mut damaged = bytes.clone();
+        change(&mut damaged, at);
+        std::fs::write(&path, &damaged).unwrap();
+        let error = recover(&path, &options).unwrap_err().to_string();
+        assert!(error.contains("damaged at byte") && std::fs::read(&path).unwrap() == damaged, "{error}");
+    }
+    #[cfg(unix)]
+    {
+        let live = folder.path().join("live.mcap");
+        let mut writer = BagWriter::create(&live).unwrap();
+        writer.add(&OwnedFrame::Depth(frames[0].clone())).unwrap();
+        let error = recover(&part_of(&live), &options).unwrap_err().to_string();
+        assert!(error.contains("another process is writing it"), "{error}");
+        writer.add(&OwnedFrame::Depth(frames[1].clone())).unwrap();
+        writer.finish().unwrap();
+        assert_eq!(read_all(&live).len(), 2);
+    }
     // A file that only became longer, as after a power failure, and what is no recording.
     std::fs::write(&cut, [&bytes[..bytes.len() / 2], &[0; 5000]].concat()).unwrap();
     assert!(recover(&cut, &options).unwrap_err().to_string().contains("exists"));
