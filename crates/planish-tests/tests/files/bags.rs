@@ -136,9 +136,9 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
     // What is damaged and not cut, or being written, is left alone.
     let at = bytes.windows(9).position(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
-    for change in [|bytes: &mut Vec<u8>, at: usize| bytes[at + 4] ^= 0x40, |bytes, at| bytes[at..at + 9].fill(0)] {
+    for (from, to, value) in [(at + 4, at + 5, 0x40), (at, at + 9, 0)] {
         let mut damaged = bytes.clone();
-        change(&mut damaged, at);
+        damaged[from..to].fill(value);
         std::fs::write(&path, &damaged).unwrap();
         let error = recover(&path, &options).unwrap_err().to_string();
         assert!(error.contains("damaged at byte") && std::fs::read(&path).unwrap() == damaged, "{error}");
