@@ -65,7 +65,16 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
             .mut_args(|argument| if takes_value(&argument) { argument.allow_negative_numbers(true) } else { argument })
             .mut_subcommands(with_negative_numbers)
     }
-    let matches = with_negative_numbers(Args::command()).get_matches_from(arguments);
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let is_plain = |argument: &OsString| argument.to_str().is_some_and(|text| planish::io::printable(text) == text);
+    let matches = with_negative_numbers(Args::command()).try_get_matches_from(&arguments).unwrap_or_else(|error| {
+        if arguments.iter().all(is_plain) {
+            error.exit();
+        }
+        // Its message quotes them.
+        errln!("{}", error.render());
+        std::process::exit(error.exit_code());
+    });
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 

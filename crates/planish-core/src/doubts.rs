@@ -108,6 +108,8 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     const SHARE_OF_DISTANCE: f64 = 0.1;
     /// The share of points that may be too coarse without a warning.
     const FEW: f32 = 0.01;
+    /// Which neighbour tells the spacing: points may be there twice.
+    const NEIGHBOUR: usize = 4;
     /// How many points get neighbours, and among how many these are looked for.
     const LOOKED_AT: usize = 32;
     const AMONG: usize = 200_000;
@@ -130,7 +132,14 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
             let other = points.get(i);
             (0..3).map(|axis| (other[axis] - of[axis]).powi(2)).sum::<f64>()
         });
-        squares.filter(|&square| square > 0.0).fold(f64::INFINITY, f64::min).sqrt() / sparser
+        let mut nearest = [f64::INFINITY; NEIGHBOUR];
+        for square in squares.filter(|&square| square > 0.0) {
+            if square < nearest[NEIGHBOUR - 1] {
+                nearest[NEIGHBOUR - 1] = square;
+                nearest.sort_by(f64::total_cmp);
+            }
+        }
+        (nearest[NEIGHBOUR - 1] / NEIGHBOUR as f64).sqrt() / sparser
     };
     let is_coarse = |(step_m, spacing_m): &(f32, f64)| f64::from(*step_m) > SHARE_OF_DISTANCE * spacing_m;
     let found = looked_at.iter().map(|point| (step_of(*point), spacing_m(point)));

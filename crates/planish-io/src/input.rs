@@ -32,12 +32,18 @@ pub struct ReadOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Work {
-    /// Written as points.
+    /// Written as points in binary PCD or PLY.
     Convert,
-    /// Drawn.
+    /// Written as points in another format, which is in memory beside them.
+    Encode,
+    /// A frame drawn.
     Render,
+    /// An unorganized cloud drawn.
+    RenderCloud,
     /// Connected to triangles.
     Mesh,
+    /// Connected to triangles and written as text.
+    MeshText,
     /// Described, with its sensor.
     Describe,
     /// Outliers removed, cropped or thinned.
@@ -51,11 +57,14 @@ impl Work {
     const fn bytes_per_point(self) -> usize {
         match self {
             Self::Convert => 48,
+            Self::Encode => 100,
             Self::Render => 28,
+            Self::RenderCloud => 66,
             Self::Mesh => 165,
+            Self::MeshText => 270,
             Self::Describe => 64,
-            Self::Clean => 66,
-            Self::Compare => 80,
+            Self::Clean => 92,
+            Self::Compare => 82,
         }
     }
 }

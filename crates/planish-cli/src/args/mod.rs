@@ -210,6 +210,9 @@ pub struct RecoverArgs {
     ///
     /// Whole messages are kept. NAME.mcap.part is renamed to NAME.mcap.
     pub file: PathBuf,
+    /// Memory limit for one chunk, such as 500M or 4G [default: 2G]
+    #[arg(long, value_name = "BYTES", value_parser = read::parse_bytes, hide_short_help = true)]
+    pub max_memory: Option<u64>,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,

@@ -35,7 +35,7 @@ impl ReadArgs {
 }
 
 /// Parses a number of bytes, such as 500M or 4G.
-fn parse_bytes(text: &str) -> Result<u64, String> {
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let (number, shift) = match text.strip_suffix(['B', 'b']).unwrap_or(text) {
         text if text.ends_with(['K', 'k']) => (&text[..text.len() - 1], 10),
         text if text.ends_with(['M', 'm']) => (&text[..text.len() - 1], 20),

@@ -31,7 +31,12 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
         _ => false,
     };
     if !stays_depth {
-        check_work(io::Work::Convert, &file.contents, &args.reading.read_options(), input)?;
+        let is_binary = args.encoding.encoding() != Some(io::Encoding::Ascii);
+        let work = match Format::of_extension(output) {
+            Some(Format::Pcd | Format::Ply) if is_binary => io::Work::Convert,
+            _ => io::Work::Encode,
+        };
+        check_work(work, &file.contents, &args.reading.read_options(), input)?;
     }
     let camera = match (file.contents.is_depth(), stays_depth) {
         (true, false) => Some(camera.required(shape, input)?),
@@ -89,6 +94,7 @@ fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<C
     report_notes(file, &notes);
     if let Contents::General(cloud) = &contents {
         report_columns(file, format, cloud);
+        check_work(io::Work::Compare, &contents, options, file)?;
         return Ok(contents);
     }
     let shape = contents.shape();

@@ -20,7 +20,8 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
     let settings = args.smoothing.settings()?;
     let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &file.notes);
-    check_work(io::Work::Mesh, &file.contents, &args.reading.read_options(), input)?;
+    let work = if extension.as_deref() == Some("obj") { io::Work::MeshText } else { io::Work::Mesh };
+    check_work(work, &file.contents, &args.reading.read_options(), input)?;
     if let Contents::General(cloud) = &file.contents {
         bail!(
             "{}: an unorganized cloud of {} points has no pixels to connect; build its mesh with Open3D \

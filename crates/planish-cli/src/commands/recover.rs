@@ -18,7 +18,9 @@ pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
         damaged_chunks: u64,
     }
 
-    let found = planish::bag::recover(&args.file, &planish::io::ReadOptions::default())?;
+    let default = planish::io::ReadOptions::default();
+    let options = args.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes));
+    let found = planish::bag::recover(&args.file, &options)?;
     let path = found.path.display().to_string();
     if args.json {
         let planish::bag::Recovered { was_whole, messages, dropped_bytes, damaged_chunks, .. } = found;

@@ -23,7 +23,8 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let (FileRead { contents, notes, .. }, camera) =
         read_input(&args.file, &args.reading.read_options(), &args.camera)?;
     report_notes(&args.file, &notes);
-    check_work(Work::Render, &contents, &args.reading.read_options(), &args.file)?;
+    let work = if matches!(contents, Contents::General(_)) { Work::RenderCloud } else { Work::Render };
+    check_work(work, &contents, &args.reading.read_options(), &args.file)?;
     let cloud = match contents {
         Contents::General(points) => {
             seen_from(&points, args.from.unwrap_or_default().0, LONGEST_SIDE).map_err(|error| match error {

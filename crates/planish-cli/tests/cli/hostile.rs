@@ -468,7 +468,14 @@ fn names_in_files_cannot_control_the_terminal() {
                   property float \u{1b}]0;title\u{7}\nend_header\n0 0 1 2\n";
     fs::write(&path, header).unwrap();
     let missing = folder.path().join("\u{9b}2J\u{202e}.pcd");
-    for arguments in [&["info", str(&path)][..], &["info", str(&missing)], &["smooth", str(&path), str(&missing)]] {
+    let hostile = "x\u{1b}]0;title\u{7}\u{9b}2J";
+    for arguments in [
+        &["info", str(&path)][..],
+        &["info", str(&missing)],
+        &["smooth", str(&path), str(&missing)],
+        &["info", str(&path), hostile],
+        &[hostile],
+    ] {
         let output = planish(arguments);
         let printed = text(&output.stdout) + &text(&output.stderr);
         assert!(!printed.contains(['\u{1b}', '\u{7}', '\u{9b}', '\u{202e}']), "{printed:?}");

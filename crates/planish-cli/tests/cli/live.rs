@@ -78,7 +78,7 @@ fn a_recording_streams_back() {
             .contains("the folder is not empty")
     );
     assert_eq!(fs::read(saved.join("depth.txt")).unwrap(), list);
-    assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("another folder"));
+    assert!(refused(&["record", "synthetic", str(&recording), "--frames", "1"]).contains("the folder is not empty"));
     #[cfg(feature = "mcap")]
     {
         let bag = folder.path().join("walk.mcap");

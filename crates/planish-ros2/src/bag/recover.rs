@@ -113,8 +113,10 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
         dropped_bytes,
         damaged_chunks: scan.damaged_chunks,
     };
-    let is_ended = ends_whole(file, bytes)?;
-    if end.is_data_end && is_ended {
+    let summary = summary_start(file, bytes)?;
+    let is_ended = summary.is_some();
+    // The summary follows the data at once; a footer without one does too.
+    if end.is_data_end && (summary == Some(end.after) || summary == Some(0) && bytes - end.after == FOOTER_BYTES) {
         return Ok(recovered(true, 0));
     }
     // Whoever writes a recording adds to its end: more than one record is lost only where it is damaged.
@@ -141,8 +143,9 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
 struct End {
     valid: u64,
     dropped: u64,
-    /// It ends with the record that ends the data.
+    /// It ends with the record that ends the data, after which comes this offset.
     is_data_end: bool,
+    after: u64,
 }
 
 /// What is known of a recording's records.
@@ -173,7 +176,7 @@ impl Scan {
         }
         let mut at = MAGIC.len() as u64;
         loop {
-            let cut = |dropped| Ok(End { valid: at, dropped, is_data_end: false });
+            let cut = |dropped| Ok(End { valid: at, dropped, is_data_end: false, after: at });
             let mut header = [0; RECORD_HEADER as usize];
             if bytes - at < RECORD_HEADER {
                 return cut(bytes - at);
@@ -191,9 +194,10 @@ impl Scan {
                 return cut(bytes - at);
             }
             if opcode == op::DATA_END {
-                return Ok(End { valid: at, dropped: 0, is_data_end: true });
+                return Ok(End { valid: at, dropped: 0, is_data_end: true, after: at + RECORD_HEADER + length });
             }
-            let is_needed = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::MESSAGE_INDEX);
+            let is_needed =
+                matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::MESSAGE_INDEX);
             let mut data = Vec::new();
             if is_needed {
                 let read = length.min(left);
@@ -202,21 +206,29 @@ impl Scan {
                 data.try_reserve_exact(size).map_err(|_| FormatError::Os(std::io::ErrorKind::OutOfMemory.into()))?;
                 Read::by_ref(file).take(read).read_to_end(&mut data)?;
             }
-            let is_last = length >= left;
-            if opcode == op::CHUNK && (length > left || is_last && !contents_of(&data, false, options).1) {
-                let dropped = self.salvage(&data, options);
-                return cut(dropped);
-            }
             match opcode {
-                op::HEADER => self.has_header = true,
-                op::CHUNK => self.chunk(at, length, &data, options),
+                op::HEADER if mcap::parse_record(op::HEADER, &data).is_ok() => self.has_header = true,
+                op::HEADER => return cut(bytes - at),
+                op::CHUNK => {
+                    let (contents, is_whole) = contents_of(&data, false, options);
+                    if length > left || !is_whole && is_zero(file)? {
+                        let dropped = self.salvage(&data, options);
+                        return cut(dropped);
+                    }
+                    self.chunk(at, length, &data, contents, is_whole);
+                }
                 op::MESSAGE_INDEX => self.message_index(at, length, &data),
                 op::ATTACHMENT => self.attachments += 1,
                 op::METADATA => self.metadata += 1,
                 // Some programs write messages outside of chunks.
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                     let mut contents = Contents::default();
-                    match contents.add(opcode, &data, false) {
+                    let is_read = contents.add(opcode, &data, false);
+                    // As in the rest of a record that became zeros.
+                    if !self.knows_channels(&contents) {
+                        return cut(bytes - at);
+                    }
+                    match is_read {
                         true => self.take(&contents),
                         false => self.damaged_chunks += 1,
                     }
@@ -229,7 +241,9 @@ impl Scan {
 
     /// Keeps the whole records of a chunk that was cut; returns the bytes that are lost.
     fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
-        let (contents, kept) = match cut_contents(data) {
+        // Zeros at the end may be what a power failure left of a message.
+        let zeros = data.iter().rev().take_while(|&&byte| byte == 0).count();
+        let (contents, kept) = match cut_contents(&data[..data.len() - zeros]) {
             Some(contents) => {
                 let kept = header_bytes(data).unwrap_or(0) + contents.bytes.len();
                 (contents, kept)
@@ -240,7 +254,7 @@ impl Scan {
                 (contents, kept)
             }
         };
-        if contents.index.is_empty() {
+        if contents.index.is_empty() || !self.knows_channels(&contents) {
             return data.len() as u64;
         }
         self.take(&contents);
@@ -248,10 +262,14 @@ impl Scan {
         data.len().saturating_sub(kept) as u64
     }
 
+    /// Returns true if all messages are of channels that are there.
+    fn knows_channels(&self, contents: &Contents) -> bool {
+        contents.index.keys().all(|id| self.channels.contains_key(id) || contents.channels.contains_key(id))
+    }
+
     /// Indexes a whole chunk. Its indices of messages follow.
-    fn chunk(&mut self, at: u64, length: u64, data: &[u8], options: &ReadOptions) {
+    fn chunk(&mut self, at: u64, length: u64, data: &[u8], contents: Contents, is_whole: bool) {
         self.missing.clear();
-        let (contents, is_whole) = contents_of(data, false, options);
         let header = match mcap::parse_record(op::CHUNK, data) {
             Ok(Record::Chunk { header, .. }) if is_whole => header,
             _ => {
@@ -389,17 +407,19 @@ fn encoded<T: for<'a> BinWrite<Args<'a> = ()>>(value: &T) -> Result<Vec<u8>, For
     Ok(bytes.into_inner())
 }
 
-/// Returns true if a file ends with a footer.
-fn ends_whole(file: &mut File, bytes: u64) -> Result<bool, FormatError> {
-    /// The record of a footer, and the magic bytes.
-    const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
+/// Bytes of the record of a footer, and the magic bytes.
+const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
+
+/// Returns where the summary begins by the footer, 0 without a summary; `None` without a footer.
+fn summary_start(file: &mut File, bytes: u64) -> Result<Option<u64>, FormatError> {
     if bytes < FOOTER_BYTES {
-        return Ok(false);
+        return Ok(None);
     }
     let mut footer = [0; FOOTER_BYTES as usize];
     file.seek(SeekFrom::Start(bytes - FOOTER_BYTES))?;
     file.read_exact(&mut footer)?;
-    Ok(footer[0] == op::FOOTER && footer.ends_with(&MAGIC))
+    let start = footer[RECORD_HEADER as usize..].first_chunk().map(|start| u64::from_le_bytes(*start));
+    Ok(start.filter(|_| footer[0] == op::FOOTER && footer.ends_with(&MAGIC)))
 }
 
 /// Returns true if only zeros follow.

@@ -160,6 +160,8 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     std::fs::remove_file(cut.with_extension("")).unwrap();
     let found = recover(&cut, &options).unwrap();
     assert!(found.messages >= FRAMES / 2 && found.damaged_chunks == 0, "{found:?}");
+    let whole = std::fs::read(&found.path).unwrap();
+    assert_eq!(mcap::MessageStream::new(&whole).unwrap().map(Result::unwrap).count() as u64, found.messages);
     std::fs::write(&cut, b"something else").unwrap();
     assert!(recover(&cut, &options).is_err() && std::fs::read(&cut).unwrap() == b"something else");
 }

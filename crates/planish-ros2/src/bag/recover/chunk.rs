@@ -62,7 +62,7 @@ pub(super) fn cut_contents(chunk: &[u8]) -> Option<Contents> {
     while let Some((&[opcode, ref length @ ..], after)) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>() {
         let Ok(length) = usize::try_from(u64::from_le_bytes(*length)) else { break };
         let Some((data, next)) = after.split_at_checked(length) else { break };
-        if opcode == op::CHUNK || !contents.add(opcode, data, true) {
+        if matches!(opcode, 0 | op::CHUNK) || !contents.add(opcode, data, true) {
             break;
         }
         rest = next;
@@ -115,7 +115,8 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
                 reader.notify_read(now.len());
                 rest = later;
             }
-            Some(Step::Record(opcode, data)) if opcode != op::CHUNK && contents.add(opcode, &data, with_bytes) => {}
+            Some(Step::Record(opcode, data))
+                if !matches!(opcode, 0 | op::CHUNK) && contents.add(opcode, &data, with_bytes) => {}
             Some(Step::End) => return (contents, length == chunk.len() as u64),
             _ => return (contents, false),
         }
