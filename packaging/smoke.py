@@ -98,7 +98,7 @@ def main():
         if sys.platform == "win32":
             print("SKIP  Ctrl-C: a console would send it to this script too")
             sys.exit(f"{len(failures)} failed" if failures else 0)
-        # Ctrl-C: the stream ends, says what it did, and leaves no temporary file.
+        # Ctrl-C ends the stream, which prints its report and leaves no temporary file.
         streaming = subprocess.Popen([*other, "stream", "räw cloud.pcd", "--engine", "cpu", "--save", "saved", "--fps", "5"], cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         time.sleep(6)
         streaming.send_signal(signal.SIGINT)

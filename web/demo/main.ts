@@ -382,7 +382,7 @@ async function start(): Promise<void> {
   const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
   const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome, Edge, and recent Safari and Firefox support it)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
-  // `planish view` names its files, beside the page, in the address.
+  // The address of `planish view` lists its files.
   const named = location.hash.slice(1).split(",").filter(Boolean);
   if (named.length === 0) return void (await take(() => ask<Frame>({ method: "simulate", seed }), "simulated"));
   const get = async (file: string) => {

@@ -270,7 +270,7 @@ mod tests {
         assert!((0.007..0.009).contains(&step_m) && spacing_m < 0.02 && share > 0.9, "{step_m} {spacing_m} {share}");
         let both = [plane(0.0, 5000), plane(1e5, 500)].concat();
         assert!(matches!(of(&both)[..], [Doubt::Coarse { share, .. }] if (0.05..0.15).contains(&share)));
-        // Where nothing was measured, and points far from each other.
+        // Coincident strays, and points far from each other.
         let strays = [plane(0.0, 5000), vec![[-5e6, -5e6, -100.0]; 100]].concat();
         assert_eq!(of(&strays), []);
         let sparse: Vec<[f32; 3]> = (0..200).map(|i| [1e5 + 50.0 * i as f32, 7.0 * i as f32, 0.0]).collect();

@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-/// Returns a text for a terminal: control characters, and those that reverse the direction of text, are written as
-/// `\u001b`, as in JSON. Lines and tabs stay. Names in files, topics and paths may have any of them.
+/// Escapes control characters and direction marks for a terminal, in the form `\u001b`, as JSON does; lines and tabs
+/// stay. Use it for names in files, topics and paths.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_hidden = |c: char| {
         c.is_control() && !matches!(c, '\n' | '\t') || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

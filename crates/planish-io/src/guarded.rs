@@ -14,8 +14,8 @@ pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
     decoded
 }
 
-/// Returns true while a guarded decoder runs; the messages of its panics should not be printed. Decoders may have
-/// threads of their own, so this holds for all threads.
+/// Returns true while a guarded decoder runs; the messages of its panics should not be printed. Decoders may start
+/// threads, so this holds for all threads.
 pub fn catches_panics() -> bool {
     RUNNING.load(Ordering::Relaxed) > 0
 }

@@ -34,7 +34,7 @@ pub struct ReadOptions {
 pub enum Work {
     /// Written as points in binary PCD or PLY.
     Convert,
-    /// Written as points in another format, which is in memory beside them.
+    /// Written as points in another format, encoded in memory first.
     Encode,
     /// A frame drawn.
     Render,

@@ -1,4 +1,4 @@
-//! Folders for frames as they come, which may be the only copy of what was measured.
+//! Folders for live frames, often the only copy of a measurement.
 
 use std::path::Path;
 

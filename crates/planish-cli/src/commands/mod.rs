@@ -55,7 +55,7 @@ fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Re
     Ok((read, camera))
 }
 
-/// Refuses work on what a file has that would need more memory than allowed.
+/// Refuses work that needs more memory than allowed.
 fn check_work(work: io::Work, contents: &Contents, options: &io::ReadOptions, file: &Path) -> Result<()> {
     let (width, height) = contents.shape();
     options.check_work(work, width * height).with_context(|| file.display().to_string())

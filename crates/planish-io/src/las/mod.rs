@@ -301,7 +301,7 @@ fn is_colour(name: &str) -> bool {
     ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
 }
 
-/// Refuses coordinates so far apart that the steps of 32 bits would move points.
+/// Refuses coordinates that 32-bit steps would round by more than half a millimetre.
 fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatResult<()> {
     /// The coarsest steps that are acceptable, in metres.
     const FINE_M: f64 = 1e-3;

@@ -35,7 +35,7 @@ pub struct Recovered {
     pub was_whole: bool,
     /// Number of messages.
     pub messages: u64,
-    /// Incomplete bytes removed from the end; of a compressed chunk, those in the file.
+    /// Incomplete bytes removed from the end (0 for a compressed chunk with whole messages).
     pub dropped_bytes: u64,
     /// Chunks that cannot be read; they stay in the file, without an index.
     pub damaged_chunks: u64,
@@ -49,12 +49,12 @@ pub fn part_of(path: &Path) -> PathBuf {
 }
 
 /// Completes a recording that was cut off, by a killed process or a full disk, in place; `NAME.mcap.part` is then
-/// renamed to `NAME.mcap`. Every whole message is kept, those of a chunk that was cut too, but for chunks that are
-/// damaged: these stay as they are.
+/// renamed to `NAME.mcap`. Every whole message is kept, also those of a chunk that was cut. Damaged chunks stay as they
+/// are.
 ///
 /// # Errors
-/// If the file is no recording, is being written, cannot be written, or is damaged rather than cut off, and if
-/// `NAME.mcap` exists. The file is then unchanged.
+/// If the file is not a recording, is being written, is read-only, or is damaged instead of cut off; or if another file
+/// is called `NAME.mcap`. The file is then unchanged.
 pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError> {
     let complete = match path.extension() {
         Some(extension) if extension == "part" => path.with_extension(""),
@@ -119,7 +119,7 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     if end.is_data_end && (summary == Some(end.after) || summary == Some(0) && bytes - end.after == FOOTER_BYTES) {
         return Ok(recovered(true, 0));
     }
-    // Whoever writes a recording adds to its end: more than one record is lost only where it is damaged.
+    // Recorders append, so a cut costs one record. A larger loss means damage.
     if is_ended || end.dropped > LARGEST_LOSS {
         return Err(FormatError::Malformed(format!(
             "damaged at byte {}, not cut off: {} bytes follow; nothing was changed",
@@ -139,7 +139,7 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     Ok(recovered(false, end.dropped))
 }
 
-/// Where the whole part of a recording ends.
+/// The end of a recording's whole part.
 struct End {
     valid: u64,
     dropped: u64,
@@ -148,7 +148,7 @@ struct End {
     after: u64,
 }
 
-/// What is known of a recording's records.
+/// Records found so far.
 #[derive(Default)]
 struct Scan {
     has_header: bool,
@@ -241,7 +241,7 @@ impl Scan {
 
     /// Keeps the whole records of a chunk that was cut; returns the bytes that are lost.
     fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
-        // Zeros at the end may be what a power failure left of a message.
+        // After a power failure a message may end in zeros.
         let zeros = data.iter().rev().take_while(|&&byte| byte == 0).count();
         let (contents, kept) = match cut_contents(&data[..data.len() - zeros]) {
             Some(contents) => {
@@ -385,7 +385,7 @@ impl Scan {
     }
 }
 
-/// Adds the indices of a chunk's messages to what follows it; `at` is where `to` begins in the file.
+/// Appends the indices of a chunk's messages; `to` begins at the offset `at` of the file.
 fn index_messages(
     to: &mut Vec<u8>,
     at: u64,

@@ -263,7 +263,7 @@ impl Open {
         let file = OpenOptions::new().read(true).write(true).create_new(true).open(&part)?;
         mark_as_being_written(&file);
         let begun = || -> Result<_, FormatError> {
-            // A chunk is written in one go, with its length: what is in the file is never changed again.
+            // Chunks are appended whole, with their length; nothing in the file changes later.
             let options = WriteOptions::new().compression(None).disable_seeking(true).profile(PROFILE);
             let mut writer = options.create(BufWriter::new(file.try_clone()?)).map_err(of_mcap)?;
             writer.flush().map_err(of_mcap)?;

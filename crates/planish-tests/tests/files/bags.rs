@@ -108,7 +108,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
             let OwnedFrame::Depth(read) = read else { panic!("depth") };
             assert_eq!((&read.raw, read.timestamp_s), (&frame.raw, frame.timestamp_s));
         }
-        // What other programs look up: the summary and its indices.
+        // Other programs look up the summary and its indices.
         let whole = std::fs::read(&found.path).unwrap();
         let summary = mcap::Summary::read(&whole).unwrap().unwrap();
         assert_eq!(summary.stats.as_ref().unwrap().message_count, found.messages);
@@ -134,7 +134,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     std::fs::write(&cut, &unsized_chunk).unwrap();
     let found = recover(&cut, &options).unwrap();
     assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
-    // What is damaged and not cut, or being written, is left alone.
+    // Damaged recordings and those being written are left alone.
     let at = bytes.windows(9).position(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
     for (from, to, value) in [(at + 4, at + 5, 0x40), (at, at + 9, 0)] {
         let mut damaged = bytes.clone();
@@ -154,7 +154,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         writer.finish().unwrap();
         assert_eq!(read_all(&live).len(), 2);
     }
-    // A file that only became longer, as after a power failure, and what is no recording.
+    // A file with zeros at its end, as after a power failure, and one in another format.
     std::fs::write(&cut, [&bytes[..bytes.len() / 2], &[0; 5000]].concat()).unwrap();
     assert!(recover(&cut, &options).unwrap_err().to_string().contains("exists"));
     std::fs::remove_file(cut.with_extension("")).unwrap();

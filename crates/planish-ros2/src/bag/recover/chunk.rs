@@ -131,7 +131,7 @@ enum Step {
     Damaged,
 }
 
-/// Returns the length of a chunk's record by its header, which may be more than there is of it.
+/// Returns the length of a chunk's record that its header states; a cut chunk is shorter.
 fn length_of(chunk: &[u8]) -> Option<u64> {
     let header = header_bytes(chunk)?;
     let size = u64::from_le_bytes(*chunk.get(header - 8..)?.first_chunk()?);
