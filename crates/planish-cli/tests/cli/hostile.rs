@@ -346,15 +346,26 @@ fn repeated_depth(folder: &Path) -> PathBuf {
     path
 }
 
-#[cfg(feature = "mcap")]
+/// Starts a recording at a camera's rate: a busy machine may need a while to send a signal, and the disk would be full.
+#[cfg(all(unix, feature = "mcap"))]
 fn record(input: &Path, output: &Path) -> std::process::Child {
-    let child = Command::new(env!("CARGO_BIN_EXE_planish"))
-        // Not as fast as it can: a busy machine may need a while to send the signal, and the disk would be full.
-        .args(["record", str(input), str(output), "--camera", "70,70,39.5,29.5", "--fps", "300"])
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    use std::os::unix::process::CommandExt;
+    unsafe extern "C" {
+        fn signal(signal: i32, handler: usize) -> usize;
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planish"));
+    command.args(["record", str(input), str(output), "--camera", "70,70,39.5,29.5", "--fps", "300"]);
+    // Tests in the background inherit that SIGHUP and SIGINT are ignored, which the command respects.
+    // SAFETY: `signal` may be called between fork and exec.
+    unsafe {
+        command.pre_exec(|| {
+            for number in [1, 2] {
+                signal(number, 0);
+            }
+            Ok(())
+        })
+    };
+    let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let part = output.with_extension("mcap.part");
     let start = Instant::now();
     while fs::metadata(&part).map_or(0, |metadata| metadata.len()) < 100_000 {
