@@ -5,9 +5,6 @@ import { FrameTooLarge, Gpu, type Plan } from "./webgpu.js";
 
 export { PlanishError } from "./core.js";
 
-/** Next to this file, in the package. */
-const MODULE_FILE = "./planish.wasm";
-
 /** Settings; a missing field has the value of the preset. The command, Python and ROS have the same in snake_case. */
 export interface Settings {
   preset?: "light" | "default" | "strong" | "paper";
@@ -131,7 +128,8 @@ export class Planish {
   private constructor(private readonly core: Core) {}
 
   static async load(options: LoadOptions = {}): Promise<Planish> {
-    const given = options.wasm ?? new URL(MODULE_FILE, import.meta.url);
+    // Next to this file. Bundlers look for this very expression and copy the module.
+    const given = options.wasm ?? new URL("./planish.wasm", import.meta.url);
     const isAddress = typeof given === "string" || given instanceof URL;
     const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
     if (options.webgpu === false) planish.withoutGpu = "WebGPU was not asked for";

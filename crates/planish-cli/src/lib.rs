@@ -8,7 +8,9 @@ mod commands;
 mod exit;
 mod signals;
 
+use std::cell::Cell;
 use std::ffi::OsString;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{ArgAction, CommandFactory, FromArgMatches};
 use planish_bench::errln;
@@ -24,7 +26,21 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     if let Err(error) = signals::install() {
         errln!("warning: {error:#}");
     }
-    let result = match parse(arguments).command {
+    let command = parse(arguments).command;
+    let started = planish::start_shared_threads().map_err(planish::Error::from).map_err(anyhow::Error::from);
+    let result = started.and_then(|()| run_command(command));
+    match result {
+        Ok(code) => code.number(),
+        Err(error) => {
+            signals::wait_if_ending();
+            errln!("error: {error:#}");
+            2
+        }
+    }
+}
+
+fn run_command(command: Command) -> anyhow::Result<exit::ExitCode> {
+    match command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Smooth(args) => commands::smooth::run(&args),
         Command::Clean(args) => commands::clean::run(&args),
@@ -44,14 +60,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Bench(args) => commands::bench::run(&args),
         Command::Completions(args) => commands::manual::completions(&args),
         Command::Man(args) => commands::manual::man(&args),
-    };
-    match result {
-        Ok(code) => code.number(),
-        Err(error) => {
-            signals::wait_if_ending();
-            errln!("error: {error:#}");
-            2
-        }
     }
 }
 
@@ -76,6 +84,31 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
         std::process::exit(error.exit_code());
     });
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// Ends the process because the system refuses memory for `bytes` more: with a sentence, without unfinished files, with
+/// recordings finished.
+#[cold]
+pub fn end_without_memory(bytes: usize) -> ! {
+    thread_local! {
+        static IS_ENDING: Cell<bool> = const { Cell::new(false) };
+    }
+    static IS_CLAIMED: AtomicBool = AtomicBool::new(false);
+    if IS_ENDING.replace(true) {
+        // Not even what follows had enough.
+        std::process::abort();
+    }
+    if IS_CLAIMED.swap(true, Ordering::Relaxed) {
+        // Another thread ends the process.
+        loop {
+            std::thread::park();
+        }
+    }
+    eprintln!("error: out of memory: the system refuses {} KiB more; see --max-memory", bytes.div_ceil(1024));
+    #[cfg(feature = "mcap")]
+    planish::bag::finish_recordings();
+    planish::io::remove_temporaries();
+    std::process::exit(2);
 }
 
 /// Some decoders panic on damaged files. The library catches that and reports the damage; the messages would not help

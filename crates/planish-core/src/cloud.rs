@@ -233,6 +233,13 @@ impl PointCloud {
         (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
     }
 
+    /// Returns the bytes that the fields of a point take, and its coordinates in f64 if they are kept.
+    pub fn field_bytes_per_point(&self) -> usize {
+        let bytes = |field: &Attribute| field.values.scalar_size() * field.count;
+        let exact = if self.exact_m.is_some() { 3 * size_of::<f64>() } else { 0 };
+        exact + self.attributes.iter().map(bytes).sum::<usize>()
+    }
+
     /// Returns the field of that name.
     pub fn attribute(&self, name: &str) -> Option<&Attribute> {
         self.attributes.iter().find(|attribute| attribute.name == name)

@@ -96,6 +96,10 @@ impl PointCloud {
     /// Replaces the fields `red`, `green`, `blue` by PCL's packed `rgb`, or with `alpha` by `rgba`.
     pub fn pack_colour(&mut self) {
         let Some(index) = self.attributes.iter().position(|a| a.name == "red") else { return };
+        // Another field may have the name.
+        if self.attribute("rgb").or(self.attribute("rgba")).is_some() {
+            return;
+        }
         let Some(rgb) = self.rgb() else { return };
         let alpha = self.channel(3).cloned();
         let bits = |i: usize| u32::from_be_bytes([alpha.as_ref().map_or(0, |a| a[i]), rgb[i][0], rgb[i][1], rgb[i][2]]);

@@ -106,6 +106,9 @@ pub enum FrameError {
     /// A cloud without any finite point, where at least one is required.
     #[error("the cloud has no points")]
     NoPoints,
+    /// Coordinates that f32 cannot hold.
+    #[error("a coordinate exceeds 3.4e38 m, the largest in f32")]
+    TooFar,
     /// An invalid sensor pose.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
@@ -211,7 +214,7 @@ pub enum EngineError {
     #[error("smoothing was stopped")]
     Stopped,
     /// The pool of threads could not be started.
-    #[error("cannot start {threads} threads: {reason}")]
+    #[error("cannot start {threads} thread{}: {reason}", if *threads == 1 { "" } else { "s" })]
     Threads {
         /// The requested number.
         threads: usize,

@@ -99,6 +99,7 @@ pub use smoother::Smoother;
 pub use status::{Origin, Status};
 pub use strided::StridedMut;
 pub use temporal::{CameraMotion, TemporalFilter, TemporalParams};
+pub use threads::start_shared_threads;
 pub use timings::FrameTimings;
 pub use view::{Rows, SmoothedView};
 #[cfg(feature = "wgpu-interop")]

@@ -1,6 +1,7 @@
 //! The thread pool of parallel work: the process-wide pool, or one of a given size.
 
 use std::sync::Arc;
+use std::thread;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -12,6 +13,44 @@ pub(crate) const ONE_THREAD: bool = cfg!(target_family = "wasm");
 /// More threads than any machine has cores take minutes to start.
 const MAX_THREADS: usize = 1024;
 
+/// Starts the threads that all parallel work of this process shares, unless they run already: one for each core, or as
+/// many as the environment variable `RAYON_NUM_THREADS` says.
+///
+/// Otherwise the first parallel work starts them, and panics if the system allows no more threads.
+///
+/// # Errors
+/// If the system allows no more threads.
+pub fn start_shared_threads() -> Result<(), EngineError> {
+    if ONE_THREAD {
+        return Ok(());
+    }
+    match ThreadPoolBuilder::new().build_global() {
+        Ok(()) => Ok(()),
+        Err(error) => match std::error::Error::source(&error) {
+            // They run already.
+            None => Ok(()),
+            Some(reason) => {
+                let threads = thread::available_parallelism().map_or(1, usize::from);
+                Err(EngineError::Threads { threads, reason: reason.to_string() })
+            }
+        },
+    }
+}
+
+/// Works on each item on a thread of its own, or on this one where the system allows no more threads. A panic is the
+/// error of its item.
+pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
+    items: impl IntoIterator<Item = I>,
+    work: impl Fn(I) -> T + Sync,
+) -> Vec<thread::Result<T>> {
+    let work = &work;
+    thread::scope(|scope| {
+        let start = |item| thread::Builder::new().spawn_scoped(scope, move || work(item)).map_err(|_| item);
+        let started: Vec<_> = items.into_iter().map(start).collect();
+        started.into_iter().map(|thread| thread.map_or_else(|item| Ok(work(item)), |thread| thread.join())).collect()
+    })
+}
+
 /// A pool of threads, or rayon's global one.
 #[derive(Clone)]
 pub struct Threads(Option<Arc<ThreadPool>>);
@@ -19,7 +58,7 @@ pub struct Threads(Option<Arc<ThreadPool>>);
 impl Threads {
     /// `None` is one thread for each core, shared by the whole process.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
-        let Some(threads) = threads else { return Ok(Self(None)) };
+        let Some(threads) = threads else { return start_shared_threads().map(|()| Self(None)) };
         // On which rayon's global pool then works.
         if ONE_THREAD {
             return Ok(Self(None));

@@ -7,7 +7,9 @@ use std::collections::HashSet;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::{Duration, Instant};
 
 use super::FormatResult;
 use planish_core::FormatError;
@@ -17,12 +19,27 @@ const SUFFIX: &str = ".tmp";
 /// Maximum number of links to follow, as in Linux.
 const MOST_LINKS: usize = 40;
 
+/// How long to wait for other threads when the process ends.
+const PATIENCE: Duration = Duration::from_secs(2);
+
 /// The temporaries being written, and the folders whose stale ones have been removed.
 struct Known {
     temporaries: Option<HashSet<PathBuf>>,
     swept: Option<HashSet<PathBuf>>,
     /// The process is about to end.
     is_over: bool,
+}
+
+static REPLACES_READ_ONLY: AtomicBool = AtomicBool::new(false);
+
+/// From now on, this process may replace files that are read-only, which it refuses otherwise.
+pub fn replace_read_only_files() {
+    REPLACES_READ_ONLY.store(true, Ordering::Relaxed);
+}
+
+/// Returns true if a file exists and is read-only.
+pub fn is_read_only(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|metadata| metadata.is_file() && metadata.permissions().readonly())
 }
 
 static KNOWN: Mutex<Known> = Mutex::new(Known { temporaries: None, swept: None, is_over: false });
@@ -33,7 +50,16 @@ fn known() -> MutexGuard<'static, Known> {
 
 /// Removes the temporary files of this process, which is about to end; from now on it can write none.
 pub fn remove_temporaries() {
-    let mut known = known();
+    // A thread that has no memory left may hold the lock itself.
+    let deadline = Instant::now() + PATIENCE;
+    let mut known = loop {
+        match KNOWN.try_lock() {
+            Ok(known) => break known,
+            Err(TryLockError::Poisoned(known)) => break known.into_inner(),
+            Err(TryLockError::WouldBlock) if Instant::now() > deadline => return,
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
+        }
+    };
     known.is_over = true;
     for file in known.temporaries.take().into_iter().flatten() {
         let _ = fs::remove_file(file);
@@ -41,7 +67,8 @@ pub fn remove_temporaries() {
 }
 
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file
-/// that is replaced keeps its permissions, and its place until the new one is on the disk.
+/// that is replaced keeps its permissions, its owner where this process may set it, and its place until the new one is
+/// on the disk. Read-only files are refused.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
@@ -63,6 +90,7 @@ impl AtomicFile {
         let replaced = check_place(&path)?;
         let temporary = Temporary::new(folder_of(&path))?;
         if let Some(metadata) = &replaced {
+            keep_owner(temporary.file(), metadata);
             temporary.file().set_permissions(metadata.permissions())?;
         }
         Ok(Self { temporary, replaced: replaced.is_some(), path })
@@ -143,6 +171,10 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
         return Err(FormatError::Unsupported("a folder has this name; choose a file name".into()));
     }
+    let is_read_only = |metadata: &fs::Metadata| metadata.permissions().readonly();
+    if replaced.as_ref().is_some_and(is_read_only) && !REPLACES_READ_ONLY.load(Ordering::Relaxed) {
+        return Err(FormatError::Unsupported("it is read-only; make it writable, or write to another file".into()));
+    }
     if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
         return Err(FormatError::Unsupported("a pipe or a device has this name; choose a file name".into()));
     }
@@ -155,6 +187,19 @@ pub fn check_target(path: &Path) -> FormatResult<()> {
     let path = behind_links(path)?;
     check_place(&path)?;
     Temporary::new(folder_of(&path)).map(drop)
+}
+
+/// Gives a new file the owner and the group of the one that it replaces: root may set both, others a group of theirs.
+fn keep_owner(file: &fs::File, replaced: &fs::Metadata) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, fchown};
+        if fchown(file, Some(replaced.uid()), Some(replaced.gid())).is_err() {
+            let _ = fchown(file, None, Some(replaced.gid()));
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = (file, replaced);
 }
 
 /// Returns the folder that a file is in.

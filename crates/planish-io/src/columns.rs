@@ -91,12 +91,10 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
 
 /// Refuses finite coordinates beyond f32's range, which would become holes.
 fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
-    // The difference of two of them must fit too.
-    const LARGEST_M: f64 = 1.7e38;
     for (name, values) in AXES.iter().zip(coordinates) {
-        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > LARGEST_M;
+        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
         if let Some(value) = values.iter().find(is_beyond) {
-            return Err(FormatError::Unsupported(format!("a coordinate {name} is {value:e}; the largest is 1.7e38")));
+            return Err(FormatError::Unsupported(format!("a coordinate {name} is {value:e}; the largest is 3.4e38")));
         }
     }
     Ok(())
@@ -120,7 +118,9 @@ fn origin_of(values: &[f64]) -> f64 {
         .or(values.iter().find(|value| value.is_finite()))
         .copied()
         .unwrap_or(0.0);
-    if middle.abs() > FAR_M { middle.trunc() } else { 0.0 }
+    // Differences of larger ones exceed f32's range.
+    let is_huge = || values.iter().any(|value| value.is_finite() && value.abs() > f64::from(f32::MAX / 2.0));
+    if middle.abs() > FAR_M && !is_huge() { middle.trunc() } else { 0.0 }
 }
 
 /// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.

@@ -36,6 +36,15 @@ impl Contents {
         }
     }
 
+    /// Returns the bytes that a cloud's fields take per point; 0 for depth.
+    pub fn field_bytes_per_point(&self) -> usize {
+        match self {
+            Self::Organized(cloud) => cloud.points.field_bytes_per_point(),
+            Self::General(cloud) => cloud.field_bytes_per_point(),
+            Self::Depth(_) | Self::DepthMetres { .. } => 0,
+        }
+    }
+
     /// Returns true if it is depth and needs a camera.
     pub fn is_depth(&self) -> bool {
         matches!(self, Self::Depth(_) | Self::DepthMetres { .. })

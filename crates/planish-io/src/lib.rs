@@ -68,7 +68,7 @@ mod write;
 mod xyz_text;
 
 pub use adapt::{adapt_fields, losses};
-pub use atomic_write::{remove_temporaries, write_whole};
+pub use atomic_write::{is_read_only, remove_temporaries, replace_read_only_files, write_whole};
 pub use camera_file::{
     CameraFile, camera_to_json, parse_camera, parse_camera_file, read_camera, read_camera_file, unknown_camera_key,
 };
@@ -117,5 +117,6 @@ pub mod internal {
     pub use crate::error_text::{brief, quoted};
     pub use crate::guarded::{catches_panics, guarded};
     pub use crate::pcd::lzf;
+    pub use crate::rgb_png::read_rgb_png_with;
     pub use planish_core::AttributeValues;
 }

@@ -55,8 +55,12 @@ fn encode_animated(images: &[RgbImage], frames_per_second: u16) -> Result<Vec<u8
 
 /// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
 pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
-    let options = ReadOptions::default();
-    let read = || decode(&super::read_bytes(path, &options)?, &options);
+    read_rgb_png_with(path, &ReadOptions::default())
+}
+
+/// Does the same as [`read_rgb_png`] with other options than the default ones.
+pub fn read_rgb_png_with(path: &Path, options: &ReadOptions) -> Result<RgbImage, IoError> {
+    let read = || decode(&super::read_bytes(path, options)?, options);
     read().map_err(IoError::at(path))
 }
 

@@ -8,6 +8,9 @@ use planish_core::{FormatError, IoError, Settings};
 /// The largest settings file accepted, in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
+/// More brackets than settings have.
+const MOST_BRACKETS: usize = 100;
+
 /// Reads settings from a file in JSON or YAML: an object of the fields of [`Settings`].
 ///
 /// # Errors
@@ -28,6 +31,10 @@ pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
 /// As [`read_settings`].
 pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     let text = text.trim_start_matches('\u{feff}');
+    // The YAML parser's time grows with the square of the depth.
+    if text.split(['{', '[']).count() > MOST_BRACKETS {
+        return Err(FormatError::Malformed(format!("settings: more than {MOST_BRACKETS} brackets")));
+    }
     // JSON is not always YAML: tabs may indent it.
     let parsed = match text.trim_start().chars().next() {
         Some('{') => serde_json::from_str(text).map_err(|error| error.to_string()),
@@ -67,6 +74,7 @@ mod tests {
             ("strength: much", "strength = \"much\" is not allowed: 0 (light) to 1 (strong)"),
             ("[1, 2]", "an object of settings"),
             ("preset: light\nstrength: 0.2", "set one of the two"),
+            (&"[".repeat(100_000), "more than 100 brackets"),
         ] {
             let error = parse_settings(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");

@@ -30,6 +30,7 @@ fn main() -> ExitCode {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
+        planish::start_shared_threads()?;
         ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))?;
         node::run(&Arguments::parse(arguments)?, &stop)
     };

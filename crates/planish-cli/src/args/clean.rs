@@ -32,7 +32,7 @@ pub struct CleanArgs {
     pub camera: CameraArgs,
     #[command(flatten)]
     pub encoding: EncodingArgs,
-    /// Allow an output that replaces the input
+    /// Allow an output that replaces the input or a read-only file
     #[arg(long)]
     pub overwrite: bool,
     #[command(flatten)]

@@ -28,7 +28,7 @@ pub struct ConvertArgs {
     pub fields: Vec<String>,
     #[command(flatten)]
     pub encoding: EncodingArgs,
-    /// Allow an output that replaces the input
+    /// Allow an output that replaces the input or a read-only file
     #[arg(long, hide_short_help = true)]
     pub overwrite: bool,
     #[command(flatten)]

@@ -23,7 +23,7 @@ pub use camera::{CameraArgs, Direction, PoseArgs, PosesArgs};
 pub use clean::CleanArgs;
 pub use convert::{CompareArgs, ConvertArgs, MergeArgs, MeshArgs};
 pub use encoding::EncodingArgs;
-pub use read::ReadArgs;
+pub use read::{MemoryArgs, ReadArgs};
 pub use rig::{PoseErrorsArg, RigArgs, RigWayArg};
 pub use smoothing::{
     EdgesArg, EngineArg, GpusArgs, SmoothingArgs, by_option, by_option_of_error, option_of, params_of_voxels,
@@ -158,7 +158,7 @@ pub struct SmoothArgs {
     /// File extension of a folder's results [default: the inputs']
     #[arg(long, value_name = "EXTENSION", hide_short_help = true, help_heading = OUTPUT)]
     pub format: Option<String>,
-    /// Allow an output that replaces the input
+    /// Allow an output that replaces the input or a read-only file
     #[arg(long, hide_short_help = true, help_heading = OUTPUT)]
     pub overwrite: bool,
     /// Smooth despite an unlikely camera, an unlikely range, or a radius over a fifth of a cloud
@@ -210,9 +210,8 @@ pub struct RecoverArgs {
     ///
     /// Whole messages are kept. NAME.mcap.part is renamed to NAME.mcap.
     pub file: PathBuf,
-    /// Memory limit for one chunk, such as 500M or 4G [default: 2G]
-    #[arg(long, value_name = "BYTES", value_parser = read::parse_bytes, hide_short_help = true)]
-    pub max_memory: Option<u64>,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,
@@ -337,6 +336,8 @@ pub struct SourceArgs {
     pub mode: Option<StreamMode>,
     #[command(flatten)]
     pub limits: LimitArgs,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -472,6 +473,8 @@ pub struct EvaluateArgs {
     /// For views: add a viewpoint halfway between adjacent cameras
     #[arg(long, requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub between: bool,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// Print a report as one JSON object
     #[arg(long)]
     pub json: bool,

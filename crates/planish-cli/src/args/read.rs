@@ -4,14 +4,28 @@ use planish::io::{LengthUnit, ReadOptions};
 
 use super::CameraArgs;
 
-#[derive(clap::Args)]
-pub struct ReadArgs {
+/// The memory limit, which every command has that reads data.
+#[derive(Clone, Copy, clap::Args)]
+pub struct MemoryArgs {
     /// Memory limit for file and point data, such as 500M or 4G [default: 2G]
     ///
     /// The program needs about 50 MB in addition, and LAZ another 100 MB. `smooth` and `info` process larger LAS, LAZ
-    /// and PLY files in tiles; other files that need more are refused.
+    /// and PLY files in tiles; other inputs that need more are refused.
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, hide_short_help = true, help_heading = super::ENGINE)]
     pub max_memory: Option<u64>,
+}
+
+impl MemoryArgs {
+    pub fn options(&self) -> ReadOptions {
+        let default = ReadOptions::default();
+        self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
+    }
+}
+
+#[derive(clap::Args)]
+pub struct ReadArgs {
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// Unit of points and of floating-point depth in files that state none: mm, cm, m, inch or ft [default: m]
     ///
     /// They become metres.
@@ -29,8 +43,7 @@ impl ReadArgs {
     }
 
     pub fn read_options(&self) -> ReadOptions {
-        let default = ReadOptions::default().with_unit(self.unit).with_columns(self.columns);
-        self.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes))
+        self.memory.options().with_unit(self.unit).with_columns(self.columns)
     }
 }
 

@@ -46,15 +46,18 @@ pub fn check_is_new(output: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses to overwrite the input without --overwrite; `None` for commands that lack this option.
+/// Refuses to overwrite the input, or a read-only file, without --overwrite; `None` for commands that lack this option.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
-    let can_overwrite = overwrite.is_some();
-    if overwrite != Some(true) && io::is_same_file(input, output) {
-        bail!(
-            "{}: is the input; write to another file{}",
-            output.display(),
-            if can_overwrite { ", or add --overwrite" } else { "" }
-        );
+    if overwrite == Some(true) {
+        io::replace_read_only_files();
+        return Ok(());
+    }
+    let hint = if overwrite.is_some() { ", or add --overwrite" } else { "" };
+    if io::is_same_file(input, output) {
+        bail!("{}: is the input; write to another file{hint}", output.display());
+    }
+    if io::is_read_only(output) {
+        bail!("{}: is read-only; write to another file{hint}", output.display());
     }
     Ok(())
 }

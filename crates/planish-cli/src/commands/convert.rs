@@ -216,6 +216,9 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
         clouds.push((cloud, pose.transpose()?.unwrap_or(SensorPose::IDENTITY)));
     }
     let count = clouds.len();
+    let points = clouds.iter().map(|(cloud, _)| cloud.len()).sum();
+    let fields = clouds.iter().map(|(cloud, _)| cloud.field_bytes_per_point()).max().unwrap_or(0);
+    options.check_work(io::Work::Merge, points, fields).with_context(|| args.out.display().to_string())?;
     let merged = rig::merge(clouds).map_err(Error::from);
     let (mut merged, notes) = merged.with_context(|| format!("{}: nothing is written", args.out.display()))?;
     report_notes(&args.out, &notes);

@@ -27,8 +27,8 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use self::print::{draw_error_over_z, percent, print};
-use super::{ms_since, organized};
-use crate::args::{EvaluateArgs, SmoothingArgs, by_option, option_of};
+use super::{check_work, ms_since, organized};
+use crate::args::{EvaluateArgs, MemoryArgs, SmoothingArgs, by_option, option_of};
 
 /// Full colour in the error maps.
 const ERROR_SCALE_M: f32 = 0.01;
@@ -97,7 +97,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 
 /// Evaluates a real frame, whose truth is unknown.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
-    let contents = io::read(file)?.1;
+    let contents = read_within(&args.memory, file)?;
     if let Contents::General(cloud) = &contents {
         return on_general(args, file, cloud);
     }
@@ -110,7 +110,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
     }
     let (width, height) = (cloud.width(), cloud.height());
     let (points, normals) = match args.results.first() {
-        Some(result) => result_in(result, (width, height))?,
+        Some(result) => result_in(args, result, (width, height))?,
         None => {
             let mut smoothed = Smoothed::default();
             session.smooth(&cloud, &mut smoothed)?;
@@ -141,7 +141,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
 fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
     let (points, normals) = match args.results.first() {
         Some(result) => {
-            let Contents::General(other) = io::read(result)?.1 else {
+            let Contents::General(other) = read_within(&args.memory, result)? else {
                 bail!("{}: has a grid, but {} is an unorganized cloud", result.display(), file.display());
             };
             if other.len() != cloud.len() {
@@ -244,7 +244,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
             raw.add(&case, cloud.positions(), &differences);
             if let Some(folder) = args.results.first() {
                 let (points, normals) =
-                    result_in(&folder.join(format!("{}.pcd", case.name)), (cloud.width(), cloud.height()))?;
+                    result_in(args, &folder.join(format!("{}.pcd", case.name)), (cloud.width(), cloud.height()))?;
                 others.add(&case, &points, &normals);
             }
             for method in &mut methods {
@@ -401,9 +401,17 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     Ok(vec![on_grid(PAPER, FrameParams::paper())?, on_grid("smoothed", params)?])
 }
 
+/// Reads a file that is to be measured.
+fn read_within(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
+    let options = memory.options();
+    let contents = io::read_with(file, &options)?.1;
+    check_work(io::Work::Evaluate, &contents, &options, file)?;
+    Ok(contents)
+}
+
 /// Reads another program's result for a frame of that shape: points and normals.
-fn result_in(file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
-    let (_, Contents::Organized(cloud)) = io::read(file)? else {
+fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
+    let Contents::Organized(cloud) = read_within(&args.memory, file)? else {
         bail!("{}: is not an organized cloud; each point must stay on its pixel", file.display());
     };
     if (cloud.width(), cloud.height()) != (width, height) {

@@ -57,8 +57,7 @@ fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Re
 
 /// Refuses work that needs more memory than allowed.
 fn check_work(work: io::Work, contents: &Contents, options: &io::ReadOptions, file: &Path) -> Result<()> {
-    let (width, height) = contents.shape();
-    options.check_work(work, width * height).with_context(|| file.display().to_string())
+    options.check_work_on(work, contents).with_context(|| file.display().to_string())
 }
 
 /// Returns the organized cloud that a file holds, deprojecting depth with the camera given.

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use planish::Error;
-use planish::source::{OwnedFrame, TumRecorder};
+use planish::source::{OwnedFrame, TumRecorder, unreadable_warning};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
@@ -137,7 +137,9 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
                     break;
                 }
                 unreadable += 1;
-                errln!("warning: {error}");
+                if let Some(warning) = unreadable_warning(&error, unreadable) {
+                    errln!("warning: {warning}");
+                }
             }
         }
     }

@@ -18,9 +18,7 @@ pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
         damaged_chunks: u64,
     }
 
-    let default = planish::io::ReadOptions::default();
-    let options = args.max_memory.map_or(default, |bytes| default.with_max_memory_bytes(bytes));
-    let found = planish::bag::recover(&args.file, &options)?;
+    let found = planish::bag::recover(&args.file, &args.memory.options())?;
     let path = found.path.display().to_string();
     if args.json {
         let planish::bag::Recovered { was_whole, messages, dropped_bytes, damaged_chunks, .. } = found;

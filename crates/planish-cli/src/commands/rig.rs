@@ -24,7 +24,7 @@ use serde::Serialize;
 use super::checks::is_mcap;
 use super::sources::open_named;
 use super::status_line::{StatusLine, ms};
-use crate::args::{LimitArgs, RigArgs, StreamArgs, by_option_of_error, option_of, outputs_of};
+use crate::args::{LimitArgs, RigArgs, SourceArgs, StreamArgs, by_option_of_error, option_of, outputs_of};
 use crate::exit::ExitCode;
 use crate::signals::stop_by;
 
@@ -190,7 +190,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     check_outputs(args, &rig)?;
     // Opening may take seconds; until then a signal ends the command at once.
     let stop = Arc::default();
-    let sources = open_sources(&rig, &args.source.limits, &stop)?;
+    let sources = open_sources(&rig, &args.source, &stop)?;
     stop_by(&stop);
     let mut sinks: Vec<Box<dyn RigSink>> = Vec::new();
     if let Some(folder) = &args.save {
@@ -282,7 +282,8 @@ fn format_of_fused(args: &StreamArgs, format: SinkFormat) -> SinkFormat {
     if format == SinkFormat::DepthPng && args.save_cameras.is_some() { SinkFormat::Pcd } else { format }
 }
 
-fn open_sources(rig: &Rig, limits: &LimitArgs, stop: &Arc<AtomicBool>) -> Result<Vec<Box<dyn Source>>> {
+fn open_sources(rig: &Rig, args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Vec<Box<dyn Source>>> {
+    let limits = &args.limits;
     let names = || rig.cameras.iter().filter_map(|camera| camera.source.as_deref());
     let has_camera = names().any(source::is_camera);
     if limits.reconnect && !has_camera {
@@ -292,7 +293,11 @@ fn open_sources(rig: &Rig, limits: &LimitArgs, stop: &Arc<AtomicBool>) -> Result
         let name = camera.source.as_deref();
         let name = name.with_context(|| format!("camera {}: has no source; add \"source\"", camera.name))?;
         let is_camera = source::is_camera(name);
-        let options = camera.source_options().with_fps(limits.fps.filter(|_| !is_camera)).with_frames(limits.frames);
+        let options = camera
+            .source_options()
+            .with_fps(limits.fps.filter(|_| !is_camera))
+            .with_frames(limits.frames)
+            .with_read_options(args.memory.options());
         let limits = LimitArgs { reconnect: limits.reconnect && is_camera, ..*limits };
         if has_camera && !is_camera && limits.fps.is_none() {
             bail!("camera {}: a recording among live cameras needs --fps", camera.name);

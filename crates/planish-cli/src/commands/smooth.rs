@@ -288,7 +288,8 @@ impl Worker<'_> {
         if depth_out && frame.camera().is_none() {
             bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
         }
-        let (points, times_ms) = self.smooth(input, output, frame, outputs)?;
+        let fields = cloud.as_ref().map_or(0, |cloud| cloud.points.field_bytes_per_point());
+        let (points, times_ms) = self.smooth(input, output, (frame, fields), outputs)?;
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
         for setting in self.settings.unused_by_frames() {
             errln!("{}: {setting} has no effect on frames on a grid", input.display());
@@ -348,7 +349,7 @@ impl Worker<'_> {
         if let (Frame::Points(points), true) = (frame, outputs.normals && !is_stated) {
             report_assumed_sensor(input, points.assumed_sensor_m());
         }
-        self.smooth(input, output, frame, outputs)
+        self.smooth(input, output, (frame, cloud.field_bytes_per_point()), outputs)
     }
 
     /// Returns the parameters for an unorganized cloud.
@@ -361,10 +362,10 @@ impl Worker<'_> {
         &mut self,
         input: &Path,
         output: &Path,
-        frame: Frame<'_>,
+        (frame, field_bytes): (Frame<'_>, usize),
         outputs: Outputs,
     ) -> Result<(PointCounts, SmoothTimes)> {
-        self.check_memory(frame).with_context(|| output.display().to_string())?;
+        self.check_memory(frame, field_bytes).with_context(|| output.display().to_string())?;
         if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
             let hint = match doubt {
                 Doubt::Range { units: None, .. } => "state the unit with --unit; if it is right, add --force",

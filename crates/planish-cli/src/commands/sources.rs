@@ -23,7 +23,8 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_alignment(align.map(Into::into))
         .with_mode(*mode)
         .with_fps(limits.fps)
-        .with_frames(limits.frames);
+        .with_frames(limits.frames)
+        .with_read_options(args.memory.options());
     if limits.reconnect && !source::is_camera(args.name()) {
         bail!("--reconnect applies to cameras; {} is not one", args.name());
     }

@@ -224,6 +224,36 @@ fn the_input_is_not_overwritten_unless_that_is_asked_for() {
 
 #[cfg(unix)]
 #[test]
+fn read_only_files_are_replaced_only_with_overwrite_and_keep_their_owner() {
+    use std::os::unix::fs::{MetadataExt, chown};
+    let (folder, _, path) = with_frame();
+    let output = folder.path().join("kept.pcd");
+    fs::write(&output, "precious").unwrap();
+    // Only root can give files away.
+    let owner = if chown(&output, Some(1234), Some(1234)).is_ok() { 1234 } else { fs::metadata(&path).unwrap().uid() };
+    let mut permissions = fs::metadata(&output).unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&output, permissions).unwrap();
+    let picture = folder.path().join("kept.png");
+    fs::rename(&output, &picture).unwrap();
+    let error = refused(&["render", str(&path), str(&picture)]);
+    assert!(
+        error.contains("kept.png: is read-only; write to another file") && !error.contains("--overwrite"),
+        "{error}"
+    );
+    fs::rename(&picture, &output).unwrap();
+    for command in ["smooth", "convert"] {
+        let error = refused(&[command, str(&path), str(&output)]);
+        assert!(error.contains("kept.pcd: is read-only") && error.contains("--overwrite"), "{error}");
+    }
+    assert_eq!(fs::read(&output).unwrap(), b"precious");
+    ok(&["smooth", str(&path), str(&output), "--overwrite"]);
+    let metadata = fs::metadata(&output).unwrap();
+    assert!(metadata.len() > 1000 && metadata.permissions().readonly() && metadata.uid() == owner);
+}
+
+#[cfg(unix)]
+#[test]
 fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
     let folder = tempfile::tempdir().unwrap();
     let input = folder.path().join("in");

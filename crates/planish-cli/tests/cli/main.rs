@@ -7,8 +7,6 @@ mod folders;
 mod hostile;
 mod live;
 mod measure;
-#[cfg(target_os = "linux")]
-mod mutation;
 mod outputs;
 mod preparation;
 mod rigs;

@@ -17,6 +17,7 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch};
 use crate::params::{CloudParams, EngineParams, FrameParams, Params, Window, WindowSize};
 use crate::smoothed::Smoothed;
 use crate::smoother::{Smoother, check_grid, check_options, for_engine};
+use crate::threads::on_a_thread_each;
 use crate::view::SmoothedView;
 pub use devices::FleetDevice;
 pub use member::{FleetMember, SharedFrame};
@@ -137,11 +138,10 @@ impl Fleet {
             smoother.prepare_in_flight();
             Ok(smoother)
         };
-        let smoothers: Result<Vec<Smoother>, Error> = thread::scope(|scope| {
-            let opening: Vec<_> = devices.iter().map(|device| scope.spawn(move || open(device))).collect();
-            let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
-            opening.into_iter().map(|thread| thread.join().unwrap_or_else(|_| Err(panicked().into()))).collect()
-        });
+        let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
+        let opened = on_a_thread_each(devices, open).into_iter();
+        let smoothers: Result<Vec<Smoother>, Error> =
+            opened.map(|result| result.unwrap_or_else(|_| Err(panicked().into()))).collect();
         let smoothers = smoothers?;
         let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);
         let shared = Arc::new(Shared::new(&smoothers, window));

@@ -3,7 +3,6 @@
 use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::thread;
 
 use rayon::prelude::*;
 
@@ -22,6 +21,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video, VideoStep};
+use crate::threads::on_a_thread_each;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 
@@ -170,11 +170,9 @@ impl Gpu {
     fn compile(&self, adapter: &OpenAdapter) -> Result<(), EngineError> {
         let keys: HashSet<KernelKey> = InputKind::ALL.into_iter().flat_map(|kind| self.kernel_keys(kind)).collect();
         let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
-        thread::scope(|scope| {
-            let compiling: Vec<_> = all.map(|(gpu, key)| scope.spawn(move || gpu.kernel(key).map(drop))).collect();
-            let failed = || Err(self.gpu().failed("a kernel was not compiled"));
-            compiling.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|_| failed()))
-        })
+        let compiled = on_a_thread_each(all, |(gpu, key)| gpu.kernel(key).map(drop));
+        let failed = || Err(self.gpu().failed("a kernel was not compiled"));
+        compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))
     }
 
     /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer

@@ -5,6 +5,7 @@
 
 mod scans;
 
+use std::collections::HashMap;
 use std::io::Cursor;
 
 use e57::{E57Reader, E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
@@ -18,6 +19,8 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 
 /// The field with the number of each point's scan, in files of several scans.
 const SCAN: &str = "scan";
+/// Fields of all scans together.
+const MOST_COLUMNS: usize = 1000;
 /// The field that marks points without a colour.
 const COLOUR_INVALID: &str = "color_invalid";
 /// Standard fields by our names.
@@ -158,11 +161,18 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         .filter(|count| *count <= 8 * bytes.len() as u64)
         .ok_or_else(|| FormatError::Malformed("truncated: its header states more points than the file holds".into()))?;
     let mut columns: Vec<(String, Kind, Vec<f64>)> = Vec::new();
+    let mut column_of: HashMap<String, usize> = HashMap::new();
     for record in scans.iter().flat_map(|scan| &scan.prototype) {
         let (Some(name), kind) = (name_of(&record.name), Kind::of(&record.data_type)) else { continue };
-        match columns.iter_mut().find(|column| column.0 == name) {
-            Some(column) => column.1 = column.1.union(kind),
-            None => columns.push((name, kind, Vec::new())),
+        match column_of.get(&name) {
+            Some(&column) => columns[column].1 = columns[column].1.union(kind),
+            None if columns.len() == MOST_COLUMNS => {
+                return Err(FormatError::Unsupported(format!("more than {MOST_COLUMNS} different fields")));
+            }
+            None => {
+                column_of.insert(name.clone(), columns.len());
+                columns.push((name, kind, Vec::new()));
+            }
         }
     }
     let has_colour = |scan: &e57::PointCloud| scan.prototype.iter().any(|record| record.name == RecordName::ColorRed);
@@ -190,10 +200,12 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         let invalid: Vec<usize> = (0..scan.prototype.len()).filter(|&i| is_invalid(&scan.prototype[i])).collect();
         let (rotation, translation) = pose_of(scan);
         let lacks_colour = marks_colourless && !has_colour(scan);
-        let sources: Vec<Option<usize>> = columns
-            .iter()
-            .map(|(name, ..)| scan.prototype.iter().position(|record| name_of(&record.name).as_ref() == Some(name)))
-            .collect();
+        let mut sources: Vec<Option<usize>> = vec![None; columns.len()];
+        for (i, record) in scan.prototype.iter().enumerate() {
+            if let Some(&column) = name_of(&record.name).and_then(|name| column_of.get(&name)) {
+                sources[column].get_or_insert(i);
+            }
+        }
         let mut values = Vec::with_capacity(scan.prototype.len());
         for point in reader.pointcloud_raw(scan).map_err(damaged)? {
             values.clear();

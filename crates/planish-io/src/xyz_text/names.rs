@@ -7,7 +7,7 @@ use planish_core::FormatError;
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 
 /// Lines with more cells are not searched for names.
-const MOST_NAMED: usize = 1000;
+pub(super) const MOST_NAMED: usize = 1000;
 
 /// Other names of x, y and z: maps and surveys, ParaView, CloudCompare.
 const AXES: [[&str; 3]; 9] = [

@@ -4,7 +4,7 @@ use std::iter::Peekable;
 
 use super::super::{FormatResult, LengthUnit, quoted};
 use super::cells::{Separator, is_comment, number_of, without_empty_end, without_mark};
-use super::names::{names_of, unit_of};
+use super::names::{MOST_NAMED, names_of, unit_of};
 use planish_core::FormatError;
 
 /// More columns than that are named.
@@ -47,6 +47,9 @@ impl Title {
                 title.comments += 1;
             } else if cells.iter().take(3).all(|cell| number_of(cell).is_some()) {
                 break;
+            } else if cells.len() > MOST_NAMED {
+                let count = cells.len();
+                return Err(FormatError::Unsupported(format!("{count} columns; at most {MOST_NAMED} can have names")));
             } else {
                 return Err(FormatError::Malformed(format!(
                     "its first line, {}, is neither numbers nor names of columns with x, y and z",

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::super::columns::{columns_from_cloud, with_values};
 use super::super::{CloudRef, FormatResult};
-use planish_core::{Attribute, AttributeValues};
+use planish_core::{Attribute, AttributeValues, FormatError};
 
 /// Decimals of coordinates far from the origin: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
@@ -39,6 +39,20 @@ pub(crate) enum Heading {
     Names,
 }
 
+/// Returns names as words that no reader splits, none twice.
+fn plain_names(names: &[String]) -> Vec<String> {
+    let is_part = |c: char| !(c.is_whitespace() || c.is_control() || ",;\"'#".contains(c));
+    let mut plain: Vec<String> = Vec::with_capacity(names.len());
+    for name in names {
+        let words = name.split(|c| !is_part(c)).filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_");
+        let base = if words.is_empty() { "field" } else { &words };
+        let numbered = (2..).map(|number| format!("{base}_{number}"));
+        let unused = std::iter::once(base.to_owned()).chain(numbered).find(|word| !plain.contains(word));
+        plain.extend(unused);
+    }
+    plain
+}
+
 /// One line a point.
 pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<u8>> {
     let separator = if heading == Heading::Names { ',' } else { ' ' };
@@ -48,20 +62,17 @@ pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<
     for Attribute { name, count, .. } in &columns {
         names.extend((0..*count).map(|i| if *count == 1 { name.clone() } else { format!("{name}_{i}") }));
     }
+    let names = plain_names(&names);
+    if points.is_empty() && heading == Heading::Comment {
+        let reason = "there are no points, and an empty text file could not be read again; write .csv, .pcd or .ply";
+        return Err(FormatError::Unsupported(reason.into()));
+    }
     let mut text = String::new();
     // Writing to a string does not fail.
     let _ = match heading {
-        Heading::Names => {
-            let quoted =
-                names.iter().map(|name| if name.contains([',', '"']) { format!("{name:?}") } else { name.clone() });
-            writeln!(text, "{}", quoted.collect::<Vec<_>>().join(","))
-        }
+        Heading::Names => writeln!(text, "{}", names.join(",")),
         Heading::Count => writeln!(text, "{}", points.len()),
-        Heading::Comment if columns.len() > 3 => {
-            // Spaces would end a name.
-            let words = names.iter().map(|name| name.split_whitespace().collect::<Vec<_>>().join("_"));
-            writeln!(text, "# {}", words.collect::<Vec<_>>().join(" "))
-        }
+        Heading::Comment if columns.len() > 3 => writeln!(text, "# {}", names.join(" ")),
         Heading::Comment => Ok(()),
     };
     let is_far = points.origin_m != [0.0; 3];

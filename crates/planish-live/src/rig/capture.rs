@@ -5,7 +5,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::{Clock, Matcher, MatcherCounts, Moment};
-use crate::source::{OwnedFrame, Source};
+use crate::source::{OwnedFrame, Source, unreadable_warning};
 use planish_core::{Error, ParamError};
 
 /// The largest time stamp accepted, in seconds from 0: about 30,000 years.
@@ -13,9 +13,6 @@ const LARGEST_TIMESTAMP_S: f64 = 1e12;
 
 /// A live source that failed this many times in a row counts as gone.
 const MOST_FAILURES: u32 = 100;
-
-/// Unreadable frames of a camera that are reported one by one; later ones are only counted.
-const MOST_FAILURES_TOLD: u64 = 5;
 
 /// Frames a second of a recording without time stamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
@@ -154,9 +151,8 @@ impl Inbox {
         let (name, unreadable) = (&self.names[camera], state.cameras[camera].unreadable);
         if is_over {
             state.warnings.push_back(format!("camera {name}: {error}; the other cameras continue"));
-        } else if unreadable <= MOST_FAILURES_TOLD {
-            let only_counted = if unreadable == MOST_FAILURES_TOLD { "; further ones are only counted" } else { "" };
-            state.warnings.push_back(format!("camera {name}: {error}{only_counted}"));
+        } else if let Some(warning) = unreadable_warning(&error, unreadable) {
+            state.warnings.push_back(format!("camera {name}: {warning}"));
         }
         if is_over {
             state.cameras[camera].has_failed = true;

@@ -24,7 +24,7 @@ const MOST_CLOUDS: usize = 256;
 /// ([`PointCloud::scanners_m`]). Returns notes for users too, one clause each.
 ///
 /// # Errors
-/// If a pose is invalid, there are more than 256 clouds, or none has a point.
+/// If a pose is invalid, there are more than 256 clouds, none has a point, or one leaves the range of f32.
 pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, Vec<String>), FrameError> {
     if clouds.len() > MOST_CLOUDS {
         let (what, expected) = ("the clouds to merge".into(), MOST_CLOUDS);
@@ -138,13 +138,19 @@ fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -
             exact.iter_mut().zip(point.to_array()).for_each(|(exact, value)| exact.push(value));
         }
     }
-    let is_far = exact.iter().flatten().any(|value| value.abs() > FAR_M);
+    let largest_m = exact.iter().flatten().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+    if largest_m > f64::from(f32::MAX) {
+        return Err(FrameError::TooFar);
+    }
+    let is_far = largest_m > FAR_M;
     let middle = |values: &Vec<f64>| {
         let mut sample: Vec<f64> = values.iter().step_by(values.len().div_ceil(1000)).copied().collect();
         sample.sort_by(f64::total_cmp);
         sample[sample.len() / 2].round()
     };
-    merged.origin_m = if is_far { [0, 1, 2].map(|axis| middle(&exact[axis])) } else { [0.0; 3] };
+    // Differences of larger ones exceed f32's range.
+    let has_origin = is_far && largest_m <= f64::from(f32::MAX / 2.0);
+    merged.origin_m = if has_origin { [0, 1, 2].map(|axis| middle(&exact[axis])) } else { [0.0; 3] };
     let origin_m = merged.origin_m;
     let relative = |i: usize| [0, 1, 2].map(|axis| (exact[axis][i] - origin_m[axis]) as f32);
     merged.positions = (0..exact[0].len()).map(relative).collect();

@@ -229,7 +229,7 @@ impl Running<'_> {
         }
         let (stopper, is_done) = (self.smoother.stopper(), AtomicBool::new(false));
         thread::scope(|scope| {
-            let watcher = scope.spawn(|| {
+            let watch = || {
                 while !is_done.load(Ordering::Relaxed) {
                     thread::park_timeout(PATIENCE);
                     if stop.load(Ordering::Relaxed) {
@@ -237,7 +237,9 @@ impl Running<'_> {
                         stopper.stop();
                     }
                 }
-            });
+            };
+            let failed = |error: std::io::Error| EngineError::Threads { threads: 1, reason: error.to_string() };
+            let watcher = thread::Builder::new().spawn_scoped(scope, watch).map_err(failed)?;
             let done = Done(&is_done);
             let result = self.run(inbox, stop, tell);
             drop(done);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{OwnedFrame, Source, malformed, with_shape};
 use planish_core::{Camera, DepthFrame, DepthView, Error, IoError};
-use planish_io::{self as io, Contents};
+use planish_io::{self as io, Contents, ReadOptions, Work};
 
 /// Reads the frame files of a folder in the order of the numbers in their names, or repeats one file endlessly.
 pub struct FileSource {
@@ -14,6 +14,7 @@ pub struct FileSource {
     /// The frame of the repeated file.
     repeated: Option<OwnedFrame>,
     repeats: bool,
+    read: ReadOptions,
 }
 
 impl FileSource {
@@ -22,22 +23,33 @@ impl FileSource {
     /// # Errors
     /// If the folder is unreadable or empty, or if the first frame is a depth image and no camera is given.
     pub fn folder(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
+        Self::folder_within(folder, camera, ReadOptions::default())
+    }
+
+    /// Does the same as [`Self::folder`] with other options than the default ones.
+    pub(super) fn folder_within(folder: &Path, camera: Option<Camera>, read: ReadOptions) -> Result<Self, Error> {
         let files = io::frame_files(folder)?;
         let Some(first) = files.first() else {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
         };
         // Without a camera every depth image would fail: refuse at once, before anything is written.
         if camera.is_none()
-            && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read(first)
+            && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read_with(first, &read)
         {
             return Err(needs_camera(first, contents.shape()).into());
         }
-        Ok(Self { files, camera, next: 0, repeated: None, repeats: false })
+        Ok(Self { files, camera, next: 0, repeated: None, repeats: false, read })
     }
 
     /// Reads one file and repeats it endlessly.
     pub fn repeat(file: &Path, camera: Option<Camera>) -> Self {
-        Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true }
+        let read = ReadOptions::default();
+        Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true, read }
+    }
+
+    /// Sets how files are read.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
     }
 }
 
@@ -49,7 +61,7 @@ impl Source for FileSource {
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
-        let frame = read_frame(file, self.camera)?;
+        let frame = read_frame(file, self.camera, &self.read)?;
         // Intrinsics hold for one image size.
         self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
         if self.repeats {
@@ -76,9 +88,10 @@ fn needs_camera(file: &Path, (width, height): (usize, usize)) -> IoError {
 }
 
 /// Reads one frame file; depth needs a camera.
-pub(super) fn read_frame(file: &Path, camera: Option<Camera>) -> Result<OwnedFrame, Error> {
-    let (_, contents) = io::read(file)?;
+pub(super) fn read_frame(file: &Path, camera: Option<Camera>, read: &ReadOptions) -> Result<OwnedFrame, Error> {
+    let (_, contents) = io::read_with(file, read)?;
     let shape = contents.shape();
+    read.check_work_on(Work::Stream, &contents).map_err(IoError::at(file))?;
     let of_shape = |camera: Camera| {
         let camera = with_shape(camera, shape);
         camera.check_shape(shape).map_err(|error| malformed(file, error.to_string()))?;

@@ -25,6 +25,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use planish_core::{Camera, Error, FormatError, IoError, ParamError};
+use planish_io::ReadOptions;
 
 pub use files::FileSource;
 pub use freenect::FreenectRecording;
@@ -77,6 +78,15 @@ pub trait Source: Send {
     fn is_live(&self) -> bool {
         false
     }
+}
+
+/// Returns the warning for the `number`th unreadable frame of a source, from 1; none after the tenth.
+///
+/// A list of a million files that do not exist would fill the terminal.
+pub fn unreadable_warning(error: &Error, number: u64) -> Option<String> {
+    const MOST_TOLD: u64 = 10;
+    let only_counted = if number == MOST_TOLD { "; further unreadable frames are only counted" } else { "" };
+    (number <= MOST_TOLD).then(|| format!("{error}{only_counted}"))
 }
 
 /// Which image of a camera depth and colour are both mapped to.
@@ -174,6 +184,8 @@ pub struct SourceOptions {
     pub mode: Option<StreamMode>,
     /// How many frames will be taken, if that is known. A source that prepares its frames prepares no more.
     pub frames: Option<u64>,
+    /// How files and recordings are read. Frames that a stream could not smooth within the memory limit are refused.
+    pub read: ReadOptions,
 }
 
 impl SourceOptions {
@@ -205,6 +217,11 @@ impl SourceOptions {
     /// Sets the maximum number of frames; `None` for any.
     pub fn with_frames(self, frames: Option<u64>) -> Self {
         Self { frames, ..self }
+    }
+
+    /// Sets how files and recordings are read.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
     }
 
     /// Sets the pace in frames per second; `None` for as fast as possible.
@@ -268,7 +285,8 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         let file = planish_ros2::bag::file_of(path)?;
         if planish_ros2::bag::is_bag(&file) {
             let (topic, camera_info) = (options.topic.as_deref(), options.camera_info_topic.as_deref());
-            return Ok(Box::new(planish_ros2::bag::BagSource::open(&file, topic, camera_info, options.camera)?));
+            let (camera, read) = (options.camera, options.read);
+            return Ok(Box::new(planish_ros2::bag::BagSource::open_with(&file, topic, camera_info, camera, read)?));
         }
         if file.is_file() && planish_ros2::bag::is_named_mcap(&file) {
             return Err(malformed(&file, "not an MCAP recording: its signature is missing").into());
@@ -276,7 +294,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
     }
     refuse_topics(options)?;
     if path.is_file() {
-        return Ok(Box::new(FileSource::repeat(path, options.camera)));
+        return Ok(Box::new(FileSource::repeat(path, options.camera).with_read_options(options.read)));
     }
     if !path.is_dir() {
         let problem =
@@ -287,9 +305,10 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         return Ok(Box::new(FreenectRecording::open(path, options.camera)?));
     }
     if ["associations.txt", "associate.txt", "depth.txt"].iter().any(|file| path.join(file).is_file()) {
-        return Ok(Box::new(TumSource::open(path, options.camera, options.tum_units_per_metre)?));
+        let source = TumSource::open(path, options.camera, options.tum_units_per_metre)?;
+        return Ok(Box::new(source.with_read_options(options.read)));
     }
-    Ok(Box::new(FileSource::folder(path, options.camera)?))
+    Ok(Box::new(FileSource::folder_within(path, options.camera, options.read)?))
 }
 
 /// Refuses topics where there are none.

@@ -11,7 +11,7 @@ use super::files::{file_stem, read_frame};
 use super::{OwnedFrame, Source, malformed, with_shape};
 use crate::new_folder::refuse_used;
 use planish_core::{Camera, DepthFrame, DepthImage, Error, FormatError, IoError, SATURATED_DEPTH};
-use planish_io::{self as io, RgbImage};
+use planish_io::{self as io, ReadOptions, RgbImage};
 
 /// The benchmark's depth units per metre.
 const UNITS_PER_METRE: f64 = 5000.0;
@@ -30,6 +30,7 @@ pub struct TumSource {
     is_assumed: bool,
     entries: Vec<Entry>,
     next: usize,
+    read: ReadOptions,
 }
 
 struct Entry {
@@ -58,7 +59,13 @@ impl TumSource {
         let is_assumed = camera.is_none() && own.is_none();
         let camera = camera.or(own).unwrap_or(Camera::kinect_v1().with_shape((0, 0)));
         let camera = camera.with_depth_units_per_metre(units);
-        Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0 })
+        let read = ReadOptions::default();
+        Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0, read })
+    }
+
+    /// Sets how images are read.
+    pub fn with_read_options(self, read: ReadOptions) -> Self {
+        Self { read, ..self }
     }
 }
 
@@ -67,7 +74,7 @@ impl Source for TumSource {
         let Some(entry) = self.entries.get(self.next) else { return Ok(None) };
         self.next += 1;
         let file = self.folder.join(&entry.depth);
-        let mut frame = read_frame(&file, Some(self.camera))?;
+        let mut frame = read_frame(&file, Some(self.camera), &self.read)?;
         let shape = frame.shape();
         if self.is_assumed && shape != KINECT_SHAPE {
             let problem = format!(
@@ -81,7 +88,7 @@ impl Source for TumSource {
             depth.timestamp_s = Some(entry.timestamp_s);
             if let Some(rgb) = &entry.rgb {
                 let file = self.folder.join(rgb);
-                let image = planish_io::read_rgb_png(&file)?;
+                let image = planish_io::internal::read_rgb_png_with(&file, &self.read)?;
                 if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
                     let problem = format!("the colour is {}x{}, the depth is not", image.width, image.height);
                     return Err(malformed(&file, problem).into());
@@ -100,7 +107,7 @@ impl Source for TumSource {
 /// Returns the lines of a list, split at blanks, without comments.
 fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
     const MAX_BYTES: u64 = 256 << 20;
-    let bytes = io::read_bytes(list, &io::ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
+    let bytes = io::read_bytes(list, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
     let bytes = bytes.map_err(|problem| IoError { path: list.to_path_buf(), problem })?;
     let text = String::from_utf8(bytes).map_err(|_| malformed(list, "is not text"))?;
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));

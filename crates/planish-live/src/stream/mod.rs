@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::source::{OwnedFrame, PreparedSource, Source};
+use crate::source::{OwnedFrame, PreparedSource, Source, unreadable_warning};
 use capture::capture;
 use mailbox::{Arrived, Mailbox, Policy};
 use planish_core::{EngineError, Error, FrameError, IntoFrame, Outputs, ParamError, Session, Smoothed, SmoothedView};
@@ -41,6 +41,9 @@ pub use options::{StreamOptions, StreamParams};
 pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
+
+/// A stream ends after this many frames in a row that cannot be smoothed: a repeated file would fail for ever.
+const MOST_LEFT_OUT: u64 = 1000;
 
 /// How many frames are read ahead from a source that is not live.
 const READ_AHEAD: usize = 4;
@@ -190,6 +193,8 @@ fn run(
             smooth_time: TimeSpent::default(),
             number: 0,
             first_error: None,
+            left_out: 0,
+            left_out_in_a_row: 0,
         };
         let mut result = stream.run(&mailbox, stop, &mut tell);
         if let (0, Some(error), Ok(())) = (stream.statistics.frames_out, stream.first_error.take(), &result) {
@@ -241,6 +246,9 @@ struct Running<'a> {
     number: u64,
     /// Why the first frame that was left out was.
     first_error: Option<Error>,
+    /// Frames that were unreadable or refused: all, and since the last smoothed one.
+    left_out: u64,
+    left_out_in_a_row: u64,
 }
 
 /// A frame that was submitted.
@@ -265,6 +273,10 @@ impl Running<'_> {
                 || self.sinks_are_gone(tell)
                 || self.options.max_duration.is_some_and(|longest| start.elapsed() >= longest);
             if is_over {
+                break;
+            }
+            if self.left_out_in_a_row >= MOST_LEFT_OUT {
+                tell(StreamEvent::Warning(format!("the stream ends: {MOST_LEFT_OUT} frames in a row were left out")));
                 break;
             }
             let in_flight = self.pending.len();
@@ -293,8 +305,7 @@ impl Running<'_> {
                     Err((error, false)) => {
                         // It has a number, too.
                         self.number += 1;
-                        tell(StreamEvent::Warning(error.to_string()));
-                        self.first_error.get_or_insert(error);
+                        self.tell_unreadable(error, tell);
                     }
                 },
                 mailbox::Taken::Nothing if in_flight > 0 => self.receive(tell)?,
@@ -350,8 +361,17 @@ impl Running<'_> {
     /// Leaves a frame out that the engine does not take.
     fn refuse(&mut self, error: FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.statistics.unreadable += 1;
-        tell(StreamEvent::Warning(error.to_string()));
-        self.first_error.get_or_insert_with(|| error.into());
+        self.tell_unreadable(error.into(), tell);
+    }
+
+    /// Reports a frame that is left out, unless too many were.
+    fn tell_unreadable(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) {
+        self.left_out += 1;
+        self.left_out_in_a_row += 1;
+        if let Some(warning) = unreadable_warning(&error, self.left_out) {
+            tell(StreamEvent::Warning(warning));
+        }
+        self.first_error.get_or_insert(error);
     }
 
     /// Receives the oldest result and passes it to the sinks.
@@ -377,6 +397,7 @@ impl Running<'_> {
         let Some(InFlight { frame, name, since }) = self.pending.pop_front() else { return };
         // The engines are done with it.
         let frame = Arc::try_unwrap(frame).unwrap_or_else(|frame| OwnedFrame::clone(&frame));
+        self.left_out_in_a_row = 0;
         let received = Instant::now();
         let latency = received.duration_since(since);
         self.statistics.add(latency);

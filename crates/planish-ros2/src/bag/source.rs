@@ -8,7 +8,7 @@ use super::records::{Next, Records};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
 use crate::ros::{DepthPixels, Header};
 use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame, PointCloud};
-use planish_io::ReadOptions;
+use planish_io::{ReadOptions, Work};
 
 /// Reads the depth images or clouds of a topic in order, with their time stamps.
 pub struct BagSource {
@@ -34,7 +34,20 @@ impl BagSource {
         camera_info_topic: Option<&str>,
         camera: Option<Camera>,
     ) -> Result<Self, Error> {
-        let options = ReadOptions::default();
+        Self::open_with(path, topic, camera_info_topic, camera, ReadOptions::default())
+    }
+
+    /// [`open`](Self::open) with a memory limit. Frames that a stream could not smooth within it are refused.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with(
+        path: &Path,
+        topic: Option<&str>,
+        camera_info_topic: Option<&str>,
+        camera: Option<Camera>,
+        options: ReadOptions,
+    ) -> Result<Self, Error> {
         let topics: Vec<String> = topic.map(str::to_owned).into_iter().collect();
         let survey = Survey::of(path, &options)?;
         let chosen = survey.choose(path, &topics, camera_info_topic, camera.as_ref())?;
@@ -83,6 +96,7 @@ impl BagSource {
         match self.chosen.kind {
             MessageKind::PointCloud2 => self.next_as(|source, log_time, data| {
                 let message = source.chosen.wire.cloud(data)?.into_native()?;
+                source.check_points(message.width as usize * message.height as usize, message.point_step as usize)?;
                 Ok((message.to_cloud()?, seconds(&message.header, log_time)))
             }),
             _ => Ok(None),
@@ -135,11 +149,16 @@ impl BagSource {
         }
     }
 
+    fn check_points(&self, points: usize, field_bytes: usize) -> Result<(), FormatError> {
+        self.options.check_work(Work::Stream, points, field_bytes)
+    }
+
     fn frame(&self, log_time: u64, data: &[u8]) -> Result<OwnedFrame, FormatError> {
         let Chosen { kind, wire, .. } = self.chosen;
         if kind == MessageKind::PointCloud2 {
             let message = wire.cloud(data)?.into_native()?;
             let timestamp_s = Some(seconds(&message.header, log_time));
+            self.check_points(message.width as usize * message.height as usize, message.point_step as usize)?;
             let mut cloud = message.to_organized()?;
             let shape = (cloud.width(), cloud.height());
             cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
@@ -147,7 +166,9 @@ impl BagSource {
         }
         let message = wire.depth(kind, data, &self.options)?;
         let pixels = message.pixels(&self.options)?;
-        let camera = self.chosen.camera(self.camera.as_ref(), pixels.shape())?;
+        let (width, height) = pixels.shape();
+        self.check_points(width * height, 0)?;
+        let camera = self.chosen.camera(self.camera.as_ref(), (width, height))?;
         let timestamp_s = seconds(message.header(), log_time);
         match pixels {
             DepthPixels::Millimetres(image) => {

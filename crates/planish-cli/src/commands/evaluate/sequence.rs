@@ -19,8 +19,8 @@ use planish::{
 use planish_bench::{out, outln};
 use serde::Serialize;
 
-use super::{percent, sensor_of};
-use crate::args::{EvaluateArgs, SequenceArg};
+use super::{percent, read_within, sensor_of};
+use crate::args::{EvaluateArgs, MemoryArgs, SequenceArg};
 use crate::commands::ms_since;
 use crate::exit::ExitCode;
 
@@ -95,7 +95,8 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     let options = SourceOptions::default()
         .with_camera(args.camera.camera_of_any_shape()?)
         .with_tum_units_per_metre(args.camera.depth_units_per_metre)
-        .with_frames(args.frames);
+        .with_frames(args.frames)
+        .with_read_options(args.memory.options());
     let mut source = planish::source::open(&input.display().to_string(), &options)?;
     if source.is_live() {
         bail!("{}: a live source shows every frame only once; record it first", input.display());
@@ -200,6 +201,7 @@ struct Evaluated {
     ways: Vec<Way>,
     /// Folders of other programs, with the files of their frames.
     others: Vec<(String, Vec<PathBuf>)>,
+    memory: MemoryArgs,
     evaluation: Option<VideoEvaluation>,
     /// The pose of the camera at the current frame.
     pose: Option<SensorPose>,
@@ -247,6 +249,7 @@ impl Evaluated {
             frames: 0,
             ways,
             others: others.collect::<Result<_>>()?,
+            memory: args.memory,
             evaluation: None,
             pose: None,
             time_s: None,
@@ -281,7 +284,7 @@ impl Evaluated {
         let mut others_m = Vec::new();
         for (name, files) in &self.others {
             let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
-            others_m.push(depth_in(file, camera, raw_m.len())?);
+            others_m.push(depth_in(&self.memory, file, camera, raw_m.len())?);
         }
         let depth = |way: &Way| depth_of(&way.smoothed.points, &self.sensor_pose);
         let ways_m = self.ways.iter().map(depth).collect::<Result<Vec<_>>>()?;
@@ -368,8 +371,8 @@ fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
 }
 
 /// Reads another program's depth in metres.
-fn depth_in(file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
-    let depth_m: Vec<f32> = match io::read(file)?.1 {
+fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
+    let depth_m: Vec<f32> = match read_within(memory, file)? {
         Contents::Depth(image) => {
             let camera = camera.with_context(|| format!("{}: the unit of depth is unknown", file.display()))?;
             image.raw.iter().map(|&raw| camera.depth_m(raw)).collect()

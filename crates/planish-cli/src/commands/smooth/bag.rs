@@ -81,7 +81,6 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         ("--min-range", args.smoothing.min_range.is_some()),
         ("--max-range", args.smoothing.max_range.is_some()),
         ("--format", writes && args.format.is_some()),
-        ("--max-memory", !(reads && writes) && args.reading.max_memory.is_some()),
         ("--unit", args.reading.unit.is_some()),
         ("--columns", args.reading.columns.is_some()),
         ("--depth-units-per-metre", reads && args.camera.depth_units_per_metre.is_some()),
@@ -214,7 +213,8 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let options = SourceOptions::default()
         .with_camera(args.camera.camera_of_any_shape()?)
         .with_tum_units_per_metre(args.camera.depth_units_per_metre)
-        .with_topics(args.topics.topic.first().cloned(), args.topics.camera_info_topic.clone());
+        .with_topics(args.topics.topic.first().cloned(), args.topics.camera_info_topic.clone())
+        .with_read_options(args.reading.read_options());
     let name = input.to_string_lossy().into_owned();
     let has_points = args.fields.iter().any(|field| *field != FieldArg::None) || wants("pcd") || wants("ply");
     let format = match (holds_depth(&name, &options, wants("png"))? && !has_points, wants("ply")) {

@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use planish::bag::BagSource;
 use planish::io::{self, Encoding};
+use planish::source::unreadable_warning;
 use planish::{Outputs, PointCloud, Session, Settings, Smoothed};
 use planish_bench::{errln, outln};
 
@@ -20,7 +21,8 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
     let topic = args.topics.topic.first().map(String::as_str);
     let camera_topic = args.topics.camera_info_topic.as_deref();
     let camera = args.camera.camera_of_any_shape()?;
-    let is_without_grid = BagSource::open(input, topic, camera_topic, camera)?.has_clouds_without_grid();
+    let read = args.reading.read_options();
+    let is_without_grid = BagSource::open_with(input, topic, camera_topic, camera, read)?.has_clouds_without_grid();
     if !is_without_grid {
         return Ok(None);
     }
@@ -29,7 +31,7 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
         format => format.to_ascii_lowercase(),
     };
     std::fs::create_dir_all(&args.output).with_context(|| args.output.display().to_string())?;
-    let mut source = BagSource::open(input, topic, camera_topic, camera)?;
+    let mut source = BagSource::open_with(input, topic, camera_topic, camera, read)?;
     let outputs = args.outputs();
     let mut session = Session::new(settings.clone())?;
     session.set_outputs(outputs.with_status(true));
@@ -40,8 +42,10 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
             Ok(Some((cloud, _))) => cloud,
             Ok(None) => break,
             Err(error) => {
-                errln!("warning: {error}");
                 unreadable += 1;
+                if let Some(warning) = unreadable_warning(&error, unreadable as u64) {
+                    errln!("warning: {warning}");
+                }
                 continue;
             }
         };

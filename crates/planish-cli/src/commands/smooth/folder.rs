@@ -184,6 +184,11 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
         bail!("{}: is one of the inputs; choose another folder, or add --overwrite", output.display());
     }
+    if args.overwrite {
+        io::replace_read_only_files();
+    } else if let Some(output) = outputs.iter().find(|output| io::is_read_only(output)) {
+        bail!("{}: is read-only; choose another folder, or add --overwrite", output.display());
+    }
     let mut seen = HashMap::new();
     for (input, output) in inputs.iter().zip(&outputs) {
         if let Some(other) = seen.insert(output, input) {
@@ -283,9 +288,11 @@ fn beside_each_other(
         }
     };
     thread::scope(|scope| {
-        for number in 0..workers {
+        // The first works here: the system may allow no more threads.
+        for number in 1..workers {
             let work = &work;
-            scope.spawn(move || work(number));
+            let _ = thread::Builder::new().spawn_scoped(scope, move || work(number));
         }
+        work(0);
     });
 }

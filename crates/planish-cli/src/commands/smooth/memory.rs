@@ -3,9 +3,7 @@
 use super::Worker;
 use anyhow::Result;
 use planish::Frame;
-
-/// Maximum memory per point of an engine and its results (default setting with all outputs: 130 to 150 bytes).
-const ENGINE_BYTES_A_POINT: u64 = 240;
+use planish::io::Work;
 
 /// A frame needs more memory than its worker has.
 #[derive(Debug)]
@@ -21,20 +19,12 @@ impl std::error::Error for NeedsMemory {}
 
 impl Worker<'_> {
     /// Refuses a frame for which an engine and its results need more memory than allowed.
-    pub(super) fn check_memory(&self, frame: Frame<'_>) -> Result<()> {
+    pub(super) fn check_memory(&self, frame: Frame<'_>, field_bytes: usize) -> Result<()> {
         let (width, height) = frame.shape();
         let points = width * height;
-        let needed = points as u64 * ENGINE_BYTES_A_POINT;
-        let allowed = self.read_options().max_memory_bytes;
-        if needed <= allowed {
-            return Ok(());
+        match self.read_options().check_work(Work::Smooth, points, field_bytes) {
+            Ok(()) => Ok(()),
+            Err(error) => Err(NeedsMemory(format!("{points} points: {error} (--max-memory)")).into()),
         }
-        let text = format!(
-            "{points} points need {} MiB of memory, but only {} MiB are allowed; raise --max-memory if the machine \
-             has enough",
-            needed.div_ceil(1 << 20),
-            allowed >> 20
-        );
-        Err(NeedsMemory(text).into())
     }
 }

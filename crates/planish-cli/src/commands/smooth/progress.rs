@@ -17,7 +17,7 @@ pub fn with_progress<T>(progress: Option<Arc<Progress>>, work: impl FnOnce() -> 
     let Some(progress) = progress.filter(|_| std::io::stderr().is_terminal()) else { return work() };
     let is_done = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        let watch = scope.spawn(|| {
+        let show = || {
             let start = Instant::now();
             let style = ProgressStyle::with_template("{bar:40} {percent} %, {eta} left");
             let bar = ProgressBar::hidden().with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
@@ -30,10 +30,13 @@ pub fn with_progress<T>(progress: Option<Arc<Progress>>, work: impl FnOnce() -> 
                 }
             }
             bar.finish_and_clear();
-        });
+        };
+        let watch = std::thread::Builder::new().spawn_scoped(scope, show);
         let result = work();
         is_done.store(true, Ordering::Relaxed);
-        watch.thread().unpark();
+        if let Ok(watch) = watch {
+            watch.thread().unpark();
+        }
         result
     })
 }

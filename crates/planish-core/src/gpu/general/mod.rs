@@ -15,7 +15,6 @@ mod results;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::thread;
 
 use bytemuck::bytes_of;
 
@@ -31,6 +30,7 @@ use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
+use crate::threads::on_a_thread_each;
 use crate::timings::FrameTimings;
 use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES, STATE_BYTES};
 use passes::{Compiled, DIGITS, Pass, TILE};
@@ -81,12 +81,10 @@ impl GeneralGpu {
         let gpu = Arc::clone(&adapter.devices[0]);
         gpu.check_timestamps(options)?;
         // In parallel: drivers compile on the calling thread.
-        let kernels = thread::scope(|scope| {
-            let compile = |pass| Compiled::new(&gpu, pass, &params, outputs, options.bounds_checks);
-            let compiling: Vec<_> = Pass::ALL.into_iter().map(|pass| scope.spawn(move || compile(pass))).collect();
-            let failed = || Err(gpu.failed("a kernel was not compiled"));
-            compiling.into_iter().map(|thread| thread.join().unwrap_or_else(|_| failed())).collect::<Result<_, _>>()
-        })?;
+        let compile = |pass| Compiled::new(&gpu, pass, &params, outputs, options.bounds_checks);
+        let failed = || Err(gpu.failed("a kernel was not compiled"));
+        let compiled = on_a_thread_each(Pass::ALL, compile).into_iter();
+        let kernels = compiled.map(|result| result.unwrap_or_else(|_| failed())).collect::<Result<_, _>>()?;
         // Unorganized clouds have no rays (section 7).
         let uploader = Uploader::new(params);
         let options = options.clone();

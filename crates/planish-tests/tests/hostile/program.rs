@@ -1,0 +1,108 @@
+//! Runs the command with limits, and measures what it used.
+
+use std::fs::{self, File};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Returns the command that the environment variable `PLANISH_COMMAND` names, or this build's.
+///
+/// That one is compiled first if necessary: Cargo tells tests about programs of their own package only.
+pub fn planish() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        if let Some(named) = std::env::var_os("PLANISH_COMMAND") {
+            return named.into();
+        }
+        let test = std::env::current_exe().unwrap();
+        let folder = test.ancestors().nth(2).unwrap();
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.args(["build", "--quiet", "--locked", "-p", "planish-cli"]).current_dir(env!("CARGO_MANIFEST_DIR"));
+        if folder.ends_with("release") {
+            cargo.arg("--release");
+        }
+        assert!(cargo.status().unwrap().success(), "the command does not compile");
+        folder.join("planish")
+    })
+}
+
+/// What a run did and used.
+pub struct Ended {
+    pub status: ExitStatus,
+    pub stdout: String,
+    pub stderr: String,
+    pub peak_bytes: u64,
+    /// It had to be killed.
+    pub too_long: bool,
+}
+
+/// A process that runs in a folder.
+pub struct Running {
+    id: i32,
+    folder: PathBuf,
+}
+
+/// Starts the command in a folder, with its output in files there.
+pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_space_kib: u64) -> Running {
+    let script = format!("ulimit -v {address_space_kib}; exec \"$0\" \"$@\"");
+    let mut command = Command::new("sh");
+    command.args(["-c", &script]).arg(planish()).args(arguments).current_dir(folder);
+    command.stdin(stdin.map_or(Stdio::null(), |path| File::open(path).unwrap().into()));
+    command.stdout(File::create(folder.join("stdout")).unwrap()).stderr(File::create(folder.join("stderr")).unwrap());
+    // Tests in the background inherit that SIGHUP and SIGINT are ignored, which the command respects.
+    // SAFETY: `signal` may be called between fork and exec.
+    unsafe {
+        command.pre_exec(|| {
+            for number in [libc::SIGHUP, libc::SIGINT] {
+                libc::signal(number, libc::SIG_DFL);
+            }
+            Ok(())
+        })
+    };
+    // `wait4` waits for it, and says what it used.
+    #[allow(clippy::zombie_processes)]
+    let child = command.spawn().unwrap();
+    Running { id: i32::try_from(child.id()).unwrap(), folder: folder.to_owned() }
+}
+
+impl Running {
+    /// Waits until it ends, and kills it after `longest`.
+    pub fn wait(self, longest: Duration) -> Ended {
+        let start = Instant::now();
+        let id = self.id;
+        let mut too_long = false;
+        let mut raw = 0;
+        // SAFETY: zeros are a valid value of a struct of integers.
+        let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
+        loop {
+            // SAFETY: both pointers are valid. Nothing else waits for this process.
+            let ended = unsafe { libc::wait4(id, &raw mut raw, libc::WNOHANG, &raw mut usage) };
+            assert!(ended >= 0, "wait4: {}", std::io::Error::last_os_error());
+            if ended == id {
+                break;
+            }
+            if start.elapsed() > longest && !too_long {
+                too_long = true;
+                self.signal(libc::SIGKILL);
+            }
+            thread::sleep(Duration::from_millis(2));
+        }
+        let output = |name: &str| String::from_utf8_lossy(&fs::read(self.folder.join(name)).unwrap()).into_owned();
+        Ended {
+            status: ExitStatus::from_raw(raw),
+            stdout: output("stdout"),
+            stderr: output("stderr"),
+            peak_bytes: usage.ru_maxrss as u64 * 1024,
+            too_long,
+        }
+    }
+
+    /// Sends a signal to it; it may have ended.
+    pub fn signal(&self, number: i32) {
+        // SAFETY: it has not been waited for, so its number is not another's.
+        unsafe { libc::kill(self.id, number) };
+    }
+}
