@@ -4,9 +4,10 @@ use std::fs;
 use std::path::PathBuf;
 
 use planish::Camera;
-use planish::bag::BagSource;
+use planish::bag::{BagSource, recover};
 use planish::internal::lzf::{compress, decompress};
 use planish::io::{Contents, Format, ReadOptions, decode_with, parse_camera};
+use planish::rig::{Rig, calibration};
 use planish::source::{SourceOptions, open};
 
 /// Decodes bytes as a file with the extension of a format.
@@ -36,6 +37,54 @@ pub fn check_bag(bytes: &[u8]) {
         // Frames that cannot be read are errors, and the next may be fine.
         while !matches!(source.next_frame(), Ok(None)) {}
     }
+}
+
+/// Recovers bytes as a recording that was cut off.
+///
+/// # Panics
+/// If a refused file has changed, or a recovered one is not whole.
+pub fn check_recover(bytes: &[u8]) {
+    let path = own_path().with_extension("recovered.mcap");
+    fs::write(&path, bytes).expect("a folder for temporary files");
+    let options = ReadOptions::default().with_max_memory_bytes(256 << 20);
+    match recover(&path, &options) {
+        Ok(_) => assert!(recover(&path, &options).expect("a recording that can be read").was_whole),
+        Err(_) => assert!(fs::read(&path).expect("the file") == bytes, "a refused file has changed"),
+    }
+}
+
+/// Reads text as a rig.json and as a calibration of several cameras.
+///
+/// # Panics
+/// If there is nowhere to write it.
+pub fn check_rig(bytes: &[u8]) {
+    let path = own_path().with_extension("rig");
+    fs::write(&path, bytes).expect("a folder for temporary files");
+    let _ = Rig::read(&path);
+    let _ = calibration::read(&path, &calibration::CalibrationOptions::default());
+}
+
+/// Reads a sound LAZ file with another table of chunks: where it is (if the first byte is odd), and what it contains.
+///
+/// # Panics
+/// If the cloud is not valid.
+pub fn check_laz_chunks(bytes: &[u8]) {
+    let mut file = include_bytes!("../corpus/las/s.laz").to_vec();
+    let field = |at: usize| file.get(at..at + 4).and_then(|field| field.try_into().ok()).map(u32::from_le_bytes);
+    // The header states where points begin; they begin with where the table is.
+    let points = field(96).expect("a header") as usize;
+    let table = field(points).expect("a table") as usize;
+    let Some((first, rest)) = bytes.split_first() else { return };
+    let rest = match rest.split_at_checked(8).filter(|_| first % 2 == 1) {
+        Some((place, rest)) => {
+            file[points..points + 8].copy_from_slice(place);
+            rest
+        }
+        None => rest,
+    };
+    file.truncate(table);
+    file.extend_from_slice(rest);
+    check_decoder(&file, Format::Laz);
 }
 
 /// Reads text as a camera file, of an image of unknown size and of a known one.

@@ -23,7 +23,10 @@ fn check(target: &str, bytes: &[u8]) {
     let format = match target {
         "camera" => return checks::check_camera(std::str::from_utf8(bytes).unwrap()),
         "lzf" => return checks::check_lzf(bytes),
+        "laz_chunks" => return checks::check_laz_chunks(bytes),
         "mcap" => return checks::check_bag(bytes),
+        "recover" => return checks::check_recover(bytes),
+        "rig" => return checks::check_rig(bytes),
         "tum" => return checks::check_tum(bytes),
         "depth_png" => Format::DepthPng,
         "depth_tiff" => Format::DepthTiff,

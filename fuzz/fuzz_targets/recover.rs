@@ -1,0 +1,9 @@
+//! Any bytes as a recording that was cut off: refused and unchanged, or whole afterwards.
+//!
+//! `cargo fuzz run -s none recover`
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| planish_fuzz::check_recover(bytes));
