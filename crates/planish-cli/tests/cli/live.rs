@@ -234,3 +234,22 @@ fn a_camera_that_is_not_there_yet_is_waited_for_and_a_missing_driver_is_not() {
         "{code:?} {said}"
     );
 }
+
+#[cfg(feature = "mcap")]
+#[test]
+fn time_stamps_that_ros_cannot_hold_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (set, recording) = (folder.path().join("set"), folder.path().join("walk.mcap"));
+    ok(&["record", "synthetic", str(&set), "--frames", "1"]);
+    let list = fs::read_to_string(set.join("depth.txt")).unwrap();
+    let image = list.lines().last().unwrap().split_whitespace().nth(1).unwrap().to_owned();
+    let _ = fs::remove_file(set.join("rgb.txt"));
+    for stamp in ["2147483648", "-0.5", "1e18", "1e300"] {
+        fs::write(set.join("depth.txt"), format!("{stamp} {image}\n")).unwrap();
+        let error = refused(&["record", str(&set), str(&recording)]);
+        assert!(error.contains("a time stamp of") && error.contains("2147483647"), "{error}");
+        assert!(!recording.exists() && !recording.with_extension("mcap.part").exists(), "{stamp}");
+    }
+    fs::write(set.join("depth.txt"), format!("2147483647.5 {image}\n")).unwrap();
+    ok(&["record", str(&set), str(&recording)]);
+}

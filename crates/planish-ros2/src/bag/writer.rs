@@ -128,7 +128,7 @@ impl BagWriter {
     pub fn add_depth(&mut self, image: &DepthImage, camera: &Camera, timestamp_s: Option<f64>) -> Result<(), Error> {
         camera.validate()?;
         camera.check_shape((image.width, image.height))?;
-        let header = self.header(timestamp_s);
+        let header = self.header(timestamp_s)?;
         let topic = if camera.distortion.is_none() { RECTIFIED_TOPIC } else { RAW_TOPIC };
         let pixels = depth_pixels(image, camera);
         let info = CameraInfo::of_camera(header.clone(), camera);
@@ -144,7 +144,7 @@ impl BagWriter {
         grid: Option<(usize, usize)>,
         timestamp_s: Option<f64>,
     ) -> Result<(), Error> {
-        let header = self.header(timestamp_s);
+        let header = self.header(timestamp_s)?;
         let message = PointCloud2::of_cloud(header.clone(), cloud, grid)?;
         self.write(POINTS_TOPIC, CLOUD_TYPE, CLOUD, &header, to_cdr(&message))?;
         Ok(self.end_frame()?)
@@ -157,7 +157,7 @@ impl BagWriter {
         rgb: &[u8],
         timestamp_s: Option<f64>,
     ) -> Result<(), Error> {
-        let header = self.header(timestamp_s);
+        let header = self.header(timestamp_s)?;
         let image = Image {
             header: header.clone(),
             height: height as u32,
@@ -173,7 +173,7 @@ impl BagWriter {
     /// Adds where the pixels of the depth image that is added next come from
     /// ([`Smoothed::origin_mask`](planish_core::Smoothed::origin_mask)), on `/camera/depth/origin`.
     pub fn add_origin(&mut self, shape: (usize, usize), mask: Vec<u8>, timestamp_s: Option<f64>) -> Result<(), Error> {
-        let header = self.header(timestamp_s);
+        let header = self.header(timestamp_s)?;
         let image = Image::of_origins(header.clone(), shape, mask);
         Ok(self.write(ORIGIN_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
     }
@@ -204,10 +204,13 @@ impl BagWriter {
         Ok(finished.map_err(IoError::at(&self.path))?)
     }
 
-    fn header(&self, timestamp_s: Option<f64>) -> Header {
+    fn header(&self, timestamp_s: Option<f64>) -> Result<Header, IoError> {
         let seconds = timestamp_s.unwrap_or(f64::from(self.frames) / FRAMES_PER_SECOND);
-        // As f64 seconds, a recent date cannot represent nanoseconds.
-        Header { stamp: Time::from_nanoseconds(1000 * (1e6 * seconds).round() as u64), frame_id: FRAME_ID.into() }
+        let stamp = Time::from_seconds(seconds).ok_or_else(|| {
+            let allowed = "messages of ROS 2 hold 0 to 2147483647 s";
+            IoError::at(&self.path)(FormatError::Unsupported(format!("a time stamp of {seconds} s; {allowed}")))
+        })?;
+        Ok(Header { stamp, frame_id: FRAME_ID.into() })
     }
 
     fn write(

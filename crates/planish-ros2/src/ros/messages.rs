@@ -18,6 +18,13 @@ impl Time {
         f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
     }
 
+    /// Creates the time this many seconds after 0, in whole microseconds: as f64, a recent date has no nanoseconds.
+    /// `None` for times before 0, or after the last one, early in 2038.
+    pub fn from_seconds(seconds: f64) -> Option<Self> {
+        let is_held = (0.0..f64::from(i32::MAX) + 0.999_999).contains(&seconds);
+        is_held.then(|| Self::from_nanoseconds(1000 * (1e6 * seconds).round() as u64))
+    }
+
     /// Creates the time this many nanoseconds after 0, clamped to the latest representable time.
     pub fn from_nanoseconds(nanoseconds: u64) -> Self {
         match i32::try_from(nanoseconds / 1_000_000_000) {
