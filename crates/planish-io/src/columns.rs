@@ -92,7 +92,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
 /// Refuses finite coordinates beyond f32's range, which would become holes.
 fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
     for (name, values) in AXES.iter().zip(coordinates) {
-        let is_beyond = |value: &&f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
+        let is_beyond = |value: &&f64| value.is_finite() && (**value as f32).is_infinite();
         if let Some(value) = values.iter().find(is_beyond) {
             return Err(FormatError::Unsupported(format!("a coordinate {name} is {value:e}; the largest is 3.4e38")));
         }

@@ -6,6 +6,7 @@ mod fuzzed;
 mod hostile;
 mod las;
 mod lost_grid;
+mod odd_values;
 mod ply;
 mod reported;
 mod scanners;
