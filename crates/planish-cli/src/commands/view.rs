@@ -17,7 +17,7 @@ use planish::io::{self, CloudRef, Contents, Encoding, FileRead, Format};
 use planish_bench::outln;
 
 use super::checks::report_notes;
-use super::{organized, read_input};
+use super::{check_work, organized, read_input};
 use crate::args::ViewArgs;
 use crate::signals::stop_flag;
 
@@ -54,6 +54,7 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     let camera_of_depth = if contents.is_depth() { camera.camera(contents.shape())? } else { None };
     let of_file = || args.file.display().to_string();
     let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
+    check_work(io::Work::Encode, &contents, &args.reading.read_options(), &args.file)?;
     // The page reads fewer formats than the command.
     let (extension, bytes) = match contents {
         Contents::Depth(image) => ("png", io::encode_depth(Format::DepthPng, &image)),

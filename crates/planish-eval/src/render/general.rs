@@ -86,7 +86,9 @@ impl DistantView {
         let Self { viewer_from_cloud, left, pixel_m, width, height } = *self;
         let seen = in_frame(&viewer_from_cloud, cloud);
         let valid: Vec<usize> = (0..seen.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
-        let pixel_of = |i: usize| [0, 1].map(|axis| ((f64::from(seen[i][axis]) - left[axis]) / pixel_m).floor() as i64);
+        // Far outside the picture it does not matter where.
+        let pixel = |place: f64| place.floor().clamp(-1e9, 1e9) as i64;
+        let pixel_of = |i: usize| [0, 1].map(|axis| pixel((f64::from(seen[i][axis]) - left[axis]) / pixel_m));
 
         // How far apart the points of an even sheet would be, in pixels.
         let spacing = ((width * height) as f64 / valid.len().max(1) as f64).sqrt();

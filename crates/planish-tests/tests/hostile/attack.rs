@@ -14,7 +14,7 @@ use super::program::{self, Ended};
 use super::samples::{CAMERA, Kind, Sample, samples};
 
 /// Limits of a run: time, address space, and memory beyond `--max-memory`.
-const LONGEST: Duration = Duration::from_secs(10);
+const LONGEST: Duration = Duration::from_secs(20);
 const ADDRESS_SPACE_KIB: u64 = 3 << 19;
 const BEYOND_BYTES: u64 = 100 << 20;
 /// What `--max-memory` allows if it is not given.
@@ -142,9 +142,10 @@ impl<'a> Case<'a> {
         if ended.too_long {
             return Err(format!("took over {LONGEST:?}"));
         }
-        // The C library itself ends a process that has no memory for the destructors of a thread.
-        let is_glibc = printed.contains("Fatal glibc error") && self.attack.address_space_kib < ADDRESS_SPACE_KIB;
-        if is_glibc {
+        // Without memory for what a starting thread needs, the C library and Rust's own end the process.
+        let of_threads = ["Fatal glibc error", "failed to allocate an alternative stack"];
+        let has_little = self.attack.address_space_kib < ADDRESS_SPACE_KIB;
+        if has_little && of_threads.iter().any(|fault| printed.contains(fault)) {
             return Ok(ended);
         }
         if !matches!(code, Some(0..=2))

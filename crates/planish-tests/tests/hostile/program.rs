@@ -20,7 +20,9 @@ pub fn planish() -> &'static Path {
         let test = std::env::current_exe().unwrap();
         let folder = test.ancestors().nth(2).unwrap();
         let mut cargo = Command::new(env!("CARGO"));
-        cargo.args(["build", "--quiet", "--locked", "-p", "planish-cli"]).current_dir(env!("CARGO_MANIFEST_DIR"));
+        // Of the workspace: with the features of its tests, nothing is compiled again.
+        cargo.args(["build", "--quiet", "--locked", "--workspace", "--bin", "planish"]);
+        cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
         if folder.ends_with("release") {
             cargo.arg("--release");
         }
