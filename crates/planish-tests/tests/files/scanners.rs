@@ -436,3 +436,32 @@ fn texts_and_records_beside_the_points_of_an_npz_are_left_out_and_said() {
     assert!(left_out && notes.len() == 3, "{notes:?}");
     assert!(notes[2].contains("[3]") && notes[2].contains("2 points"), "{notes:?}");
 }
+
+/// Returns an E57 file of `scans` scans with a point each, whose `fields` fields have other names in every scan.
+fn with_many_fields(scans: usize, fields: usize) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+    writer.register_extension(e57::Extension::new("own", "https://example.com/own")).unwrap();
+    let single = RecordDataType::Single { min: None, max: None };
+    for scan in 0..scans {
+        let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+        let own = (0..fields)
+            .map(|field| RecordName::Unknown { namespace: "own".into(), name: format!("f{}", scan * fields + field) });
+        let record = |name| Record { name, data_type: single.clone() };
+        let prototype: Vec<Record> = axes.into_iter().chain(own).map(record).collect();
+        let mut scan = writer.add_pointcloud(&format!("{{{scan}}}"), prototype).unwrap();
+        scan.add_point(vec![RecordValue::Single(1.0); 3 + fields]).unwrap();
+        scan.finalize().unwrap();
+    }
+    writer.finalize().unwrap();
+    drop(writer);
+    bytes.into_inner()
+}
+
+#[test]
+fn scans_of_many_different_fields_are_bounded() {
+    let cloud = decode(&with_many_fields(10, 100), Format::E57).unwrap();
+    assert_eq!((cloud.len(), cloud.attributes.len()), (10, 1001));
+    let error = decode(&with_many_fields(40, 100), Format::E57).unwrap_err();
+    assert!(error.contains("more than 1000 different fields"), "{error}");
+}
