@@ -390,7 +390,7 @@ async function start(): Promise<void> {
     if (!response.ok) throw new Error(`${file}: ${response.statusText}`);
     return new File([await response.blob()], decodeURIComponent(file));
   };
-  await openFiles(await Promise.all(named.map(get)));
+  await openFiles(await Promise.all(named.map(get)).catch((error) => (fail(error), [])));
 }
 
 start().catch((error) => {

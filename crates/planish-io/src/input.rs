@@ -60,6 +60,14 @@ pub enum Work {
     Merge,
 }
 
+/// Returns the pixels of a frame with the margin that engines add, for [`ReadOptions::check_work`].
+///
+/// Of a frame one pixel wide, the margin is most of what they hold.
+pub fn padded_pixels(width: usize, height: usize) -> usize {
+    const MARGIN: usize = 8;
+    (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
+}
+
 /// Copies of a cloud's fields at the peak, at most: bytes of the file, columns, results, encoded results. Measured with
 /// LAS's fields as PLY.
 const FIELD_COPIES: usize = 4;
@@ -122,7 +130,13 @@ impl ReadOptions {
     /// Refuses work on contents that needs more memory than the limit, before it begins.
     pub fn check_work_on(&self, work: Work, contents: &Contents) -> FormatResult<()> {
         let (width, height) = contents.shape();
-        self.check_work(work, width * height, contents.field_bytes_per_point())
+        let is_smoothed = matches!(work, Work::Smooth | Work::Stream | Work::Evaluate | Work::Mesh | Work::MeshText);
+        let points = match contents {
+            Contents::General(cloud) => cloud.len(),
+            _ if is_smoothed => padded_pixels(width, height),
+            _ => width * height,
+        };
+        self.check_work(work, points, contents.field_bytes_per_point())
     }
 
     /// Refuses `count` items of `bytes_each` bytes if they exceed the limit.

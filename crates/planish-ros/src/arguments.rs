@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use planish::io::{ReadOptions, read_bytes};
 use ros2_client::ParameterValue;
 use serde_yaml_ng::Value;
 
@@ -21,6 +22,22 @@ pub struct Arguments {
     remappings: Vec<(String, String)>,
     /// Values of parameters; later ones win.
     pub parameters: BTreeMap<String, ParameterValue>,
+}
+
+/// The largest file of parameters, in bytes.
+const MOST_BYTES: u64 = 16 << 20;
+
+/// Parses YAML that does not nest deeply: the parser's time grows with the square of the depth.
+fn yaml(text: &str) -> Result<Value> {
+    const DEEPEST: i64 = 64;
+    let step = |depth: &mut i64, c: char| {
+        *depth += i64::from(matches!(c, '[' | '{')) - i64::from(matches!(c, ']' | '}'));
+        Some(*depth)
+    };
+    if text.chars().scan(0, step).any(|depth| depth > DEEPEST) {
+        bail!("brackets are nested more than {DEEPEST} deep");
+    }
+    Ok(serde_yaml_ng::from_str(text)?)
 }
 
 impl Arguments {
@@ -64,7 +81,7 @@ impl Arguments {
         for assignment in set {
             let (name, value) =
                 assignment.split_once(":=").with_context(|| format!("-p {assignment}: NAME:=VALUE is expected"))?;
-            let value: Value = serde_yaml_ng::from_str(value).with_context(|| format!("-p {assignment}"))?;
+            let value: Value = yaml(value).with_context(|| format!("-p {assignment}"))?;
             // A parameter may be for one node of several.
             let (node, name) = name.split_once(':').unwrap_or((&parsed.node, name));
             if node == parsed.node {
@@ -106,8 +123,10 @@ impl Arguments {
     /// Reads the parameters of this node from a file: those under its name, its full name, or patterns with `*` and
     /// `**`.
     fn read_file(&mut self, path: &Path) -> Result<()> {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let file: Value = serde_yaml_ng::from_str(&text).with_context(|| path.display().to_string())?;
+        let of_file = || path.display().to_string();
+        let options = ReadOptions::default().with_max_memory_bytes(MOST_BYTES);
+        let text = String::from_utf8(read_bytes(path, &options).with_context(of_file)?).with_context(of_file)?;
+        let file = yaml(&text).with_context(of_file)?;
         if !matches!(file, Value::Mapping(_)) {
             bail!("{}: a node's name with ros__parameters is expected", path.display());
         }

@@ -1,6 +1,6 @@
 //! Messages between the thread that receives them and the one that smooths.
 
-use planish::ros::{CameraInfo, DepthMessage, PointCloud2};
+use planish::ros::{CameraInfo, DepthMessage, PointCloud2, Time};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -8,6 +8,15 @@ use std::time::Instant;
 pub enum Arrived {
     Depth(DepthMessage),
     Cloud(PointCloud2),
+}
+
+impl Arrived {
+    fn stamp(&self) -> Time {
+        match self {
+            Self::Depth(message) => message.header().stamp,
+            Self::Cloud(cloud) => cloud.header.stamp,
+        }
+    }
 }
 
 /// Data passed from the receiving to the smoothing thread: the newest message and the newest camera.
@@ -20,6 +29,18 @@ pub struct Inbox {
     pub damaged: u64,
     /// Why no more can be received.
     pub broken: Option<String>,
+    /// The stamp of the last message that was put in.
+    pub last: Time,
+}
+
+impl Inbox {
+    /// Returns true if a message was taken shortly before the last one: best-effort messages may overtake each other. A
+    /// clock that jumps back is no reason.
+    fn is_late(&self, stamp: Time) -> bool {
+        const SHORTLY_S: f64 = 1.0;
+        let after_s = self.last.seconds() - stamp.seconds();
+        after_s > 0.0 && after_s <= SHORTLY_S
+    }
 }
 
 #[derive(Default)]
@@ -36,6 +57,11 @@ impl Shared {
     pub fn put(&self, message: Arrived) {
         let mut inbox = self.lock();
         inbox.received += 1;
+        if inbox.is_late(message.stamp()) {
+            inbox.replaced += 1;
+            return;
+        }
+        inbox.last = message.stamp();
         if inbox.newest.replace((message, Instant::now())).is_some() {
             inbox.replaced += 1;
         }

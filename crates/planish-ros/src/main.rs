@@ -27,6 +27,7 @@ fn main() -> ExitCode {
     set_up_memory();
     // SAFETY: the process has no other thread yet.
     unsafe { planish::silence_vulkan_drivers() };
+    end_on_panics();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let run = || {
@@ -41,6 +42,19 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Ends the process when any thread panics: without its DDS threads, the node would live on and do nothing. Whoever
+/// started it can start it again.
+fn end_on_panics() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        // Some decoders panic on damaged messages, which the library catches.
+        if !planish::io::internal::catches_panics() {
+            usual(panic);
+            std::process::exit(101);
+        }
+    }));
 }
 
 /// Configures the allocator in two ways. Freed messages return to the system; otherwise memory freed on a thread other

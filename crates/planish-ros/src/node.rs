@@ -13,7 +13,8 @@ use planish::ros::{
     CameraInfo, CompressedImage, DepthMessage, Header, Image, MessageError, MessageSmoother, PointCloud2, Time,
     is_rectified,
 };
-use planish::{FormatError, Smoother};
+use planish::{FormatError, Outputs, Smoother};
+use ros2_client::dds::rustdds::{QosPolicies, QosPolicyBuilder, TopicKind, policy::ResourceLimits};
 use ros2_client::{
     Context, ContextOptions, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue, Publisher, QosProfile,
     Subscription, WriteError, log::LogLevel, rosout,
@@ -27,6 +28,9 @@ use crate::settings::{Input, NodeSettings, declared};
 /// How often diagnostics are published, and the same warning is repeated at most.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 const WARN_EVERY: Duration = Duration::from_secs(10);
+/// Messages that reliable subscribers have not acknowledged, per topic. A subscriber that stops holds back all others
+/// from then on, until its lease ends; 20 s with Fast DDS.
+const MOST_UNACKNOWLEDGED: i32 = 32;
 /// How long a wait for a message lasts before the node looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(50);
 
@@ -45,25 +49,30 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let settings = NodeSettings::of(&arguments.parameters)?;
     // An engine that is not there is reported now, not with the first frame.
     let probe = settings.smoothing.frame_params().unwrap_or_default();
-    Smoother::open_with(probe, &settings.smoothing.options(), (640, 480)).context("the engine cannot be opened")?;
+    // Only a session has standard errors.
+    let options = settings.smoothing.options().with_outputs(Outputs::POINTS);
+    Smoother::open_with(probe, &options, (640, 480)).context("the engine cannot be opened")?;
     let changed = Arc::new(Mutex::new(None));
     let options = ContextOptions::new().domain_id(domain_id()?);
     let context = Context::with_options(options).map_err(|error| anyhow!("no DDS participant: {error}"))?;
     let name = NodeName::new(&arguments.namespace, &arguments.node)
         .with_context(|| format!("{}/{}", arguments.namespace, arguments.node))?;
-    let options = node_options(arguments, &changed);
+    let is_running = Arc::new(AtomicBool::new(false));
+    let options = node_options(arguments, &changed, &is_running);
     let mut node = context.new_node(name, options).map_err(|error| anyhow!("no node: {error}"))?;
+    is_running.store(true, Ordering::Relaxed);
 
     let shared = Arc::new(Shared::default());
     let (image_topic, camera_topic) = input_topics(arguments, settings.input);
-    if settings.input == Input::Points && image_topic == arguments.topic("points") {
+    let outputs = ["points", "image_smoothed", "normals", "origin"].map(|name| arguments.topic(name));
+    if outputs.contains(&image_topic) {
         bail!(
             "{image_topic}: the node also publishes on this topic; remap the input or the output, such as -r \
              points:=/another"
         );
     }
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
-    let publishers = publish(&mut node, &settings, arguments)?;
+    let publishers = publish(&context, &mut node, &settings, arguments)?;
     let spinner = node.spinner().map_err(|error| anyhow!("no discovery: {error}"))?;
     // Both threads wait for messages without end; they go with the process.
     thread::Builder::new().name("planish-discovery".into()).spawn(move || block_on(spinner.spin()))?;
@@ -124,7 +133,12 @@ fn input_topics(arguments: &Arguments, input: Input) -> (String, String) {
 }
 
 /// Declares the parameters; a change is checked with all others as they are, and left in `changed`.
-fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<NodeSettings>>>) -> NodeOptions {
+fn node_options(
+    arguments: &Arguments,
+    changed: &Arc<Mutex<Option<NodeSettings>>>,
+    is_running: &Arc<AtomicBool>,
+) -> NodeOptions {
+    let running = Arc::clone(is_running);
     let values = Arc::new(Mutex::new(arguments.parameters.clone()));
     let mut options = NodeOptions::new();
     for (name, default, ..) in declared() {
@@ -143,6 +157,10 @@ fn node_options(arguments: &Arguments, changed: &Arc<Mutex<Option<NodeSettings>>
     };
     let known = Arc::clone(&values);
     let validate = move |name: &str, value: &ParameterValue| {
+        // The client library would forget that the parameter exists.
+        if *value == ParameterValue::NotSet && running.load(Ordering::Relaxed) {
+            return Err(format!("{name} cannot be unset; set it to its default"));
+        }
         let is_fixed = declared().iter().any(|(known, _, changes, _)| *known == name && !changes);
         let known = known.lock().unwrap_or_else(PoisonError::into_inner);
         let current = known
@@ -238,33 +256,50 @@ fn subscription<M: 'static>(node: &mut Node, name: &str, kind: &str, qos: &QosPr
     node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: cannot subscribe: {error}"))
 }
 
+/// Creates a publisher that keeps few messages for reliable subscribers. By default RustDDS keeps 8,192 that are not
+/// acknowledged, which for clouds is 40 GB.
 fn publisher<M: serde::Serialize>(
+    context: &Context,
     node: &mut Node,
     name: &str,
-    message: (&str, &str),
+    (package, kind): (&str, &str),
     qos: &QosProfile,
 ) -> Result<Publisher<M>> {
-    let topic = topic(node, name, message, qos)?;
+    let limits = ResourceLimits {
+        max_samples: MOST_UNACKNOWLEDGED,
+        max_instances: 1,
+        max_samples_per_instance: MOST_UNACKNOWLEDGED,
+    };
+    let limits = QosPolicyBuilder::new().resource_limits(limits).build();
+    let policies = QosPolicies::from(qos).modify_by(&limits);
+    Name::parse(name).with_context(|| name.to_owned())?;
+    // Its names are absolute.
+    let dds_name = format!("rt{name}");
+    let dds_type = MessageTypeName::new(package, kind).dds_msg_type();
+    let participant = context.domain_participant();
+    let topic = participant.create_topic(dds_name, dds_type, &policies, TopicKind::NoKey);
+    let topic = topic.map_err(|error| anyhow!("{name}: {error}"))?;
     node.create_publisher(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: cannot publish: {error}"))
 }
 
-fn publish(node: &mut Node, settings: &NodeSettings, arguments: &Arguments) -> Result<Publishers> {
+fn publish(context: &Context, node: &mut Node, settings: &NodeSettings, arguments: &Arguments) -> Result<Publishers> {
     let qos = settings.publisher_qos();
     let depth = arguments.topic("image_smoothed");
     let compressed = match settings.input {
         Input::CompressedDepth => {
             let topic = format!("{depth}/compressedDepth");
-            Some(publisher(node, &topic, ("sensor_msgs", "CompressedImage"), &qos)?)
+            Some(publisher(context, node, &topic, ("sensor_msgs", "CompressedImage"), &qos)?)
         }
         _ => None,
     };
     Ok(Publishers {
-        points: publisher(node, &arguments.topic("points"), ("sensor_msgs", "PointCloud2"), &qos)?,
-        depth: publisher(node, &depth, ("sensor_msgs", "Image"), &qos)?,
+        points: publisher(context, node, &arguments.topic("points"), ("sensor_msgs", "PointCloud2"), &qos)?,
+        depth: publisher(context, node, &depth, ("sensor_msgs", "Image"), &qos)?,
         compressed,
-        normals: publisher(node, &arguments.topic("normals"), ("sensor_msgs", "Image"), &qos)?,
-        origin: publisher(node, &arguments.topic("origin"), ("sensor_msgs", "Image"), &qos)?,
+        normals: publisher(context, node, &arguments.topic("normals"), ("sensor_msgs", "Image"), &qos)?,
+        origin: publisher(context, node, &arguments.topic("origin"), ("sensor_msgs", "Image"), &qos)?,
         diagnostics: publisher(
+            context,
             node,
             &arguments.topic("/diagnostics"),
             ("diagnostic_msgs", "DiagnosticArray"),

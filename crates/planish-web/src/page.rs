@@ -5,8 +5,8 @@ use std::path::Path;
 use std::rc::Rc;
 
 use planish::io::{
-    Contents, Encoding, Format, ReadOptions, camera_to_json, decode_with, encode_cloud, encode_depth, parse_settings,
-    settings_to_json,
+    Contents, Encoding, Format, ReadOptions, Work, camera_to_json, decode_with, encode_cloud, encode_depth,
+    parse_settings, settings_to_json,
 };
 use planish::render::{DistantView, normals_of};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
@@ -160,6 +160,8 @@ impl Page {
             }
             error => format!("{name}: {error}"),
         })?;
+        let work = ReadOptions::default().check_work_on(Work::Smooth, &contents);
+        work.map_err(|error| format!("{name}: {error}"))?;
         self.hold(contents, format.name())
     }
 

@@ -24,7 +24,8 @@ use crate::signals::stop_flag;
 /// The page, if this build has it: names below its folder, and contents.
 const PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
-/// How long a request, and each write of an answer, may take.
+/// How long a request may take, which comes from this machine, and each write of an answer.
+const REQUEST_PATIENCE: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Maximum size of a request in bytes.
@@ -146,14 +147,15 @@ fn open_browser(address: &str) {
         _ if ["DISPLAY", "WAYLAND_DISPLAY"].iter().all(|name| std::env::var_os(name).is_none()) => return,
         _ => ("xdg-open", &[]),
     };
+    let mut command = Command::new(program);
+    command.args(arguments).arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    // Ctrl-C ends the server, not the browser.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
     // Failure is fine: the address is printed.
-    let _ = Command::new(program)
-        .args(arguments)
-        .arg(address)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn();
+    if let Ok(mut started) = command.spawn() {
+        let _ = std::thread::Builder::new().spawn(move || started.wait());
+    }
 }
 
 /// Answers requests until a signal comes.
@@ -186,7 +188,7 @@ fn serve(listener: &TcpListener, served: &Arc<Served>) -> Result<ExitCode> {
 fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let (mut request, deadline) = (Vec::new(), Instant::now() + PATIENCE);
+    let (mut request, deadline) = (Vec::new(), Instant::now() + REQUEST_PATIENCE);
     while !request.windows(4).any(|end| end == b"\r\n\r\n") && request.len() < LONGEST_REQUEST {
         let left = deadline.saturating_duration_since(Instant::now());
         if left.is_zero() {
@@ -213,7 +215,8 @@ fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     write!(
         stream,
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
-         Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n",
+         Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n\
+         Cross-Origin-Resource-Policy: same-origin\r\nConnection: close\r\n\r\n",
         body.len()
     )?;
     stream.write_all(body)

@@ -8,7 +8,7 @@ use super::records::{Next, Records};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
 use crate::ros::{DepthPixels, Header};
 use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame, PointCloud};
-use planish_io::{ReadOptions, Work};
+use planish_io::{ReadOptions, Work, padded_pixels};
 
 /// Reads the depth images or clouds of a topic in order, with their time stamps.
 pub struct BagSource {
@@ -96,7 +96,7 @@ impl BagSource {
         match self.chosen.kind {
             MessageKind::PointCloud2 => self.next_as(|source, log_time, data| {
                 let message = source.chosen.wire.cloud(data)?.into_native()?;
-                source.check_points(message.width as usize * message.height as usize, message.point_step as usize)?;
+                source.check_points((message.width as usize, message.height as usize), message.point_step as usize)?;
                 Ok((message.to_cloud()?, seconds(&message.header, log_time)))
             }),
             _ => Ok(None),
@@ -149,7 +149,8 @@ impl BagSource {
         }
     }
 
-    fn check_points(&self, points: usize, field_bytes: usize) -> Result<(), FormatError> {
+    fn check_points(&self, (width, height): (usize, usize), field_bytes: usize) -> Result<(), FormatError> {
+        let points = if height > 1 { padded_pixels(width, height) } else { width };
         self.options.check_work(Work::Stream, points, field_bytes)
     }
 
@@ -158,7 +159,7 @@ impl BagSource {
         if kind == MessageKind::PointCloud2 {
             let message = wire.cloud(data)?.into_native()?;
             let timestamp_s = Some(seconds(&message.header, log_time));
-            self.check_points(message.width as usize * message.height as usize, message.point_step as usize)?;
+            self.check_points((message.width as usize, message.height as usize), message.point_step as usize)?;
             let mut cloud = message.to_organized()?;
             let shape = (cloud.width(), cloud.height());
             cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
@@ -167,7 +168,7 @@ impl BagSource {
         let message = wire.depth(kind, data, &self.options)?;
         let pixels = message.pixels(&self.options)?;
         let (width, height) = pixels.shape();
-        self.check_points(width * height, 0)?;
+        self.check_points((width, height), 0)?;
         let camera = self.chosen.camera(self.camera.as_ref(), (width, height))?;
         let timestamp_s = seconds(message.header(), log_time);
         match pixels {

@@ -1,7 +1,5 @@
 //! Clouds: `PointCloud2`, of which everything but the positions is kept as it is.
 
-use std::collections::BTreeSet;
-
 use super::{Header, PointCloud2, PointField};
 use planish_core::{FormatError, PointLayout, PointsView, Scalar, Smoothed, Status, Xyz};
 use planish_io::internal::quoted;
@@ -140,13 +138,19 @@ impl PointCloud2 {
         // Checks that all fields lie in their points, and all points in the data.
         self.is_bigendian = cfg!(target_endian = "big");
         self.view()?;
-        // Fields may share their bytes, as rgb and rgba do: each value once.
-        let values = |field: &PointField| {
+        // Fields may share their bytes, as rgb and rgba do: each value once. Thousands of fields may claim the same.
+        let mut bytes_at = vec![0u8; self.point_step as usize];
+        for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).unwrap_or(1);
-            let offset = field.offset as usize;
-            (0..field.count.max(1) as usize).map(move |k| (offset + k * bytes, bytes))
-        };
-        let swapped: BTreeSet<(usize, usize)> = self.fields.iter().flat_map(values).collect();
+            let values = (0..field.count.max(1) as usize).map(|k| field.offset as usize + k * bytes);
+            for offset in values.filter(|_| bytes > 1) {
+                if let Some(known) = bytes_at.get_mut(offset) {
+                    *known = (*known).max(bytes as u8);
+                }
+            }
+        }
+        let swapped = bytes_at.iter().enumerate().filter(|(_, bytes)| **bytes > 1);
+        let swapped: Vec<(usize, usize)> = swapped.map(|(offset, bytes)| (offset, usize::from(*bytes))).collect();
         for at in self.point_offsets() {
             for &(offset, bytes) in &swapped {
                 if let Some(value) = self.data.get_mut(at + offset..at + offset + bytes) {

@@ -7,7 +7,7 @@ use planish_core::{
     Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
     ParamError, PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
 };
-use planish_io::ReadOptions;
+use planish_io::{ReadOptions, Work, padded_pixels};
 
 /// Why a message was not smoothed.
 #[derive(Debug, thiserror::Error)]
@@ -261,7 +261,11 @@ impl MessageSmoother {
         depth: bool,
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
-        let pixels = message.pixels(&self.read)?;
+        // A few compressed bytes may announce a gigabyte, and smoothing needs 60 times as much as four bytes a pixel.
+        let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / 60);
+        let pixels = message.pixels(&decoding)?;
+        let (width, height) = pixels.shape();
+        self.read.check_work(Work::Smooth, padded_pixels(width, height), 0)?;
         self.session.set_frame_time(Some(message.header().stamp.seconds()));
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
@@ -285,6 +289,9 @@ impl MessageSmoother {
     /// # Errors
     /// If the message contradicts itself, or the engine fails.
     pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
+        let (width, height) = (cloud.width as usize, cloud.height as usize);
+        let points = if height > 1 { padded_pixels(width, height) } else { width };
+        self.read.check_work(Work::Smooth, points, cloud.point_step as usize)?;
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
         self.session.set_frame_time(Some(cloud.header.stamp.seconds()));

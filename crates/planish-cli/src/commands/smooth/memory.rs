@@ -3,7 +3,7 @@
 use super::Worker;
 use anyhow::Result;
 use planish::Frame;
-use planish::io::Work;
+use planish::io::{Work, padded_pixels};
 
 /// A frame needs more memory than its worker has.
 #[derive(Debug)]
@@ -21,10 +21,10 @@ impl Worker<'_> {
     /// Refuses a frame for which an engine and its results need more memory than allowed.
     pub(super) fn check_memory(&self, frame: Frame<'_>, field_bytes: usize) -> Result<()> {
         let (width, height) = frame.shape();
-        let points = width * height;
+        let points = if frame.grid().is_some() { padded_pixels(width, height) } else { width * height };
         match self.read_options().check_work(Work::Smooth, points, field_bytes) {
             Ok(()) => Ok(()),
-            Err(error) => Err(NeedsMemory(format!("{points} points: {error} (--max-memory)")).into()),
+            Err(error) => Err(NeedsMemory(format!("{width} x {height}: {error} (--max-memory)")).into()),
         }
     }
 }
