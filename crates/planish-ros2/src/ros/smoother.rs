@@ -289,9 +289,6 @@ impl MessageSmoother {
     /// # Errors
     /// If the message contradicts itself, or the engine fails.
     pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
-        let (width, height) = (cloud.width as usize, cloud.height as usize);
-        let points = if height > 1 { padded_pixels(width, height) } else { width };
-        self.read.check_work(Work::Smooth, points, cloud.point_step as usize)?;
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
         self.session.set_frame_time(Some(cloud.header.stamp.seconds()));
@@ -299,6 +296,9 @@ impl MessageSmoother {
         if view.is_empty() {
             return Ok(cloud);
         }
+        let (width, height) = (cloud.width as usize, cloud.height as usize);
+        let points = if height > 1 { padded_pixels(width, height) } else { view.len() };
+        self.read.check_work(Work::Smooth, points, cloud.point_step as usize)?;
         self.smooth(Frame::Points(view), self.cloud_outputs(view.grid().is_some()))?;
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
