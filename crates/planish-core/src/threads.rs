@@ -21,20 +21,16 @@ const MAX_THREADS: usize = 1024;
 /// # Errors
 /// If the system allows no more threads.
 pub fn start_shared_threads() -> Result<(), EngineError> {
-    if ONE_THREAD {
-        return Ok(());
+    // Not even compiled there, so that a page need not load it.
+    #[cfg(not(target_family = "wasm"))]
+    if let Err(error) = ThreadPoolBuilder::new().build_global()
+        && let Some(reason) = std::error::Error::source(&error)
+    {
+        // Otherwise they run already.
+        let threads = thread::available_parallelism().map_or(1, usize::from);
+        return Err(EngineError::Threads { threads, reason: reason.to_string() });
     }
-    match ThreadPoolBuilder::new().build_global() {
-        Ok(()) => Ok(()),
-        Err(error) => match std::error::Error::source(&error) {
-            // They run already.
-            None => Ok(()),
-            Some(reason) => {
-                let threads = thread::available_parallelism().map_or(1, usize::from);
-                Err(EngineError::Threads { threads, reason: reason.to_string() })
-            }
-        },
-    }
+    Ok(())
 }
 
 /// Works on each item on a thread of its own, or on this one where the system allows no more threads. A panic is the
@@ -43,6 +39,9 @@ pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
     items: impl IntoIterator<Item = I>,
     work: impl Fn(I) -> T + Sync,
 ) -> Vec<thread::Result<T>> {
+    if ONE_THREAD {
+        return items.into_iter().map(|item| Ok(work(item))).collect();
+    }
     let work = &work;
     thread::scope(|scope| {
         let start = |item| thread::Builder::new().spawn_scoped(scope, move || work(item)).map_err(|_| item);

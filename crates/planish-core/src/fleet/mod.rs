@@ -17,7 +17,7 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch};
 use crate::params::{CloudParams, EngineParams, FrameParams, Params, Window, WindowSize};
 use crate::smoothed::Smoothed;
 use crate::smoother::{Smoother, check_grid, check_options, for_engine};
-use crate::threads::on_a_thread_each;
+use crate::threads::{ONE_THREAD, on_a_thread_each};
 use crate::view::SmoothedView;
 pub use devices::FleetDevice;
 pub use member::{FleetMember, SharedFrame};
@@ -126,6 +126,10 @@ impl Fleet {
     ) -> Result<Self, Error> {
         if devices.is_empty() {
             let reason = "a fleet needs at least one device".to_owned();
+            return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
+        }
+        if ONE_THREAD {
+            let reason = "it needs a thread for each device".to_owned();
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
         }
         let cpu = options.clone().with_threads(options.threads.or_else(|| threads_beside(devices)));
