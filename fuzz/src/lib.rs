@@ -64,7 +64,7 @@ pub fn check_rig(bytes: &[u8]) {
     let _ = calibration::read(&path, &calibration::CalibrationOptions::default());
 }
 
-/// Reads a sound LAZ file with another table of chunks: where it is (if the first byte is odd), and what it contains.
+/// Reads a sound LAZ file whose table of chunks is replaced; if the first byte is odd, its position too.
 ///
 /// # Panics
 /// If the cloud is not valid.

@@ -86,8 +86,8 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// Ends the process because the system refuses memory for `bytes` more: with a sentence, without unfinished files, with
-/// recordings finished.
+/// Ends the process because the system refuses `bytes` more: prints an error, removes unfinished files, finishes
+/// recordings.
 #[cold]
 pub fn end_without_memory(bytes: usize) -> ! {
     thread_local! {
@@ -95,7 +95,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     }
     static IS_CLAIMED: AtomicBool = AtomicBool::new(false);
     if IS_ENDING.replace(true) {
-        // Not even what follows had enough.
+        // The steps below had too little memory, too.
         std::process::abort();
     }
     if IS_CLAIMED.swap(true, Ordering::Relaxed) {

@@ -3,13 +3,13 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::process::ExitCode;
 
-/// The system's allocator. Where the system refuses memory, the process ends with a sentence instead of an abort.
+/// The system's allocator, but a failure ends the process with an error instead of an abort.
 struct OrEnd;
 
 // SAFETY: all memory is the system allocator's, and nothing is returned when it returns null.
 unsafe impl GlobalAlloc for OrEnd {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: the caller's promises are those that the system's allocator needs.
+        // SAFETY: the system's allocator has the same requirements as this function.
         or_end(unsafe { System.alloc(layout) }, layout.size())
     }
 

@@ -33,8 +33,8 @@ pub fn start_shared_threads() -> Result<(), EngineError> {
     Ok(())
 }
 
-/// Works on each item on a thread of its own, or on this one where the system allows no more threads. A panic is the
-/// error of its item.
+/// Works on each item on a new thread, or on the calling one where the system allows no more. A panic is the error of
+/// its item.
 pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
     items: impl IntoIterator<Item = I>,
     work: impl Fn(I) -> T + Sync,

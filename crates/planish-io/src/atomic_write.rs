@@ -50,7 +50,7 @@ fn known() -> MutexGuard<'static, Known> {
 
 /// Removes the temporary files of this process, which is about to end; from now on it can write none.
 pub fn remove_temporaries() {
-    // A thread that has no memory left may hold the lock itself.
+    // If the process ends for lack of memory, this thread may already hold the lock.
     let deadline = Instant::now() + PATIENCE;
     let mut known = loop {
         match KNOWN.try_lock() {

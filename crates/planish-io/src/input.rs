@@ -62,7 +62,7 @@ pub enum Work {
 
 /// Returns the pixels of a frame with the margin that engines add, for [`ReadOptions::check_work`].
 ///
-/// Of a frame one pixel wide, the margin is most of what they hold.
+/// Engines hold mostly margin when a frame is one pixel wide.
 pub fn padded_pixels(width: usize, height: usize) -> usize {
     const MARGIN: usize = 8;
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
@@ -121,8 +121,8 @@ impl ReadOptions {
         Self { columns, ..self }
     }
 
-    /// Refuses work on points that needs more memory than the limit, before it begins. Their fields take so many bytes
-    /// per point: see [`PointCloud::field_bytes_per_point`](planish_core::PointCloud::field_bytes_per_point).
+    /// Refuses work on points that needs more memory than the limit, before it begins. `field_bytes` is
+    /// [`PointCloud::field_bytes_per_point`](planish_core::PointCloud::field_bytes_per_point).
     pub fn check_work(&self, work: Work, points: usize, field_bytes: usize) -> FormatResult<()> {
         self.check(points, work.bytes_per_point() + FIELD_COPIES * field_bytes)
     }

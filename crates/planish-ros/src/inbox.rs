@@ -34,8 +34,8 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Returns true if a message was taken shortly before the last one: best-effort messages may overtake each other. A
-    /// clock that jumps back is no reason.
+    /// Returns true if a message is up to a second older than the last one: best-effort messages overtake each other.
+    /// After a larger jump, the clock was set back.
     fn is_late(&self, stamp: Time) -> bool {
         const SHORTLY_S: f64 = 1.0;
         let after_s = self.last.seconds() - stamp.seconds();

@@ -44,8 +44,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Ends the process when any thread panics: without its DDS threads, the node would live on and do nothing. Whoever
-/// started it can start it again.
+/// Ends the process when any thread panics, so that a launch file can restart it: without its DDS threads, the node
+/// would live on and do nothing.
 fn end_on_panics() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

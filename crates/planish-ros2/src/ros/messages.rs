@@ -18,7 +18,7 @@ impl Time {
         f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
     }
 
-    /// Creates the time this many seconds after 0, in whole microseconds: as f64, a recent date has no nanoseconds.
+    /// Creates the time this many seconds after 0, rounded to microseconds: f64 has no more digits for a recent date.
     /// `None` for times before 0, or after the last one, early in 2038.
     pub fn from_seconds(seconds: f64) -> Option<Self> {
         let is_held = (0.0..f64::from(i32::MAX) + 0.999_999).contains(&seconds);

@@ -1,11 +1,11 @@
-//! Clouds with odd values in every format: written files give back what was meant, or nothing is written.
+//! Clouds with odd values in every format: the file returns the same values, or the writer refuses.
 
 use planish::io::{self, Contents, Encoding, ReadOptions};
 use planish::{PointCloud, Precision, Xyz};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Extensions, and the largest error of a coordinate in metres, besides that of f32 relative to the origin.
+/// Extension, encoding, and the largest error of a coordinate in metres beyond the rounding to f32.
 const FORMATS: [(&str, Encoding, f64); 14] = [
     ("pcd", Encoding::Ascii, 0.0),
     ("pcd", Encoding::Binary, 0.0),
@@ -81,7 +81,7 @@ fn check(cloud: &PointCloud, (extension, encoding, error_m): (&str, Encoding, f6
     for (meant, got) in meant.iter().zip(&got) {
         for axis in 0..3 {
             let origin_m = cloud.origin_m[axis];
-            // Where the user wants 4 bytes, or the format has no more, far coordinates are rounded.
+            // Four bytes round far coordinates.
             let is_rounded = cloud.position_columns.precision == Precision::F32 || extension == "bin";
             let size = if is_rounded { meant[axis].abs() } else { (meant[axis] - origin_m).abs() };
             let allowed = error_m + 2e-7 * size + 1e-12 * meant[axis].abs() + 1e-30;

@@ -17,7 +17,7 @@ use super::samples::{CAMERA, Kind, Sample, samples};
 const LONGEST: Duration = Duration::from_secs(20);
 const ADDRESS_SPACE_KIB: u64 = 3 << 19;
 const BEYOND_BYTES: u64 = 100 << 20;
-/// What `--max-memory` allows if it is not given.
+/// The default of `--max-memory`.
 const USUAL_BYTES: u64 = 2 << 30;
 
 /// Options with a value that may be extreme.
@@ -90,7 +90,7 @@ pub fn run(files: usize, seed: u64) {
     assert!(only.is_some() || succeeded > files / 10, "{succeeded} of {files}");
 }
 
-/// A changed file, in a folder of its own.
+/// A changed file in a new folder.
 struct Case<'a> {
     sound: &'a Path,
     folder: tempfile::TempDir,
@@ -120,7 +120,7 @@ impl<'a> Case<'a> {
             _ => folder.path().to_owned(),
         };
         if matches!(sample.kind, Kind::Rig | Kind::List) {
-            // Beside the sound files that it names.
+            // The changed file names these.
             copy_folder(&sound.join(within.file_name().unwrap()), &within);
         }
         fs::create_dir_all(&within).unwrap();
@@ -131,7 +131,7 @@ impl<'a> Case<'a> {
         Self { sound, folder, input, bytes, attack, seed, number }
     }
 
-    /// Runs the command; the error says what is wrong with that.
+    /// Runs the command; the error describes the fault.
     fn attack(&self) -> Result<Ended, String> {
         let folder = self.folder.path();
         let process =
@@ -142,7 +142,7 @@ impl<'a> Case<'a> {
         if ended.too_long {
             return Err(format!("took over {LONGEST:?}"));
         }
-        // Without memory for what a starting thread needs, the C library and Rust's own end the process.
+        // The C library and Rust's runtime end the process if a new thread gets no memory.
         let of_threads = ["Fatal glibc error", "failed to allocate an alternative stack"];
         let has_little = self.attack.address_space_kib < ADDRESS_SPACE_KIB;
         if has_little && of_threads.iter().any(|fault| printed.contains(fault)) {
@@ -345,7 +345,7 @@ impl Attack {
             max_memory = numbers.of(&[1 << 20, 16 << 20, 64 << 20, 64 << 20]);
             arguments.extend(["--max-memory".to_owned(), max_memory.to_string()]);
         }
-        // Now and then the system refuses what the limit allows.
+        // One run in ten has less address space than the limit allows.
         let address_space_kib =
             if numbers.one_in(10) { 80_000 + numbers.below(200_000) as u64 } else { ADDRESS_SPACE_KIB };
         Self { arguments, stdin, max_memory, address_space_kib }

@@ -20,7 +20,7 @@ const LONGEST: Duration = Duration::from_secs(60);
 const ADDRESS_SPACE_KIB: u64 = 4 << 20;
 const CAMERA: &str = "262.5,262.5,159.5,119.5";
 
-/// Commands that write, each into `out/` of the current folder. `IN` stands for the folder of inputs.
+/// Commands that write into `out/`; `IN` is replaced by the folder of inputs.
 const COMMANDS: [&[&str]; 18] = [
     &["smooth", "IN/frame.pcd", "out/a.pcd"],
     &["smooth", "IN/frames", "out/smoothed", "--camera", CAMERA],
@@ -42,7 +42,7 @@ const COMMANDS: [&[&str]; 18] = [
     &["demo", "--out", "out/demo"],
 ];
 
-/// Ends processes at random times, and lists what was wrong afterwards.
+/// Ends processes at random times and lists the faults.
 pub fn run(runs: usize, seed: u64) {
     let inputs = tempfile::tempdir().unwrap();
     write_inputs(inputs.path());
@@ -152,7 +152,7 @@ fn recover_all(folder: &Path) -> Result<(), String> {
         let recovered = Command::new(program::planish()).arg("recover").arg(&path).output().unwrap();
         let said = String::from_utf8_lossy(&recovered.stderr).into_owned();
         if !recovered.status.success() {
-            // Nothing but a header was written.
+            // Only a header was written.
             if is_large { Err(said) } else { Ok(()) }?;
             continue;
         }

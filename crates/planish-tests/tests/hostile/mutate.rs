@@ -28,7 +28,7 @@ const WORDS: [&[u8]; 22] = [
     b"x",
 ];
 
-/// Changes a file; then its checksums are made right again in two of three cases, so that readers go on.
+/// Changes a file. In two of three cases its checksums are corrected, so that readers continue.
 pub fn mutate(bytes: &mut Vec<u8>, name: &str, other: &[u8], numbers: &mut Numbers) {
     for _ in 0..1 + numbers.below(3) {
         change(bytes, other, numbers);

@@ -1,4 +1,4 @@
-//! Runs the command with limits, and measures what it used.
+//! Runs the command with limits and measures its memory.
 
 use std::fs::{self, File};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Returns the command that the environment variable `PLANISH_COMMAND` names, or this build's.
 ///
-/// That one is compiled first if necessary: Cargo tells tests about programs of their own package only.
+/// The latter is compiled first if necessary, since Cargo passes tests only the programs of their package.
 pub fn planish() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -20,7 +20,7 @@ pub fn planish() -> &'static Path {
         let test = std::env::current_exe().unwrap();
         let folder = test.ancestors().nth(2).unwrap();
         let mut cargo = Command::new(env!("CARGO"));
-        // Of the workspace: with the features of its tests, nothing is compiled again.
+        // Building the whole workspace reuses what its tests compiled.
         cargo.args(["build", "--quiet", "--locked", "--workspace", "--bin", "planish"]);
         cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
         if folder.ends_with("release") {
@@ -31,7 +31,7 @@ pub fn planish() -> &'static Path {
     })
 }
 
-/// What a run did and used.
+/// The end of a run.
 pub struct Ended {
     pub status: ExitStatus,
     pub stdout: String,
@@ -64,7 +64,7 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
             Ok(())
         })
     };
-    // `wait4` waits for it, and says what it used.
+    // `wait4` waits for it and returns its memory.
     #[allow(clippy::zombie_processes)]
     let child = command.spawn().unwrap();
     Running { id: i32::try_from(child.id()).unwrap(), folder: folder.to_owned() }
@@ -104,7 +104,7 @@ impl Running {
 
     /// Sends a signal to it; it may have ended.
     pub fn signal(&self, number: i32) {
-        // SAFETY: it has not been waited for, so its number is not another's.
+        // SAFETY: nothing has waited for this process, so its number is still its own.
         unsafe { libc::kill(self.id, number) };
     }
 }

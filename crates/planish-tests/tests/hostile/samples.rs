@@ -13,7 +13,7 @@ use super::program;
 pub const SIZE: (usize, usize) = (32, 24);
 pub const CAMERA: &str = "26.25,26.25,15.5,11.5";
 
-/// What a file is to the command.
+/// The role of a file.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Kind {
     Cloud,
