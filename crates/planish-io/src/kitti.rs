@@ -206,7 +206,7 @@ pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8
         });
         position.chain(rest).for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
     }
-    if !Sample::of(&bytes).is_of_floats() {
+    if !bytes.is_empty() && !Sample::of(&bytes).is_of_floats() {
         let reason =
             "a lidar's .bin has no header, and these values would not be recognized as one; write .pcd or .ply";
         return Err(FormatError::Unsupported(reason.into()));

@@ -122,6 +122,10 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             cloud.points().validate()?;
             xyz_text::encode(cloud, Heading::Count)
         }
+        Format::Text | Format::KittiBin if cloud.points().is_empty() => {
+            let reason = "no points are left, and this format could not store that; write .csv, .pcd or .ply";
+            Err(FormatError::Unsupported(reason.into()))
+        }
         format => encode_cloud(format, cloud, encoding),
     };
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))

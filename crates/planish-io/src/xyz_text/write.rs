@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::super::columns::{columns_from_cloud, with_values};
 use super::super::{CloudRef, FormatResult};
-use planish_core::{Attribute, AttributeValues, FormatError};
+use planish_core::{Attribute, AttributeValues};
 
 /// Decimals of coordinates far from the origin: a hundredth of a millimetre.
 const FAR_DIGITS: usize = 5;
@@ -63,10 +63,6 @@ pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<
         names.extend((0..*count).map(|i| if *count == 1 { name.clone() } else { format!("{name}_{i}") }));
     }
     let names = plain_names(&names);
-    if points.is_empty() && heading == Heading::Comment {
-        let reason = "there are no points, and an empty text file could not be read again; write .csv, .pcd or .ply";
-        return Err(FormatError::Unsupported(reason.into()));
-    }
     let mut text = String::new();
     // Writing to a string does not fail.
     let _ = match heading {
