@@ -81,9 +81,12 @@ fn check(cloud: &PointCloud, (extension, encoding, error_m): (&str, Encoding, f6
     for (meant, got) in meant.iter().zip(&got) {
         for axis in 0..3 {
             let origin_m = cloud.origin_m[axis];
-            // Four bytes round far coordinates.
-            let is_rounded = cloud.position_columns.precision == Precision::F32 || extension == "bin";
-            let size = if is_rounded { meant[axis].abs() } else { (meant[axis] - origin_m).abs() };
+            // Four bytes round coordinates; by default only those up to 1000 m are written so.
+            let size = match cloud.position_columns.precision {
+                _ if extension == "bin" => meant[axis].abs(),
+                Precision::F32 => meant[axis].abs(),
+                _ => meant[axis].abs().min(1000.0).max((meant[axis] - origin_m).abs()),
+            };
             let allowed = error_m + 2e-7 * size + 1e-12 * meant[axis].abs() + 1e-30;
             let difference = (meant[axis] - got[axis]).abs();
             assert!(difference <= allowed, "{extension} {encoding:?}: {} became {}", meant[axis], got[axis]);

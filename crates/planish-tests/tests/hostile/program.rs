@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Returns the command that the environment variable `PLANISH_COMMAND` names, or this build's.
 ///
-/// The latter is compiled first if necessary, since Cargo passes tests only the programs of their package.
+/// The latter is compiled first unless it is newer than all sources. Cargo passes tests only the programs of their
+/// package, but `cargo test --workspace` has compiled it.
 pub fn planish() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -19,16 +20,35 @@ pub fn planish() -> &'static Path {
         }
         let test = std::env::current_exe().unwrap();
         let folder = test.ancestors().nth(2).unwrap();
+        let program = folder.join("planish");
+        let crates = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        if modified(&program).is_some_and(|built| newest(crates) < Some(built)) {
+            return program;
+        }
         let mut cargo = Command::new(env!("CARGO"));
-        // Building the whole workspace reuses what its tests compiled.
-        cargo.args(["build", "--quiet", "--locked", "--workspace", "--bin", "planish"]);
+        cargo.args(["build", "--quiet", "--locked", "-p", "planish-cli"]);
         cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
         if folder.ends_with("release") {
             cargo.arg("--release");
         }
         assert!(cargo.status().unwrap().success(), "the command does not compile");
-        folder.join("planish")
+        program
     })
+}
+
+fn modified(path: &Path) -> Option<SystemTime> {
+    fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
+}
+
+/// Returns when the newest source in a folder was modified.
+fn newest(folder: &Path) -> Option<SystemTime> {
+    let is_source = |path: &Path| path.extension().is_some_and(|extension| extension == "rs" || extension == "wgsl");
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let of = |path: PathBuf| match path.is_dir() {
+        true => newest(&path),
+        false => modified(&path).filter(|_| is_source(&path)),
+    };
+    entries.filter_map(of).max()
 }
 
 /// The end of a run.
