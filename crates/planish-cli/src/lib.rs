@@ -104,11 +104,28 @@ pub fn end_without_memory(bytes: usize) -> ! {
             std::thread::park();
         }
     }
-    eprintln!("error: out of memory: the system refuses {} KiB more; see --max-memory", bytes.div_ceil(1024));
+    print_unlocked(format_args!(
+        "error: out of memory: the system refuses {} KiB more; see --max-memory\n",
+        bytes.div_ceil(1024)
+    ));
     #[cfg(feature = "mcap")]
     planish::bag::finish_recordings();
     planish::io::remove_temporaries();
     std::process::exit(2);
+}
+
+/// Prints to standard error, whose lock a thread may hold for ever that has no memory left.
+fn print_unlocked(text: std::fmt::Arguments<'_>) {
+    #[cfg(unix)]
+    {
+        use std::io::Write;
+        use std::os::fd::FromRawFd;
+        // SAFETY: the descriptor is open as long as the process, and never closed here.
+        let mut file = std::mem::ManuallyDrop::new(unsafe { std::fs::File::from_raw_fd(2) });
+        let _ = file.write_fmt(text);
+    }
+    #[cfg(not(unix))]
+    eprint!("{text}");
 }
 
 /// Some decoders panic on damaged files. The library catches that and reports the damage; the messages would not help

@@ -48,8 +48,16 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Finishes all recordings that are being written, for a process that is about to end; later frames and recordings are
 /// errors.
 pub fn finish_recordings() {
-    let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
     let deadline = Instant::now() + PATIENCE;
+    // A thread that has no memory left may hold this lock, too.
+    let open = loop {
+        match OPEN.try_lock() {
+            Ok(mut open) => break open.take().unwrap_or_default(),
+            Err(TryLockError::Poisoned(open)) => break open.into_inner().take().unwrap_or_default(),
+            Err(TryLockError::WouldBlock) if Instant::now() > deadline => return,
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
+        }
+    };
     for recording in open.iter().filter_map(Weak::upgrade) {
         while let Err(TryLockError::WouldBlock) = recording.try_lock()
             && Instant::now() < deadline

@@ -179,6 +179,11 @@ impl<'a> Case<'a> {
                 self.check_outputs(&path)?;
                 continue;
             }
+            // Without memory a recording is left as it is, for `planish recover`.
+            let has_little = self.attack.address_space_kib < ADDRESS_SPACE_KIB;
+            if has_little && path.extension().is_some_and(|extension| extension == "part") {
+                continue;
+            }
             check_output(&path, self.sound).map_err(|error| format!("{}: {error}", path.display()))?;
         }
         Ok(())
@@ -213,6 +218,11 @@ pub fn check_output(path: &Path, scratch: &Path) -> Result<(), String> {
             serde_json::from_str::<serde_json::Value>(&text).map(drop).map_err(|e| e.to_string())
         }
         // Lists of data sets, reports.
+        // Few points do not show how many columns a lidar's .bin has.
+        "bin" => io::read_with(path, &io::ReadOptions::default().with_columns(Some(4)))
+            .map(drop)
+            .or_else(|_| io::read(path).map(drop))
+            .map_err(|e| e.to_string()),
         "txt" | "yaml" | "md" | "svg" | "1" => Ok(()),
         "glb" => io::read(path).map(drop).map_err(|e| e.to_string()),
         "mcap" => {
