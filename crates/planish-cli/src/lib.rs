@@ -114,7 +114,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     std::process::exit(2);
 }
 
-/// Prints to standard error, whose lock a thread may hold for ever that has no memory left.
+/// Prints to standard error without its lock: a thread that waits for memory may never release it.
 fn print_unlocked(text: std::fmt::Arguments<'_>) {
     #[cfg(unix)]
     {

@@ -275,7 +275,7 @@ mod tests {
         assert_eq!(of(&strays), []);
         let sparse: Vec<[f32; 3]> = (0..200).map(|i| [1e5 + 50.0 * i as f32, 7.0 * i as f32, 0.0]).collect();
         assert_eq!(of(&sparse), []);
-        // Every point twice, a step of f32 apart, says nothing about the spacing.
+        // Duplicates one f32 step apart do not count as spacing.
         let once = plane(2048.0, 5000);
         let again = once.iter().map(|&[x, y, z]| [x, y, z + 1e-4]);
         let twice: Vec<[f32; 3]> = again.chain(once.iter().copied()).collect();

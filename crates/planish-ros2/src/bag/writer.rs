@@ -49,7 +49,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// errors.
 pub fn finish_recordings() {
     let deadline = Instant::now() + PATIENCE;
-    // A thread that has no memory left may hold this lock, too.
+    // If the process ends for lack of memory, this thread may already hold the lock.
     let open = loop {
         match OPEN.try_lock() {
             Ok(mut open) => break open.take().unwrap_or_default(),
