@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::{Contents, LengthUnit};
-use planish_core::FormatError;
+use planish_core::{FormatError, Frame};
 
 /// The name of standard input.
 const STANDARD_INPUT: &str = "-";
@@ -60,10 +60,8 @@ pub enum Work {
     Merge,
 }
 
-/// Returns the pixels of a frame with the margin that engines add, for [`ReadOptions::check_work`].
-///
-/// Engines hold mostly margin when a frame is one pixel wide.
-pub fn padded_pixels(width: usize, height: usize) -> usize {
+/// Returns the pixels of a grid with the margin that engines add; they hold mostly margin when it is one pixel wide.
+fn padded_pixels((width, height): (usize, usize)) -> usize {
     const MARGIN: usize = 8;
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
 }
@@ -129,14 +127,26 @@ impl ReadOptions {
 
     /// Refuses work on contents that needs more memory than the limit, before it begins.
     pub fn check_work_on(&self, work: Work, contents: &Contents) -> FormatResult<()> {
-        let (width, height) = contents.shape();
+        let grid = (!matches!(contents, Contents::General(_))).then(|| contents.shape());
+        self.check_work_on_grid(work, grid, contents.shape(), contents.field_bytes_per_point())
+    }
+
+    /// Refuses work on a frame that needs more memory than the limit, before it begins. `field_bytes` is as in
+    /// [`check_work`](Self::check_work).
+    pub fn check_work_on_frame(&self, work: Work, frame: Frame<'_>, field_bytes: usize) -> FormatResult<()> {
+        self.check_work_on_grid(work, frame.grid(), frame.shape(), field_bytes)
+    }
+
+    fn check_work_on_grid(
+        &self,
+        work: Work,
+        grid: Option<(usize, usize)>,
+        (width, height): (usize, usize),
+        field_bytes: usize,
+    ) -> FormatResult<()> {
         let is_smoothed = matches!(work, Work::Smooth | Work::Stream | Work::Evaluate | Work::Mesh | Work::MeshText);
-        let points = match contents {
-            Contents::General(cloud) => cloud.len(),
-            _ if is_smoothed => padded_pixels(width, height),
-            _ => width * height,
-        };
-        self.check_work(work, points, contents.field_bytes_per_point())
+        let points = grid.filter(|_| is_smoothed).map_or(width.saturating_mul(height), padded_pixels);
+        self.check_work(work, points, field_bytes)
     }
 
     /// Refuses `count` items of `bytes_each` bytes if they exceed the limit.

@@ -90,7 +90,7 @@ pub(crate) use {
     records::{RecordEncoder, RecordReader},
 };
 
-pub use input::{ReadOptions, Work, padded_pixels, read_bytes};
+pub use input::{ReadOptions, Work, read_bytes};
 pub use length_unit::LengthUnit;
 #[cfg(feature = "scans")]
 pub use read::read_in_parts;

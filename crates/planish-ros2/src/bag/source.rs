@@ -7,8 +7,10 @@ use mcap::records::Record;
 use super::records::{Next, Records};
 use super::survey::{Channels, Chosen, MessageKind, Survey};
 use crate::ros::{DepthPixels, Header};
-use planish_core::{Camera, DepthFrame, DepthView, Error, FormatError, IoError, OwnedFrame, PointCloud};
-use planish_io::{ReadOptions, Work, padded_pixels};
+use planish_core::{
+    Camera, DepthFrame, DepthView, Error, FormatError, Frame, IntoFrame, IoError, OwnedFrame, PointCloud,
+};
+use planish_io::{ReadOptions, Work};
 
 /// Reads the depth images or clouds of a topic in order, with their time stamps.
 pub struct BagSource {
@@ -96,7 +98,7 @@ impl BagSource {
         match self.chosen.kind {
             MessageKind::PointCloud2 => self.next_as(|source, log_time, data| {
                 let message = source.chosen.wire.cloud(data)?.into_native()?;
-                source.check_points((message.width as usize, message.height as usize), message.point_step as usize)?;
+                source.check_memory(Frame::Points(message.view()?), message.point_step as usize)?;
                 Ok((message.to_cloud()?, seconds(&message.header, log_time)))
             }),
             _ => Ok(None),
@@ -149,9 +151,8 @@ impl BagSource {
         }
     }
 
-    fn check_points(&self, (width, height): (usize, usize), field_bytes: usize) -> Result<(), FormatError> {
-        let points = if height > 1 { padded_pixels(width, height) } else { width };
-        self.options.check_work(Work::Stream, points, field_bytes)
+    fn check_memory(&self, frame: Frame<'_>, field_bytes: usize) -> Result<(), FormatError> {
+        self.options.check_work_on_frame(Work::Stream, frame, field_bytes)
     }
 
     fn frame(&self, log_time: u64, data: &[u8]) -> Result<OwnedFrame, FormatError> {
@@ -159,7 +160,7 @@ impl BagSource {
         if kind == MessageKind::PointCloud2 {
             let message = wire.cloud(data)?.into_native()?;
             let timestamp_s = Some(seconds(&message.header, log_time));
-            self.check_points((message.width as usize, message.height as usize), message.point_step as usize)?;
+            self.check_memory(Frame::Points(message.view()?), message.point_step as usize)?;
             let mut cloud = message.to_organized()?;
             let shape = (cloud.width(), cloud.height());
             cloud.camera = self.chosen.camera(self.camera.as_ref(), shape).ok();
@@ -168,15 +169,18 @@ impl BagSource {
         let message = wire.depth(kind, data, &self.options)?;
         let pixels = message.pixels(&self.options)?;
         let (width, height) = pixels.shape();
-        self.check_points((width, height), 0)?;
         let camera = self.chosen.camera(self.camera.as_ref(), (width, height))?;
         let timestamp_s = seconds(message.header(), log_time);
         match pixels {
             DepthPixels::Millimetres(image) => {
-                Ok(OwnedFrame::Depth(DepthFrame::from_image(camera, image)?.with_timestamp_s(timestamp_s)))
+                let frame = DepthFrame::from_image(camera, image)?.with_timestamp_s(timestamp_s);
+                self.check_memory((&frame).into_frame()?, 0)?;
+                Ok(OwnedFrame::Depth(frame))
             }
             DepthPixels::Metres { depth_m, .. } => {
-                let cloud = DepthView::from_metres(&depth_m, &camera)?.deproject()?;
+                let view = DepthView::from_metres(&depth_m, &camera)?;
+                self.check_memory(Frame::Depth(view), 0)?;
+                let cloud = view.deproject()?;
                 Ok(OwnedFrame::Cloud { cloud, timestamp_s: Some(timestamp_s) })
             }
         }

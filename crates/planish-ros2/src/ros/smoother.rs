@@ -7,7 +7,7 @@ use planish_core::{
     Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
     ParamError, PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
 };
-use planish_io::{ReadOptions, Work, padded_pixels};
+use planish_io::{ReadOptions, Work};
 
 /// Why a message was not smoothed.
 #[derive(Debug, thiserror::Error)]
@@ -264,8 +264,6 @@ impl MessageSmoother {
         // A few compressed bytes may announce a gigabyte, and smoothing needs 60 times as much as four bytes a pixel.
         let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / 60);
         let pixels = message.pixels(&decoding)?;
-        let (width, height) = pixels.shape();
-        self.read.check_work(Work::Smooth, padded_pixels(width, height), 0)?;
         self.session.set_frame_time(Some(message.header().stamp.seconds()));
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;
@@ -275,10 +273,10 @@ impl MessageSmoother {
             DepthPixels::Millimetres(image) => {
                 // The unit of the message, whatever the camera says.
                 let camera = camera.with_depth_units_per_metre(1000.0);
-                self.smooth(Frame::Depth(DepthView::new(&image.raw, &camera)?), outputs.with_depth(depth))?;
+                self.smooth(Frame::Depth(DepthView::new(&image.raw, &camera)?), outputs.with_depth(depth), 0)?;
             }
             DepthPixels::Metres { depth_m, .. } => {
-                self.smooth(Frame::Depth(DepthView::from_metres(depth_m, &camera)?), outputs.with_depth_m(depth))?;
+                self.smooth(Frame::Depth(DepthView::from_metres(depth_m, &camera)?), outputs.with_depth_m(depth), 0)?;
             }
         }
         Ok(pixels)
@@ -296,10 +294,8 @@ impl MessageSmoother {
         if view.is_empty() {
             return Ok(cloud);
         }
-        let (width, height) = (cloud.width as usize, cloud.height as usize);
-        let points = if height > 1 { padded_pixels(width, height) } else { view.len() };
-        self.read.check_work(Work::Smooth, points, cloud.point_step as usize)?;
-        self.smooth(Frame::Points(view), self.cloud_outputs(view.grid().is_some()))?;
+        let outputs = self.cloud_outputs(view.grid().is_some());
+        self.smooth(Frame::Points(view), outputs, cloud.point_step as usize)?;
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
 
@@ -313,7 +309,8 @@ impl MessageSmoother {
         outputs.with_status(status || is_video).with_frames(is_video).with_sigma(sigma && is_on_grid)
     }
 
-    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs) -> Result<(), Error> {
+    fn smooth(&mut self, frame: Frame<'_>, outputs: Outputs, field_bytes: usize) -> Result<(), MessageError> {
+        self.read.check_work_on_frame(Work::Smooth, frame, field_bytes)?;
         let grid = frame.grid();
         let has_normals = outputs.normals;
         let outputs = outputs.with_normals(has_normals || self.wants_normals_image && grid.is_some());

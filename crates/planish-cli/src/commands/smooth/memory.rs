@@ -3,7 +3,7 @@
 use super::Worker;
 use anyhow::Result;
 use planish::Frame;
-use planish::io::{Work, padded_pixels};
+use planish::io::Work;
 
 /// A frame needs more memory than its worker has.
 #[derive(Debug)]
@@ -21,8 +21,7 @@ impl Worker<'_> {
     /// Refuses a frame for which an engine and its results need more memory than allowed.
     pub(super) fn check_memory(&self, frame: Frame<'_>, field_bytes: usize) -> Result<()> {
         let (width, height) = frame.shape();
-        let points = if frame.grid().is_some() { padded_pixels(width, height) } else { width * height };
-        match self.read_options().check_work(Work::Smooth, points, field_bytes) {
+        match self.read_options().check_work_on_frame(Work::Smooth, frame, field_bytes) {
             Ok(()) => Ok(()),
             Err(error) => Err(NeedsMemory(format!("{width} x {height}: {error} (--max-memory)")).into()),
         }
