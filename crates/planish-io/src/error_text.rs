@@ -3,12 +3,23 @@
 use std::borrow::Cow;
 
 /// Escapes control characters and direction marks for a terminal, in the form `\u001b`, as JSON does; lines and tabs
-/// stay. Use it for names in files, topics and paths.
+/// stay. For whatever is printed.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let is_hidden = |c: char| {
-        c.is_control() && !matches!(c, '\n' | '\t') || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-    };
-    if !text.contains(is_hidden) {
+    escaped(text, |c| is_hidden(c) && !matches!(c, '\n' | '\t'))
+}
+
+/// As [`printable`], and escapes lines and tabs too. For a name from a file, which could otherwise pretend to be another
+/// line of output.
+pub fn printable_name(name: &str) -> Cow<'_, str> {
+    escaped(name, is_hidden)
+}
+
+fn is_hidden(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_hidden) {
         return Cow::Borrowed(text);
     }
     let escaped = text.chars().map(|c| if is_hidden(c) { format!("\\u{:04x}", c as u32) } else { c.to_string() });
@@ -51,5 +62,6 @@ mod tests {
         assert!(matches!(printable("Höhe 試 \t\"x\"\n"), Cow::Borrowed(_)));
         assert_eq!(printable("a\u{1b}[2Jb\r\u{9b}c\u{7f}"), "a\\u001b[2Jb\\u000d\\u009bc\\u007f");
         assert_eq!(printable("exe\u{202e}dcp"), "exe\\u202edcp");
+        assert_eq!(printable_name("/a\n/b\tc"), "/a\\u000a/b\\u0009c");
     }
 }

@@ -124,6 +124,9 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         raw: tiles(cloud.positions(), &differences),
         smoothed: tiles(&points, &normals),
     };
+    if report.raw.tiles == 0 {
+        bail!("{}: contains no 8x8 pixels on one surface, so flatness cannot be measured", report.file);
+    }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
         return Ok(ExitCode::SUCCESS);

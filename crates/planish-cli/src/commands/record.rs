@@ -163,8 +163,12 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let report = Report { frames, dropped: source.dropped(), unreadable, seconds: start.elapsed().as_secs_f64() };
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
-    } else {
+    } else if frames > 0 {
         outln!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
-    Ok(if unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
+    let is_empty = frames == 0 && !stop.load(Ordering::Relaxed);
+    if is_empty {
+        errln!("{}: delivered no frames; nothing was recorded", args.source.name());
+    }
+    Ok(if unreadable > 0 || is_empty { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }

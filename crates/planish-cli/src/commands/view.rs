@@ -8,8 +8,8 @@ use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::{Component, Path};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -43,8 +43,32 @@ struct Served {
     files: Vec<(String, Vec<u8>)>,
     /// The first part of their paths, which cannot be guessed.
     token: String,
+    /// What the browser that this process starts asks for, once. Its command line is no secret on a shared machine.
+    ticket: Mutex<Option<String>>,
+    /// The part of the address that names the frame.
+    shown: String,
     /// Requests in progress.
     requests: AtomicUsize,
+}
+
+impl Served {
+    fn new(files: Vec<(String, Vec<u8>)>, shown: String) -> Self {
+        Self { files, token: token(), ticket: Mutex::new(None), shown, requests: AtomicUsize::new(0) }
+    }
+
+    /// Returns a path that leads to the page once.
+    fn new_ticket(&self) -> String {
+        let ticket = token();
+        *self.ticket.lock().unwrap_or_else(PoisonError::into_inner) = Some(ticket.clone());
+        ticket
+    }
+
+    /// Returns the address of the page for its ticket, which is then worth nothing.
+    fn redeem(&self, path: &str) -> Option<String> {
+        let mut ticket = self.ticket.lock().unwrap_or_else(PoisonError::into_inner);
+        let redeemed = ticket.take_if(|ticket| path.strip_prefix('/') == Some(ticket));
+        redeemed.map(|_| format!("/{}/#{}", self.token, self.shown))
+    }
 }
 
 pub fn run(args: &ViewArgs) -> Result<ExitCode> {
@@ -75,14 +99,14 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, args.port))
         .with_context(|| format!("--port {}: cannot listen on 127.0.0.1", args.port))?;
     let port = listener.local_addr()?.port();
-    let served = Arc::new(Served { files, token: token(), requests: AtomicUsize::new(0) });
-    let address = format!("http://127.0.0.1:{port}/{}/#{shown}", served.token);
+    let served = Arc::new(Served::new(files, shown));
+    let address = format!("http://127.0.0.1:{port}/{}/#{}", served.token, served.shown);
     outln!("{address}");
     outln!("  data stays on this machine; press Ctrl-C to stop");
     if std::env::var_os("SSH_CONNECTION").is_some() {
         outln!("  from your own machine: ssh -L {port}:127.0.0.1:{port} HOST, then open the address there");
     } else if !args.no_browser {
-        open_browser(&address);
+        open_browser(&format!("http://127.0.0.1:{port}/{}", served.new_ticket()));
     }
     serve(&listener, &served)
 }
@@ -207,14 +231,17 @@ fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     let below = path.strip_prefix('/').and_then(|path| path.strip_prefix(&*served.token)?.strip_prefix('/'));
     let name = below.map(|name| if name.is_empty() { "index.html" } else { name });
     let found = name.and_then(|name| served.files.iter().find(|(file, _)| file == name));
+    let page = if method == "GET" { served.redeem(path) } else { None };
     let (status, kind, body) = match (method, found) {
+        _ if page.is_some() => ("302 Found", "text/plain", &[][..]),
         ("GET", Some((name, body))) => ("200 OK", kind_of(name), &body[..]),
         ("GET", None) => ("404 Not Found", "text/plain", &b"not found\n"[..]),
         _ => ("405 Method Not Allowed", "text/plain", &b"only GET\n"[..]),
     };
+    let location = page.map_or(String::new(), |page| format!("Location: {page}\r\n"));
     write!(
         stream,
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
+        "HTTP/1.1 {status}\r\n{location}Content-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
          Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n\
          Cross-Origin-Resource-Policy: same-origin\r\nConnection: close\r\n\r\n",
         body.len()
@@ -242,7 +269,7 @@ mod tests {
     #[test]
     fn a_request_gets_what_is_below_the_token_and_nothing_else() {
         let files = vec![("index.html".to_owned(), b"page".to_vec()), ("a%20b.pcd".to_owned(), b"points".to_vec())];
-        let served = Arc::new(Served { files, token: token(), requests: AtomicUsize::new(0) });
+        let served = Arc::new(Served::new(files, "a.pcd".to_owned()));
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let address = listener.local_addr().unwrap();
         let ask = |request: &str| {
@@ -264,5 +291,11 @@ mod tests {
         }
         assert!(ask(&format!("GET /{token}/../index.html HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 404"));
         assert!(ask(&format!("POST /{token}/ HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 405"));
+        // The browser's command line shows a ticket, which leads to the page once.
+        let ticket = served.new_ticket();
+        assert!(ask(&format!("POST /{ticket} HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 405"));
+        let page = ask(&format!("GET /{ticket} HTTP/1.1\r\n\r\n"));
+        assert!(page.starts_with(&format!("HTTP/1.1 302 Found\r\nLocation: /{token}/#a.pcd\r\n")), "{page}");
+        assert!(ask(&format!("GET /{ticket} HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 404"));
     }
 }

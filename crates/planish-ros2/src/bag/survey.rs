@@ -12,7 +12,7 @@ use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE};
 use super::wire::{Wire, is_known_type, kind_of};
 use crate::ros::{CameraInfo, DepthMessage, camera_info_topic as beside, is_rectified};
 use planish_core::{Camera, Error, FormatError, IoError};
-use planish_io::ReadOptions;
+use planish_io::{ReadOptions, printable_name};
 
 /// Type of the messages of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -122,7 +122,8 @@ impl Survey {
         camera: Option<&Camera>,
     ) -> Result<Vec<Chosen>, Error> {
         let refuse = |problem: String| -> Error {
-            IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) }.into()
+            let problem = FormatError::Unsupported(printable_name(&problem).into_owned());
+            IoError { path: path.to_path_buf(), problem }.into()
         };
         let chosen: Vec<&Topic> = if topics.is_empty() {
             vec![self.only_topic().map_err(refuse)?]
@@ -140,8 +141,7 @@ impl Survey {
             if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
                 return Err(refuse(format!(
                     "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or \
-                     give \
-                     --camera FX,FY,CX,CY",
+                     give --camera FX,FY,CX,CY",
                     topic.name,
                     beside(&topic.name)
                 )));

@@ -203,11 +203,11 @@ impl BagWriter {
         }
     }
 
-    /// Completes the recording and gives it its name.
+    /// Completes the recording and gives it its name. Deletes one without frames.
     pub fn finish(self) -> Result<(), Error> {
         // Locked until it is done: the process may be about to end.
         let mut open = self.lock();
-        let finished = open.take().map_or(Ok(()), Open::finish);
+        let finished = open.take().map_or(Ok(()), |open| if open.has_frames { open.finish() } else { open.delete() });
         drop(open);
         Ok(finished.map_err(IoError::at(&self.path))?)
     }
@@ -326,9 +326,10 @@ impl Open {
 
     /// Finishes the recording, or deletes it if it is empty or all-or-nothing.
     fn close(self) -> Result<(), FormatError> {
-        if self.has_frames && !self.is_all_or_nothing {
-            return self.finish();
-        }
+        if self.has_frames && !self.is_all_or_nothing { self.finish() } else { self.delete() }
+    }
+
+    fn delete(self) -> Result<(), FormatError> {
         let part = part_of(&self.path);
         drop(self);
         Ok(std::fs::remove_file(part)?)

@@ -78,6 +78,7 @@ fn a_recording_can_be_read_while_it_is_written_and_is_kept_without_an_end() {
     assert_eq!(survey.topics[0].messages, Some(FRAMES), "it has a summary");
     // Nobody would miss one without frames, or one that can be computed again.
     drop(BagWriter::create(&folder.path().join("empty.mcap")).unwrap());
+    BagWriter::create(&folder.path().join("empty.mcap")).unwrap().finish().unwrap();
     let mut writer = BagWriter::create(&folder.path().join("again.mcap")).unwrap().all_or_nothing();
     writer.add(&OwnedFrame::Depth(frames[0].clone())).unwrap();
     drop(writer);

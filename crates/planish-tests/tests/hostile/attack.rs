@@ -64,7 +64,7 @@ pub fn run(files: usize, seed: u64) {
     let faults = Mutex::new(Vec::new());
     let end = only.map_or(files, |only: usize| only + 1);
     std::thread::scope(|scope| {
-        for _ in 0..2 {
+        for _ in 0..std::thread::available_parallelism().map_or(2, usize::from) {
             scope.spawn(|| {
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
@@ -136,6 +136,9 @@ impl<'a> Case<'a> {
         let folder = self.folder.path();
         let process =
             program::start(folder, &self.attack.arguments, self.attack.stdin.as_deref(), self.attack.address_space_kib);
+        if self.attack.arguments[0] == "view" {
+            process.interrupt_after("press Ctrl-C", LONGEST);
+        }
         let ended = process.wait(LONGEST);
         let printed = format!("{}{}", ended.stdout, ended.stderr);
         let code = ended.status.code();
@@ -265,7 +268,7 @@ impl Attack {
                 if sample.kind == Kind::Cloud {
                     camera.clear();
                 }
-                match numbers.below(14) {
+                match numbers.below(17) {
                     0 => with(&["info", &file], &camera),
                     1 => with(&["info", &file, "--json"], &camera),
                     2 | 3 => smooths(with(&["smooth", &file, &written], &camera)),
@@ -294,17 +297,24 @@ impl Attack {
                     10 => with(&["compare", &file, &good("general.pcd"), "--nearest"], &camera),
                     11 => with(&["compare", &good("frame.pcd"), &file, "--picture", &out("png")], &camera),
                     12 => with(&["merge", &file, &good("general.pcd"), "--out", &written], &camera),
+                    13 => smooths(with(&["evaluate", "--input", &file], &camera)),
+                    14 => with(&["view", &file, "--page", &good("page"), "--no-browser"], &camera),
+                    15 => {
+                        let what = numbers.of(&["profile", "quality"]);
+                        with(&["bench", what, "--quick", "--engine", "cpu", "--input", &file], &camera)
+                    }
                     _ => {
                         let save = numbers.of(&["out/frames", "out/out.mcap"]);
                         smooths(with(&[&["stream", &file, "--save", save][..], &live].concat(), &camera))
                     }
                 }
             }
-            Kind::Recording => match numbers.below(6) {
+            Kind::Recording => match numbers.below(7) {
                 0 => with(&["info", &file, "--json"], &[]),
                 1 => smooths(with(&["smooth", &file, numbers.of(&["out/out.mcap", "out/frames"])], &[])),
                 2 => smooths(with(&[&["stream", &file][..], &live].concat(), &camera)),
                 3 | 4 => with(&["recover", &file], &[]),
+                5 => smooths(with(&["evaluate", "--sequence", "--input", &file, "--frames", "3"], &[])),
                 _ => with(&[&["record", &file, numbers.of(&["out/out.mcap", "out/set"])][..], &live].concat(), &camera),
             },
             Kind::List => {
@@ -338,7 +348,7 @@ impl Attack {
             }
         };
         let command = arguments[0].clone();
-        if matches!(command.as_str(), "smooth" | "stream" | "mesh") && numbers.one_in(3) {
+        if matches!(command.as_str(), "smooth" | "stream" | "mesh" | "evaluate") && numbers.one_in(3) {
             for _ in 0..1 + numbers.below(2) {
                 let (option, values) = numbers.of(&OPTIONS);
                 if !arguments.iter().any(|argument| argument == option) {
@@ -347,7 +357,7 @@ impl Attack {
             }
         }
         let mut max_memory = USUAL_BYTES;
-        let is_limited = command != "rig";
+        let is_limited = !["rig", "bench"].contains(&command.as_str());
         if is_limited && numbers.one_in(2) {
             max_memory = numbers.of(&[1 << 20, 16 << 20, 64 << 20, 64 << 20]);
             arguments.extend(["--max-memory".to_owned(), max_memory.to_string()]);

@@ -51,7 +51,7 @@ pub fn run(runs: usize, seed: u64) {
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let ended_early = AtomicUsize::new(0);
     thread::scope(|scope| {
-        for _ in 0..2 {
+        for _ in 0..thread::available_parallelism().map_or(2, usize::from) {
             scope.spawn(|| {
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);

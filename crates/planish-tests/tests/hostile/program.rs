@@ -67,6 +67,10 @@ pub struct Running {
     folder: PathBuf,
 }
 
+fn find(text: &[u8], word: &str) -> bool {
+    text.windows(word.len()).any(|part| part == word.as_bytes())
+}
+
 /// Starts the command in a folder, with its output in files there.
 pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_space_kib: u64) -> Running {
     let script = format!("ulimit -v {address_space_kib}; exec \"$0\" \"$@\"");
@@ -91,6 +95,26 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
 }
 
 impl Running {
+    /// Interrupts it as soon as it has printed a word, unless it ends before.
+    pub fn interrupt_after(&self, word: &str, longest: Duration) {
+        let start = Instant::now();
+        let has_printed = || fs::read(self.folder.join("stdout")).is_ok_and(|text| find(&text, word));
+        while !has_printed() && !self.has_ended() && start.elapsed() < longest {
+            thread::sleep(Duration::from_millis(2));
+        }
+        self.signal(libc::SIGINT);
+    }
+
+    fn has_ended(&self) -> bool {
+        // SAFETY: zeros are a valid value, and the pointer is valid. The process stays to be waited for.
+        unsafe {
+            let mut information: libc::siginfo_t = std::mem::zeroed();
+            let options = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
+            libc::waitid(libc::P_PID, self.id.cast_unsigned(), &raw mut information, options) == 0
+                && information.si_pid() != 0
+        }
+    }
+
     /// Waits until it ends, and kills it after `longest`.
     pub fn wait(self, longest: Duration) -> Ended {
         let start = Instant::now();

@@ -65,6 +65,8 @@ pub fn samples(folder: &Path) -> Vec<Sample> {
         write_depth(&path(name), &image).unwrap();
     }
     write_depth_metres(&path("metres.npy"), SIZE.0, cloud.positions().z()).unwrap();
+    fs::create_dir(path("page")).unwrap();
+    fs::write(path("page/index.html"), "").unwrap();
     fs::create_dir(path("frames")).unwrap();
     for i in 0..3 {
         fs::copy(path("depth.png"), path("frames").join(format!("{i}.png"))).unwrap();

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use planish::bag::Survey;
+use planish::io::printable_name;
 use planish_bench::outln;
 use serde::Serialize;
 
@@ -67,6 +68,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
         outln!("{}", serde_json::to_string(&info)?);
         return Ok(ExitCode::SUCCESS);
     }
+    let print_topic = |text: &str| outln!("  {}", printable_name(text));
     let count = |messages: Option<u64>| messages.map_or("? messages".to_owned(), |count| format!("{count} messages"));
     let compression = match info.compression {
         None => "",
@@ -76,11 +78,11 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
     outln!("{}: MCAP, {}{compression}", file.display(), count(info.messages));
     for topic in &info.topics {
         let TopicInfo { topic, type_name, messages, encoding, frame_id, .. } = topic;
-        outln!("  {topic}: {} of {type_name}, {encoding}, frame {frame_id:?}", count(*messages));
+        print_topic(&format!("{topic}: {} of {type_name}, {encoding}, frame {frame_id:?}", count(*messages)));
     }
     for OtherInfo { topic, type_name, messages } in &info.other_topics {
         let type_name = if type_name.is_empty() { "an unknown type" } else { type_name };
-        outln!("  {topic}: {} of {type_name}", count(*messages));
+        print_topic(&format!("{topic}: {} of {type_name}", count(*messages)));
     }
     if info.topics.is_empty() {
         outln!("  no ROS 2 messages in CDR with images, clouds or cameras");

@@ -8,6 +8,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::bag::{BagSink, SmoothBagOptions, SmoothBagReport, file_of, is_bag, refuse_other_bags, smooth_bag};
+use planish::io::printable_name;
 use planish::ros::MessageSmoother;
 use planish::source::{self, OwnedFrame, SourceOptions};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamOptions};
@@ -162,7 +163,11 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = topic.first_failure.as_deref().unwrap_or_default();
-        errln!("{}: copied unchanged: {}; the first: {first}", topic.topic, count(topic.failed, "message"));
+        errln!(
+            "{}: copied unchanged: {}; the first: {first}",
+            printable_name(&topic.topic),
+            count(topic.failed, "message")
+        );
     }
     if !report.not_chosen.is_empty() {
         let topics = report.not_chosen.join(", ");
