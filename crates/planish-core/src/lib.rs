@@ -47,6 +47,7 @@ mod scanners;
 mod sensor;
 mod session;
 mod settings;
+mod sigma;
 mod simd_level;
 mod smoothed;
 mod smoother;

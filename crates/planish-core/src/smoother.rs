@@ -285,6 +285,12 @@ impl Smoother {
         self.opened.smooth_over_time(video)
     }
 
+    /// Adds standard errors to all results, if the engine can; returns whether it does. Only for a session, which
+    /// checks buffers.
+    pub(crate) fn estimate_errors(&mut self) -> Result<bool, Error> {
+        self.opened.estimate_errors()
+    }
+
     /// Submits a frame whose shape was checked.
     pub(crate) fn submit_admitted(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
         self.opened.submit(frame, buffer)

@@ -72,6 +72,11 @@ pub(crate) trait SmoothingEngine: Send {
         Ok(false)
     }
 
+    /// Adds the standard errors of section 17 to all results from now on, if the engine can; returns whether it does.
+    fn estimate_errors(&mut self) -> Result<bool, Error> {
+        Ok(false)
+    }
+
     /// Prepares everything else that the second frame in flight would wait for.
     fn prepare_in_flight(&mut self) {}
 

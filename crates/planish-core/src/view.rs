@@ -28,6 +28,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn depth_rows(&self) -> Option<Rows<'_, u16>>;
     fn depth_m(&self) -> Option<&[f32]>;
     fn frames(&self) -> Option<&[f32]>;
+    fn sigma(&self) -> Option<&[f32]>;
     /// Returns the code of each pixel's status.
     fn status_rows(&self) -> Option<Rows<'_, u8>>;
     fn neighbours_rows(&self) -> Option<Rows<'_, u8>>;
@@ -139,8 +140,7 @@ impl SmoothedView {
     pub fn sigma(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.sigma.as_deref(),
-            // Engines do not compute it.
-            Storage::InPlace(_) => None,
+            Storage::InPlace(result) => result.sigma(),
         }
     }
 

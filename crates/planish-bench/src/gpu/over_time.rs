@@ -1,4 +1,4 @@
-//! Compares sessions that smooth over time with one that does not, all else equal.
+//! Compares sessions that smooth over time, or estimate standard errors, with one that does neither, all else equal.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,17 +19,28 @@ enum Way {
     Steady,
     /// With the poses of a camera that moves.
     Poses,
+    /// Not over time, with standard errors.
+    Errors,
+    /// Not over time, with standard errors and filled holes, which are filled on the CPU.
+    Filled,
 }
 
 impl Way {
-    const ALL: [Self; 3] = [Self::Off, Self::Steady, Self::Poses];
+    const ALL: [Self; 5] = [Self::Off, Self::Steady, Self::Poses, Self::Errors, Self::Filled];
 
     fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
             Self::Steady => "steady",
             Self::Poses => "steady, with poses",
+            Self::Errors => "off, with sigma",
+            Self::Filled => "off, with sigma and fill = 8",
         }
+    }
+
+    /// Returns whether results stay where the device puts them.
+    fn is_in_place(self) -> bool {
+        self != Self::Filled
     }
 }
 
@@ -45,11 +56,15 @@ impl Bench<'_> {
                 })?;
                 let mut number = 0;
                 let kernel_us = self.spread(|| {
-                    self.submit(&mut session, way, None, &mut number)?;
+                    let buffer = (!way.is_in_place()).then(Smoothed::default);
+                    self.submit(&mut session, way, buffer, &mut number)?;
                     let timings = session.receive()?.and_then(|view| view.timings());
                     Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
                 })?;
-                let rates = Take::ALL.map(|take| self.rate(way, take, transfer));
+                let rates = Take::ALL.map(|take| match way.is_in_place() || take == Take::PointsCopied {
+                    true => self.rate(way, take, transfer),
+                    false => Ok(f64::NAN),
+                });
                 let [points_in_place, points_copied, depth_in_place] = rates;
                 rows.push(OverTimeRow {
                     way: way.name(),
@@ -66,12 +81,18 @@ impl Bench<'_> {
 
     fn session(&self, way: Way, take: Take, change: impl FnOnce(&mut SmootherOptions)) -> Result<Session> {
         let mut settings: Settings = "engine=gpu sensor=kinect1".parse().map_err(Error::from)?;
-        if way != Way::Off {
+        if matches!(way, Way::Steady | Way::Poses) {
             settings.set("temporal", "steady").map_err(Error::from)?;
         }
+        if way == Way::Filled {
+            settings.set("fill", "8").map_err(Error::from)?;
+        }
+        let has_errors = matches!(way, Way::Errors | Way::Filled);
         settings.adapter = self.args.adapter.clone();
         let gpu = planish::GpuOptions::default().with_bounds_checks(false).with_slots(SLOTS);
-        let mut options = SmootherOptions::default().with_outputs(take.outputs()).with_gpu(gpu);
+        let mut options = SmootherOptions::default()
+            .with_outputs(take.outputs().with_sigma(has_errors).with_status(way == Way::Filled))
+            .with_gpu(gpu);
         change(&mut options);
         Ok(Session::new(settings)?.with_kept_window(true).with_options(options))
     }

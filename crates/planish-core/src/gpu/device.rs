@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
+use super::errors::ErrorPass;
 use super::kernel::KernelKey;
 use super::queues;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
@@ -57,6 +58,8 @@ pub(super) struct GpuDevice {
     pub(super) bind_group_layout: wgpu::BindGroupLayout,
     pub(super) pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
+    /// By pass, and whether bounds are checked.
+    error_kernels: Mutex<HashMap<(ErrorPass, bool), wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
     /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the
     /// last submission as done in the other, and panics.
@@ -226,6 +229,7 @@ impl GpuDevice {
             bind_group_layout,
             pipeline_layout,
             kernels: Mutex::default(),
+            error_kernels: Mutex::default(),
             fault,
             turn: Mutex::default(),
             submitting: AtomicUsize::new(0),
@@ -336,6 +340,21 @@ impl GpuDevice {
         }
         let kernel = self.compile(key.pass.entry_point(), key.wgsl(), &self.pipeline_layout, key.bounds_checks)?;
         lock(&self.kernels).insert(key, kernel.clone());
+        Ok(kernel)
+    }
+
+    /// As [`kernel`](Self::kernel), for standard errors.
+    pub(super) fn error_kernel(
+        &self,
+        pass: ErrorPass,
+        bounds_checks: bool,
+    ) -> Result<wgpu::ComputePipeline, EngineError> {
+        let known = lock(&self.error_kernels).get(&(pass, bounds_checks)).cloned();
+        if let Some(kernel) = known {
+            return Ok(kernel);
+        }
+        let kernel = self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, bounds_checks)?;
+        lock(&self.error_kernels).insert((pass, bounds_checks), kernel.clone());
         Ok(kernel)
     }
 

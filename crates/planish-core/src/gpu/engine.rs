@@ -8,11 +8,12 @@ use rayon::prelude::*;
 
 use super::copier::{Copied, Copier};
 use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
+use super::errors::ErrorPass;
 use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::over_time::OverTime;
-use super::slot::Slot;
+use super::slot::{SizedKernel, Slot};
 use super::upload::Uploader;
 use super::view::MappedView;
 use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
@@ -172,7 +173,9 @@ impl Gpu {
         let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
         let compiled = on_a_thread_each(all, |(gpu, key)| gpu.kernel(key).map(drop));
         let failed = || Err(self.gpu().failed("a kernel was not compiled"));
-        compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))
+        compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))?;
+        let all = adapter.devices.iter().flat_map(|gpu| InputKind::ALL.map(|kind| (gpu, kind)));
+        all.into_iter().try_for_each(|(gpu, kind)| self.error_kernels(gpu, kind).map(drop))
     }
 
     /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer
@@ -207,13 +210,16 @@ impl Gpu {
         Pass::of(&self.params).iter().map(key)
     }
 
-    /// Returns the kernels of a frame's passes in order, each with its workgroups across and down.
-    pub(super) fn kernels(
-        &self,
-        gpu: &GpuDevice,
-        kind: InputKind,
-    ) -> Result<Vec<(wgpu::ComputePipeline, [usize; 2])>, EngineError> {
+    /// Returns the kernels of a frame's passes in order.
+    pub(super) fn kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<SizedKernel>, EngineError> {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
+    }
+
+    /// Returns the kernels that estimate a frame's standard errors, in order; none unless they are an output.
+    fn error_kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<SizedKernel>, EngineError> {
+        let passes = ErrorPass::of(kind).into_iter().filter(|_| self.outputs.sigma);
+        let checks = self.options.bounds_checks;
+        passes.map(|pass| Ok((gpu.error_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
     }
 
     /// Returns the most workgroups of a frame, across or down.
@@ -272,8 +278,8 @@ impl Gpu {
         }
         let devices = &self.adapter.devices;
         let gpu = Arc::clone(&devices[self.allocated % devices.len()]);
-        let Self { options, over_time, bytes, .. } = self;
-        let slot = Slot::new(gpu, layout, frames, options, over_time.as_ref(), bytes)?;
+        let Self { params, options, over_time, bytes, .. } = self;
+        let slot = Slot::new(gpu, layout, frames, params, options, over_time.as_ref(), bytes)?;
         self.allocated += 1;
         Ok(slot)
     }
@@ -295,7 +301,9 @@ impl Gpu {
     fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
         let kernels = self.kernels(&slot.gpu, kind)?;
-        let submission = slot.submit(&kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
+        let error_kernels = self.error_kernels(&slot.gpu, kind)?;
+        let submission =
+            slot.submit(&kernels, &error_kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
         self.gpu().check()?;
         Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
     }
@@ -375,6 +383,30 @@ impl SmoothingEngine for Gpu {
             // For example, out of memory.
             Err(_) => {
                 (self.over_time, self.several) = (None, several);
+                lock(&self.free).clear();
+                Ok(false)
+            }
+        }
+    }
+
+    /// Refuses frames of so many rows that their sums exceed the device's limits: the session estimates the errors.
+    fn estimate_errors(&mut self) -> Result<bool, Error> {
+        let Outputs { points, status, neighbours, .. } = self.outputs;
+        let workgroups = ErrorPass::CorrelateRows.workgroups(self.shape)[0];
+        let fits = workgroups <= self.gpu().limits.max_compute_workgroups_per_dimension as usize;
+        if !(points && status && neighbours && fits) || self.over_time.is_some() {
+            return Ok(false);
+        }
+        self.outputs.sigma = true;
+        lock(&self.free).clear();
+        let adapter = Arc::clone(&self.adapter);
+        let opened = self.check_limits(self.layout(InputKind::Points), 1).and_then(|()| self.compile(&adapter));
+        match opened.and_then(|()| self.warm_up()) {
+            Ok(()) => Ok(true),
+            Err(lost @ EngineError::Lost { .. }) => Err(lost.into()),
+            // For example, out of memory.
+            Err(_) => {
+                self.outputs.sigma = false;
                 lock(&self.free).clear();
                 Ok(false)
             }

@@ -194,6 +194,7 @@ impl KernelKey {
             let _ = writeln!(text, "const MIDDLE_SHARE: f32 = {:?};", self.middle_share());
         }
         text += shader!("shaders/buffers.wgsl");
+        text += shader!("shaders/words.wgsl");
         text += shader!("shaders/kept.wgsl");
         text += if self.reads_input { shader!("shaders/input.wgsl") } else { shader!("shaders/input_kept.wgsl") };
         text += if self.reads_means {

@@ -3,7 +3,7 @@
 //!
 //! Units are 32-bit words. A frame of the input consists of its [`FrameHeader`], the rays of its columns and rows, and
 //! its samples: raw depth, two pixels per word; depth in metres; or x, y and z, one channel each. A frame of the output
-//! consists of its requested f32 channels (points, normals, curvature), then rows of packed codes: status and
+//! consists of its requested f32 channels (points, normals, curvature and so on), then rows of packed codes: status and
 //! neighbours, four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are
 //! contiguous. Intermediate data of passes remain on the device.
 
@@ -152,6 +152,10 @@ impl Layout {
         self.outputs.frames.then(|| self.channel(channels(self.outputs).frames))
     }
 
+    pub(super) fn sigma(&self) -> Option<Range<usize>> {
+        self.outputs.sigma.then(|| self.channel(channels(self.outputs).sigma))
+    }
+
     pub(super) fn status(&self) -> Option<Range<usize>> {
         self.packed()[0].clone()
     }
@@ -217,6 +221,7 @@ pub(super) struct Channels {
     pub(super) curvature: usize,
     pub(super) depth_m: usize,
     pub(super) frames: usize,
+    sigma: usize,
     pub(super) count: usize,
 }
 
@@ -225,7 +230,8 @@ pub(super) fn channels(outputs: Outputs) -> Channels {
     let curvature = normals + if outputs.normals { 3 } else { 0 };
     let depth_m = curvature + usize::from(outputs.curvature);
     let frames = depth_m + usize::from(outputs.depth_m);
-    Channels { points: 0, normals, curvature, depth_m, frames, count: frames + usize::from(outputs.frames) }
+    let sigma = frames + usize::from(outputs.frames);
+    Channels { points: 0, normals, curvature, depth_m, frames, sigma, count: sigma + usize::from(outputs.sigma) }
 }
 
 /// Writes a constant in WGSL.

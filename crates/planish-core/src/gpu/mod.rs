@@ -20,6 +20,8 @@ mod device;
 #[cfg(feature = "gpu")]
 mod engine;
 #[cfg(feature = "gpu")]
+mod errors;
+#[cfg(feature = "gpu")]
 mod flight;
 #[cfg(feature = "gpu")]
 mod general;

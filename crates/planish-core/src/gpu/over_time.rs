@@ -75,6 +75,7 @@ impl Pass {
     fn wgsl(self, in_space: Outputs, over_time: Outputs) -> String {
         let mut text = temporal_constants(in_space);
         text += shader!("shaders/over_time/buffers.wgsl");
+        text += shader!("shaders/words.wgsl");
         match self {
             Self::MoveState => text += shader!("shaders/over_time/move_state.wgsl"),
             Self::MeasureChanges => text += shader!("shaders/over_time/measure_changes.wgsl"),

@@ -47,6 +47,10 @@ impl<'a> Results<'a> {
         Some(self.values(self.layout.frames()?))
     }
 
+    pub(super) fn sigma(self) -> Option<&'a [f32]> {
+        Some(self.values(self.layout.sigma()?))
+    }
+
     pub(super) fn depth_rows(self) -> Option<Rows<'a, u16>> {
         Some(self.rows(self.layout.depth()?))
     }
@@ -90,8 +94,12 @@ impl<'a> Results<'a> {
                     spawn_copying(scope, from, to);
                 }
             }
-            let channels =
-                [(self.curvature(), out.curvature), (self.depth_m(), out.depth_m), (self.frames(), out.frames)];
+            let channels = [
+                (self.curvature(), out.curvature),
+                (self.depth_m(), out.depth_m),
+                (self.frames(), out.frames),
+                (self.sigma(), out.sigma),
+            ];
             for (from, to) in channels {
                 let (Some(from), Some(to)) = (from, to) else { continue };
                 scope.spawn(move |_| to.copy_from_slice(from));

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::bytes_of;
 
 use super::device::GpuDevice;
+use super::errors::{self, SlotErrors};
 use super::layout::Layout;
 use super::mapped::Mapped;
 use super::over_time::{OverTime, SlotOverTime};
@@ -17,11 +18,15 @@ use super::stamps::Stamps;
 use super::upload::Uploader;
 use crate::devices::{GpuOptions, Transfer};
 use crate::error::EngineError;
+use crate::params::EngineParams;
 use crate::smoothing_engine::{AdmittedFrame, VideoStep};
 use crate::timings::FrameTimings;
 
 /// Bytes in a word.
 const WORD: u64 = 4;
+
+/// A kernel, with its workgroups for a frame, across and down.
+pub(super) type SizedKernel = (wgpu::ComputePipeline, [usize; 2]);
 
 pub(super) struct Slot {
     /// Where it is submitted.
@@ -42,6 +47,7 @@ pub(super) struct Slot {
     _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
     over_time: Option<SlotOverTime>,
+    errors: Option<SlotErrors>,
     stamps: Option<Stamps>,
     mapped: Mapped,
     _counted: Counted,
@@ -72,6 +78,7 @@ impl Slot {
         gpu: Arc<GpuDevice>,
         layout: Layout,
         frames: usize,
+        params: &EngineParams,
         options: &GpuOptions,
         over_time: Option<&OverTime>,
         all_bytes: &Arc<AtomicU64>,
@@ -84,8 +91,11 @@ impl Slot {
         let direct = options.transfer == Transfer::Direct;
         // The kernels have places for them whether they use them or not.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
-        let total =
-            kept_bytes.iter().sum::<u64>() + in_space_bytes + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
+        let residual_bytes = layout.sigma().map_or(0, |_| (errors::kept_words(&layout) * frames) as u64 * WORD);
+        let total = kept_bytes.iter().sum::<u64>()
+            + in_space_bytes
+            + residual_bytes
+            + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
         let owner = Arc::clone(&gpu);
         gpu.allocate(total, || {
             let device = &gpu.device;
@@ -107,6 +117,7 @@ impl Slot {
             let (read, written) = (input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback));
             let over_time = over_time.map(|over_time| over_time.slot(&gpu, &layout, [read, written]));
             let written = over_time.as_ref().map_or(written, |over_time| &over_time.in_space);
+            let errors = SlotErrors::new(&gpu, &layout, frames, params, [read, written, &kept[0]]);
             let bound = [&uniform, read, written, &kept[0], &kept[1]];
             let entries: Vec<_> = bound
                 .into_iter()
@@ -131,6 +142,7 @@ impl Slot {
                 _kept: kept,
                 bind_group,
                 over_time,
+                errors,
                 stamps,
                 mapped: Mapped::default(),
                 _counted: Counted::new(total, all_bytes),
@@ -151,11 +163,12 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to kernels, each with its workgroups across and down, then to the filter over time. Requests
-    /// the buffers for when they are done.
+    /// Submits the frames to kernels, then to those of standard errors or to the filter over time. Requests the buffers
+    /// for when they are done.
     pub(super) fn submit(
         &self,
-        kernels: &[(wgpu::ComputePipeline, [usize; 2])],
+        kernels: &[SizedKernel],
+        error_kernels: &[SizedKernel],
         over_time: Option<(&mut OverTime, &VideoStep)>,
     ) -> wgpu::SubmissionIndex {
         self.upload.unmap();
@@ -175,9 +188,10 @@ impl Slot {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
             pass.set_bind_group(0, &self.bind_group, &[]);
             // Each waits for the previous one: wgpu detects that both use the kept buffers.
-            for (kernel, [across, down]) in kernels {
-                pass.set_pipeline(kernel);
-                pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);
+            self.dispatch(&mut pass, kernels);
+            if let Some(errors) = &self.errors {
+                pass.set_bind_group(0, &errors.bind_group, &[]);
+                self.dispatch(&mut pass, error_kernels);
             }
             if let Some((over_time, slot, moves)) = begun {
                 over_time.encode(&mut pass, slot, moves);
@@ -196,6 +210,13 @@ impl Slot {
         let buffers = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
         self.mapped.ask_for(buffers.into_iter().chain(stamps));
         submission
+    }
+
+    fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, kernels: &[SizedKernel]) {
+        for (kernel, [across, down]) in kernels {
+            pass.set_pipeline(kernel);
+            pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);
+        }
     }
 
     /// Waits until every buffer of a submission that has run is the host's again.

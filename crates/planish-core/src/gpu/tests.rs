@@ -19,7 +19,7 @@ use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated, simulated_frame};
 
 /// Returns the device of the tests; prints SKIP if there is none.
-fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
+pub(super) fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     let Some(adapter) = adapters().into_iter().next() else {
         assert!(std::env::var_os("PLANISH_REQUIRE_GPU").is_none(), "no GPU adapter, and one is required");
         use std::io::Write;

@@ -79,6 +79,10 @@ impl ResultInPlace for MappedView {
         self.results(0).frames()
     }
 
+    fn sigma(&self) -> Option<&[f32]> {
+        self.results(0).sigma()
+    }
+
     fn status_rows(&self) -> Option<Rows<'_, u8>> {
         self.results(0).status_rows()
     }

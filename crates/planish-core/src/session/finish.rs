@@ -1,12 +1,12 @@
-//! Steps on the CPU after any engine: standard errors, and the filling of holes.
+//! Steps on the CPU after any engine: standard errors, unless the engine estimated them, and the filling of holes.
 
-use super::sigma::{Sigma, SigmaBuffers};
 use super::{Chosen, Session, SessionEvent};
 use crate::error::{Error, FrameError, ParamError};
 use crate::fill::{Fill, FillBuffers};
 use crate::frame::{Frame, FrameGeometry, GeometryScratch};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::EngineParams;
+use crate::sigma::{Sigma, SigmaBuffers};
 use crate::smoothed::Smoothed;
 use crate::threads::{ONE_THREAD, Threads};
 
@@ -19,6 +19,8 @@ pub(super) struct Finish {
     outputs: Outputs,
     /// The widest hole to fill, in pixels.
     fill_px: Option<u32>,
+    /// Whether the engine has estimated the standard errors.
+    has_errors: bool,
 }
 
 /// Finishes results. Because it is a trait object, WebAssembly, which creates none, does not contain its code.
@@ -83,16 +85,18 @@ impl Session {
         outputs.with_status(outputs.status || (!ONE_THREAD && self.fill_px().is_some()))
     }
 
-    /// Returns the outputs from which the requested ones follow.
+    /// Returns the outputs from which the requested ones follow. Standard errors are among them where an engine may
+    /// estimate them: not after smoothing over time.
     pub(super) fn outputs_to_finish(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         if !self.finishes() {
             return outputs;
         }
-        let needed = outputs.with_sigma(false).with_points(true).with_status(true);
-        match outputs.sigma {
-            true => needed.with_neighbours(true).with_frames(outputs.frames || self.over_time(frame).is_some()),
-            false => needed,
+        let needed = outputs.with_points(true).with_status(true);
+        match (outputs.sigma, self.over_time(frame)) {
+            (false, _) => needed,
+            (true, None) => needed.with_neighbours(true),
+            (true, Some(_)) => needed.with_sigma(false).with_neighbours(true).with_frames(true),
         }
     }
 
@@ -133,13 +137,16 @@ impl Session {
     pub(super) fn smooth_and_finish(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
         self.check_can_finish(frame)?;
         let (requested, outputs) = (self.options.outputs, self.flagged_outputs());
-        let sigma_m = out.sigma.take();
+        let over_time = self.over_time(frame).is_some();
+        let sigma_m = if over_time { out.sigma.take() } else { None };
         // The session lends buffers for results that were not requested.
         self.finish_buffers().exchange(out, outputs);
         self.options.outputs = self.outputs_to_finish(frame);
         let result = self.smooth_unfinished(frame, out);
         self.options.outputs = requested;
-        out.sigma = sigma_m;
+        if over_time {
+            out.sigma = sigma_m;
+        }
         let result = result.and_then(|()| match self.to_finish(frame) {
             Some(finish) => self.finish(frame, out, &finish),
             None => Ok(()),
@@ -180,16 +187,17 @@ impl Session {
         if !self.finishes() {
             return None;
         }
-        let params = self.open.as_ref()?.open_for().params;
+        let open = self.open.as_ref()?;
+        let (params, has_errors) = (open.open_for().params, open.estimates_errors());
         let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px() })
+        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px(), has_errors })
     }
 
     fn finish(&mut self, frame: Frame<'_>, smoothed: &mut Smoothed, finish: &Finish) -> Result<(), Error> {
         let threads = self.threads_to_finish()?;
-        let Finish { geometry, params, outputs, fill_px } = *finish;
+        let Finish { geometry, params, outputs, fill_px, has_errors } = *finish;
         let buffers = self.finish_buffers();
-        if outputs.sigma {
+        if outputs.sigma && !has_errors {
             Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
         }
         let Some(width_px) = fill_px else { return Ok(()) };

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::Session;
+use super::open::Open;
 use super::pending::{AnyFrame, OnReceipt, Pending};
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
@@ -40,14 +41,17 @@ impl Session {
     }
 
     /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
-    /// device. The result stays where the device puts it.
+    /// device. The result stays where the device puts it. Standard errors are possible where a GPU estimates them.
     ///
     /// # Errors
     /// As [`submit`](Self::submit).
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
-        if self.finishes() {
+        self.check_can_finish(frame)?;
+        let admitted = self.open_in_flight(frame, false)?;
+        let has_errors = !self.options.outputs.sigma || self.open.as_ref().is_some_and(Open::estimates_errors);
+        if self.finishes() && (self.fill_px().is_some() || !has_errors) {
             let allowed = "only for frames that are shared (submit), since it follows from frame and result";
             let (field, value) = match self.fill_px() {
                 Some(width_px) => ("fill", width_px.to_string()),
@@ -55,7 +59,6 @@ impl Session {
             };
             return Err(ParamError { field, value, allowed }.into());
         }
-        let admitted = self.open_in_flight(frame, false)?;
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
             self.video.leave_device();
             return Err(error);

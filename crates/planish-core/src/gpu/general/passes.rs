@@ -165,6 +165,7 @@ impl Pass {
         let mut text = constants(InputKind::Points, outputs, 1);
         let _ = writeln!(text, "const KEEPS_ISOLATED: bool = {};", !params.remove_isolated);
         text += shader!("../shaders/buffers.wgsl");
+        text += shader!("../shaders/words.wgsl");
         text += shader!("../shaders/general/cloud.wgsl");
         let (read, written) = self.resources(params.edges);
         for (resources, access) in [(read, "read"), (written, "read_write")] {

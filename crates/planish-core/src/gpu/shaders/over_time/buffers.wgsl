@@ -44,14 +44,6 @@ struct Step {
 // The nearest range in metres that is smoothed over time: from there on, changes are within f32.
 const LEAST_RANGE_M: f32 = 1e-9;
 
-fn header(frame: u32, field: u32) -> f32 {
-    return bitcast<f32>(input[frame * batch.input_words + field]);
-}
-
-fn is_finite(bits: u32) -> bool {
-    return (bits & 0x7f800000u) != 0x7f800000u;
-}
-
 fn pixels() -> u32 {
     return batch.width * batch.height;
 }

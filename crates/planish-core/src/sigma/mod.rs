@@ -1,67 +1,30 @@
 //! The standard error of each smoothed position (docs/method.md, section 17), from the residuals of the frame itself:
 //! what any engine has made of it.
 
+pub(crate) mod constants;
 mod correlation;
 mod rows;
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
+use self::constants::{BIAS_HALF_PX, EXPONENT, FACTOR, FEW_PIXELS, FOLLOWING_FACTOR, LEAST_DEVIATION, STEREO_AREA};
 use crate::frame::{Frame, FrameGeometry, RangeRule};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::threads::Threads;
 
-/// Half-width in pixels of the windows over which residuals are averaged.
-const HALF_PX: usize = 4;
-/// Residuals are clamped to this many standard deviations, so that a floating pixel does not count as noise.
-const CLIP: f32 = 6.0;
-/// Residuals show at least this share of the sensor's deviation, and that is at least this many metres: where all
-/// pixels have the same raw value, or the sensor is exact, points still have an error.
-const LEAST_DEVIATION: f32 = 0.1;
-const LEAST_DEVIATION_M: f32 = 1e-5;
-/// The largest lag of the correlation, in pixels.
-const MOST_LAG_PX: usize = 6;
-/// Correlations below this are noise of the estimate.
-const LEAST_CORRELATION: f64 = 0.02;
-/// The correlation is estimated from every third row.
-const STEP_PX: usize = 3;
-/// The standard error in units of the residual deviation over the root of the number of samples, measured on simulated
-/// frames of every sensor; and the exponent of the area of correlation, whose estimate from residuals is low.
-const FACTOR: f64 = 1.38;
-const EXPONENT: f64 = 0.6;
-/// Within this many pixels of a step, the error is larger by this factor.
-const NEAR_STEP_PX: usize = 3;
-const NEAR_STEP_FACTOR: f32 = 1.45;
-/// A step between adjacent pixels, in standard deviations of the sensor and in shares of the range.
-const STEP_DEVIATIONS: f32 = 8.0;
-const STEP_SHARE: f32 = 0.02;
-/// Windows of fewer pixels follow the noise, so residuals do not show all of it: it is at least the sensor's, with at
-/// least this area of correlation where it grows with the square of the range, as with stereo and structured light.
-const FEW_PIXELS: u32 = 150;
-const STEREO_AREA: f64 = 8.0;
-/// There, polynomials without kept edges follow the noise by this factor, and at most this share of it is left.
-const FOLLOWING_FACTOR: f64 = 2.0;
-const MOST_SHARE: f32 = 0.85;
-/// A mean residual over a window of this half-width in pixels shows that smoothing flattened the surface, if it exceeds
-/// its noise by this many deviations. This share of the rest is added as an error.
-const BIAS_HALF_PX: usize = 2;
-const BIAS_DEVIATIONS: f32 = 2.0;
-const BIAS_WEIGHT: f32 = 0.5;
-/// The share of the variance that is the same in every frame of a stationary sensor, and so does not fall over time.
-const FIXED_SHARE: f32 = 0.65;
-
 /// How standard errors are estimated.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sigma {
-    pub(super) geometry: FrameGeometry,
-    pub(super) params: EngineParams,
+pub(crate) struct Sigma {
+    pub(crate) geometry: FrameGeometry,
+    pub(crate) params: EngineParams,
 }
 
 /// Buffers that are kept from frame to frame.
 #[derive(Default)]
-pub(super) struct SigmaBuffers {
+pub(crate) struct SigmaBuffers {
     /// The smoothed range of each pixel, and the sensor's deviation there.
     ranges_m: Vec<f32>,
     deviations_m: Vec<f32>,
@@ -84,7 +47,7 @@ impl SigmaBuffers {
 
 impl Sigma {
     /// Estimates the standard errors of a frame's result.
-    pub(super) fn estimate(
+    pub(crate) fn estimate(
         &self,
         frame: Frame<'_>,
         smoothed: &mut Smoothed,
@@ -107,7 +70,7 @@ impl Sigma {
         let level = Level::new();
         self.set_residuals(frame, smoothed, status, buffers);
         let SigmaBuffers { ranges_m, deviations_m, values, counts, steps } = buffers;
-        let model = self.error_model(correlation::area(values, counts, shape));
+        let model = ErrorScale::of(&self.params).model(correlation::area(values, counts, shape));
         steps.par_chunks_mut(width).enumerate().for_each(|(v, steps)| {
             let of_row = |v: usize| &ranges_m[v * width..(v + 1) * width];
             let deviations_m = &deviations_m[v * width..(v + 1) * width];
@@ -172,19 +135,39 @@ impl Sigma {
         };
         range_m as f32
     }
+}
+
+/// How the errors of a frame scale with its residuals and the area of their correlation, by the parameters of smoothing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ErrorScale {
+    /// The standard error over the deviation of the residuals, of a point with one neighbour and an area of one pixel.
+    pub(crate) gain: f64,
+    /// The least area of correlation in pixels, and the least variance of residuals.
+    pub(crate) least_area: f64,
+    pub(crate) least_variance: f32,
+}
+
+impl ErrorScale {
+    pub(crate) fn of(params: &EngineParams) -> Self {
+        let pixels_of_sample = if params.averages_blocks() { params.stride.pow(2) } else { 1 };
+        let side = 2 * params.window + 1;
+        let follows_noise = pixels_of_sample * side * side < FEW_PIXELS;
+        let [_, linear, square] = params.sensor.sigma;
+        let is_plain = params.edges == Edges::Off && follows_noise;
+        let gain = FACTOR * if is_plain { FOLLOWING_FACTOR } else { 1.0 };
+        Self {
+            gain: gain / f64::from(pixels_of_sample).sqrt(),
+            least_area: if follows_noise && square > linear { STEREO_AREA } else { 1.0 },
+            least_variance: if follows_noise { 1.0 } else { LEAST_DEVIATION.powi(2) },
+        }
+    }
 
     /// Returns how errors follow from residuals, if the noise of this number of pixels counts as one.
-    fn error_model(&self, area: f64) -> rows::ErrorModel {
-        let pixels_of_sample = if self.params.averages_blocks() { self.params.stride.pow(2) } else { 1 };
-        let side = 2 * self.params.window + 1;
-        let follows_noise = pixels_of_sample * side * side < FEW_PIXELS;
-        let [_, linear, square] = self.params.sensor.sigma;
-        let area = area.max(if follows_noise && square > linear { STEREO_AREA } else { 1.0 });
-        let is_plain = self.params.edges == Edges::Off && follows_noise;
-        let gain = FACTOR * area.powf(EXPONENT) * if is_plain { FOLLOWING_FACTOR } else { 1.0 };
+    fn model(&self, area: f64) -> rows::ErrorModel {
+        let area = area.max(self.least_area);
         rows::ErrorModel {
-            gain: (gain / f64::from(pixels_of_sample).sqrt()) as f32,
-            least_variance: if follows_noise { 1.0 } else { LEAST_DEVIATION.powi(2) },
+            gain: (self.gain * area.powf(EXPONENT)) as f32,
+            least_variance: self.least_variance,
             variance_of_mean: (area / (2 * BIAS_HALF_PX + 1).pow(2) as f64).min(1.0) as f32,
         }
     }

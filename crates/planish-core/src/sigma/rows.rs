@@ -1,6 +1,6 @@
 //! Loops over the pixels of a row. Callers compile them for each instruction set.
 
-use super::{
+use super::constants::{
     BIAS_DEVIATIONS, BIAS_HALF_PX, BIAS_WEIGHT, CLIP, FIXED_SHARE, HALF_PX, LEAST_DEVIATION_M, MOST_SHARE,
     NEAR_STEP_FACTOR, NEAR_STEP_PX, STEP_DEVIATIONS, STEP_SHARE,
 };

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{LEAST_CORRELATION, MOST_LAG_PX, STEP_PX};
+use super::constants::{LEAST_CORRELATION, MOST_LAG_PX, STEP_PX};
 
 /// Sums are kept in this number of parts, so that they are the same for every instruction set.
 const PARTS: usize = 16;

@@ -1,0 +1,36 @@
+// The number of pixels whose noise counts as one (equation 17.3), from the sums of all rows.
+
+const THREADS: u32 = 32u;
+
+var<workgroup> totals: array<f32, THREADS>;
+
+// The sum of the correlations over the lags of both directions, up to the first small one.
+fn along(axis: u32) -> f32 {
+    var sum = 1.0;
+    for (var k = 0u; k < MOST_LAG; k++) {
+        let product = totals[4u * k + 2u * axis];
+        let square = totals[4u * k + 2u * axis + 1u];
+        let correlation = select(0.0, product / max(square, MIN_POSITIVE), square > 0.0);
+        if correlation < LEAST_CORRELATION {
+            break;
+        }
+        sum += 2.0 * correlation;
+    }
+    return sum;
+}
+
+@compute @workgroup_size(THREADS)
+fn measure_area(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let frame = group.z;
+    var total = 0.0;
+    if thread < SUMS {
+        for (var k = 0u; k < rows(); k++) {
+            total += memory[sums_at(frame, k) + thread];
+        }
+    }
+    totals[thread] = total;
+    workgroupBarrier();
+    if thread == 0u {
+        memory[area_at(frame)] = max(along(0u) * along(1u), batch.least_area);
+    }
+}

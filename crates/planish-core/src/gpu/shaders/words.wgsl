@@ -1,0 +1,19 @@
+// Words of the input, for every pass over frames; `batch` is its uniform.
+//
+// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
+// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
+// read from the bits.
+
+const NO_POINT: f32 = 4.0e18;
+
+fn header(frame: u32, field: u32) -> f32 {
+    return bitcast<f32>(input[frame * batch.input_words + field]);
+}
+
+fn header_bits(frame: u32, field: u32) -> u32 {
+    return input[frame * batch.input_words + field];
+}
+
+fn is_finite(bits: u32) -> bool {
+    return (bits & 0x7f800000u) != 0x7f800000u;
+}
