@@ -8,8 +8,8 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_hidden(c) && !matches!(c, '\n' | '\t'))
 }
 
-/// As [`printable`], and escapes lines and tabs too. For a name from a file, which could otherwise pretend to be another
-/// line of output.
+/// As [`printable`], and escapes lines and tabs too. For a name from a file, which could otherwise pretend to be a line
+/// of output.
 pub fn printable_name(name: &str) -> Cow<'_, str> {
     escaped(name, is_hidden)
 }

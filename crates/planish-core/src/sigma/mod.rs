@@ -137,7 +137,7 @@ impl Sigma {
     }
 }
 
-/// How the errors of a frame scale with its residuals and the area of their correlation, by the parameters of smoothing.
+/// How the errors of a frame scale with its residuals and the area of their correlation, for parameters of smoothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ErrorScale {
     /// The standard error over the deviation of the residuals, of a point with one neighbour and an area of one pixel.

@@ -121,10 +121,7 @@ impl Records {
                 // Without them, the reader continues as if the chunk did not end. It returns no chunks otherwise.
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
-                    if !lengths_fit(opcode, data) {
-                        return Err(FormatError::Malformed("damaged: a part is longer than its record".into()));
-                    }
-                    return Ok(Next::Record(mcap::parse_record(opcode, data).map_err(of_mcap)?.into_owned()));
+                    return Ok(Next::Record(parse_record(opcode, data)?.into_owned()));
                 }
                 Err(McapError::UnexpectedEof) => return Ok(Next::CutOff),
                 Err(McapError::BadChunkCrc { .. }) => return Ok(Next::DamagedChunk),
@@ -161,6 +158,14 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
+/// Parses a record.
+pub(super) fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, FormatError> {
+    if !lengths_fit(opcode, data) {
+        return Err(FormatError::Malformed("damaged: a part is longer than its record".into()));
+    }
+    mcap::parse_record(opcode, data).map_err(of_mcap)
+}
+
 /// Returns true if the texts, tables and data of a record fit into it: the parser would allocate the claimed sizes, or
 /// panic.
 fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
@@ -191,6 +196,8 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         op::ATTACHMENT => skip_attached(skip(skip(data.get(16..)?)?)?),
         op::METADATA => skip_texts(skip(data)?),
         op::STATISTICS => skip(data.get(42..)?),
+        op::CHUNK => skip(data.get(28..)?),
+        op::MESSAGE_INDEX => skip(data.get(2..)?),
         op::CHUNK_INDEX => skip(skip(data.get(32..)?)?.get(8..)?),
         op::ATTACHMENT_INDEX => skip(skip(data.get(40..)?)?),
         op::METADATA_INDEX => skip(data.get(16..)?),

@@ -14,6 +14,7 @@ use mcap::records::{
     Statistics, op,
 };
 
+use super::records::parse_record;
 use super::{MAGIC, of_mcap};
 use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
 use planish_core::{FormatError, IoError};
@@ -207,7 +208,7 @@ impl Scan {
                 Read::by_ref(file).take(read).read_to_end(&mut data)?;
             }
             match opcode {
-                op::HEADER if mcap::parse_record(op::HEADER, &data).is_ok() => self.has_header = true,
+                op::HEADER if parse_record(op::HEADER, &data).is_ok() => self.has_header = true,
                 op::HEADER => return cut(bytes - at),
                 op::CHUNK => {
                     let (contents, is_whole) = contents_of(&data, false, options);
@@ -270,7 +271,7 @@ impl Scan {
     /// Indexes a whole chunk. Its indices of messages follow.
     fn chunk(&mut self, at: u64, length: u64, data: &[u8], contents: Contents, is_whole: bool) {
         self.missing.clear();
-        let header = match mcap::parse_record(op::CHUNK, data) {
+        let header = match parse_record(op::CHUNK, data) {
             Ok(Record::Chunk { header, .. }) if is_whole => header,
             _ => {
                 self.damaged_chunks += 1;

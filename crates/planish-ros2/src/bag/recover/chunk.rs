@@ -8,6 +8,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::{RECORD_HEADER, record};
 use crate::bag::decompress;
+use crate::bag::records::parse_record;
 use planish_io::ReadOptions;
 use planish_io::internal::guarded;
 
@@ -28,7 +29,7 @@ impl Contents {
     /// Adds a record, with its bytes if they are needed; returns false if it cannot be read.
     pub fn add(&mut self, opcode: u8, data: &[u8], with_bytes: bool) -> bool {
         let offset = self.end;
-        let Ok(parsed) = mcap::parse_record(opcode, data) else { return false };
+        let Ok(parsed) = parse_record(opcode, data) else { return false };
         match parsed {
             Record::Schema { header, data } => {
                 self.schemas.insert(header.id, (header, data.into_owned()));
