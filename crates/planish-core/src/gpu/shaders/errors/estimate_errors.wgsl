@@ -6,6 +6,10 @@ const BLOCK_HEIGHT_PX: u32 = TILE_HEIGHT + 2u * HALF;
 
 var<workgroup> residuals: array<f32, BLOCK_WIDTH_PX * BLOCK_HEIGHT_PX>;
 var<workgroup> steps: array<f32, BLOCK_WIDTH_PX * BLOCK_HEIGHT_PX>;
+// Over the rows of a window: the sum of squares and their number, the sum of values and their number in the small
+// window; whether there is a step.
+var<workgroup> sums: array<vec4<f32>, BLOCK_WIDTH_PX * TILE_HEIGHT>;
+var<workgroup> near: array<f32, BLOCK_WIDTH_PX * TILE_HEIGHT>;
 
 // Loads a tile and the pixels of the windows around it.
 fn load_block(frame: u32, origin: vec2<u32>, thread: u32) {
@@ -24,10 +28,26 @@ fn load_block(frame: u32, origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-// Whether a place in the window is within a smaller one.
-fn is_within(column: u32, row: u32, half: u32) -> bool {
-    let margin = HALF - half;
-    return min(column, row) >= margin && max(column, row) < SIDE - margin;
+// Whether a row or column of the window is within a smaller one.
+fn is_within(i: u32, half_width: u32) -> bool {
+    return i >= HALF - half_width && i <= HALF + half_width;
+}
+
+fn add_rows(thread: u32) {
+    for (var k = thread; k < BLOCK_WIDTH_PX * TILE_HEIGHT; k += TILE_WIDTH * TILE_HEIGHT) {
+        var sum = vec4<f32>(0.0);
+        var step = 0.0;
+        for (var row = 0u; row < SIDE; row++) {
+            let residual = residuals[k + row * BLOCK_WIDTH_PX];
+            let counts = residual != NO_RESIDUAL;
+            let pair = select(vec2<f32>(0.0), vec2<f32>(residual, 1.0), counts);
+            sum += vec4<f32>(pair.x * pair.x, pair.y, select(vec2<f32>(0.0), pair, is_within(row, BIAS_HALF)));
+            step = max(step, select(0.0, steps[k + row * BLOCK_WIDTH_PX], is_within(row, NEAR_STEP)));
+        }
+        sums[k] = sum;
+        near[k] = step;
+    }
+    workgroupBarrier();
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
@@ -40,38 +60,28 @@ fn estimate_errors(
     let origin = group.xy * vec2<u32>(TILE_WIDTH, TILE_HEIGHT);
     let at = origin + local.xy;
     load_block(frame, origin, thread);
+    add_rows(thread);
     if at.x >= batch.width || at.y >= batch.height {
         return;
     }
-    // Of all residuals in the window: squares and their number; of those in the small window: values and their number.
-    var sums = vec4<f32>(0.0);
-    var near = 0.0;
-    for (var row = 0u; row < SIDE; row++) {
-        for (var column = 0u; column < SIDE; column++) {
-            let k = (local.y + row) * BLOCK_WIDTH_PX + local.x + column;
-            let residual = residuals[k];
-            if residual != NO_RESIDUAL {
-                sums += vec4<f32>(residual * residual, 1.0, 0.0, 0.0);
-                if is_within(column, row, BIAS_HALF) {
-                    sums += vec4<f32>(0.0, 0.0, residual, 1.0);
-                }
-            }
-            if is_within(column, row, NEAR_STEP) {
-                near = max(near, steps[k]);
-            }
-        }
+    var sum = vec4<f32>(0.0);
+    var step = 0.0;
+    for (var column = 0u; column < SIDE; column++) {
+        let k = local.y * BLOCK_WIDTH_PX + local.x + column;
+        sum += vec4<f32>(sums[k].xy, select(vec2<f32>(0.0), sums[k].zw, is_within(column, BIAS_HALF)));
+        step = max(step, select(0.0, near[k], is_within(column, NEAR_STEP)));
     }
     let i = at.y * batch.width + at.x;
     let range = kept_at(frame, i + pixels());
     let status = code(frame, batch.status_at, at);
     let area = memory[area_at(frame)];
-    let variance = max(select(1.0, sums.x / max(sums.y, 1.0), sums.y > 0.0), batch.least_variance);
-    let mean = sums.z / max(sums.w, 1.0);
+    let variance = max(select(1.0, sum.x / max(sum.y, 1.0), sum.y > 0.0), batch.least_variance);
+    let mean = sum.z / max(sum.w, 1.0);
     let unit = deviation(range);
     let raw = sqrt(variance) * unit;
     let neighbours = max(f32(code(frame, batch.neighbours_at, at)), 1.0);
     let share = min(batch.gain * pow(area, EXPONENT) / sqrt(neighbours), MOST_SHARE);
-    let noise = raw * share * select(1.0, NEAR_STEP_FACTOR, near > 0.0);
+    let noise = raw * share * select(1.0, NEAR_STEP_FACTOR, step > 0.0);
     let variance_of_mean = min(area / f32((2u * BIAS_HALF + 1u) * (2u * BIAS_HALF + 1u)), 1.0);
     let beyond = max(abs(mean) - BIAS_DEVIATIONS * sqrt(variance_of_mean * variance), 0.0);
     let bias = BIAS_WEIGHT * beyond * unit;

@@ -1,6 +1,8 @@
 // The number of pixels whose noise counts as one (equation 17.3), from the sums of all rows.
 
-const THREADS: u32 = 32u;
+// Each part of the threads adds up every PARTS-th row.
+const PARTS: u32 = 10u;
+const THREADS: u32 = PARTS * SUMS;
 
 var<workgroup> totals: array<f32, THREADS>;
 
@@ -22,13 +24,18 @@ fn along(axis: u32) -> f32 {
 @compute @workgroup_size(THREADS)
 fn measure_area(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let frame = group.z;
+    let which = thread % SUMS;
     var total = 0.0;
-    if thread < SUMS {
-        for (var k = 0u; k < rows(); k++) {
-            total += memory[sums_at(frame, k) + thread];
-        }
+    for (var k = thread / SUMS; k < rows(); k += PARTS) {
+        total += memory[sums_at(frame, k) + which];
     }
     totals[thread] = total;
+    workgroupBarrier();
+    if thread < SUMS {
+        for (var part = 1u; part < PARTS; part++) {
+            totals[thread] += totals[part * SUMS + thread];
+        }
+    }
     workgroupBarrier();
     if thread == 0u {
         memory[area_at(frame)] = max(along(0u) * along(1u), batch.least_area);
