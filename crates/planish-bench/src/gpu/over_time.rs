@@ -61,18 +61,15 @@ impl Bench<'_> {
                     let timings = session.receive()?.and_then(|view| view.timings());
                     Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
                 })?;
-                let rates = Take::ALL.map(|take| match way.is_in_place() || take == Take::PointsCopied {
-                    true => self.rate(way, take, transfer),
-                    false => Ok(f64::NAN),
-                });
-                let [points_in_place, points_copied, depth_in_place] = rates;
+                let rate = |take| self.rate(way, take, transfer);
+                let in_place = |take| way.is_in_place().then(|| rate(take)).transpose();
                 rows.push(OverTimeRow {
                     way: way.name(),
                     transfer: format!("{transfer:?}").to_lowercase(),
                     kernel_us,
-                    points_in_place: points_in_place?,
-                    points_copied: points_copied?,
-                    depth_in_place: depth_in_place?,
+                    points_in_place: in_place(Take::PointsInPlace)?,
+                    points_copied: rate(Take::PointsCopied)?,
+                    depth_in_place: in_place(Take::DepthInPlace)?,
                 });
             }
         }
