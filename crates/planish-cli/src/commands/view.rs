@@ -43,7 +43,7 @@ struct Served {
     files: Vec<(String, Vec<u8>)>,
     /// The first part of their paths, which cannot be guessed.
     token: String,
-    /// What the browser that this process starts asks for, once. Its command line is no secret on a shared machine.
+    /// One-time path for the browser started by this process, whose command line other users can see.
     ticket: Mutex<Option<String>>,
     /// The part of the address that names the frame.
     shown: String,

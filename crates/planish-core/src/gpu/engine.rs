@@ -389,7 +389,7 @@ impl SmoothingEngine for Gpu {
         }
     }
 
-    /// Refuses frames of so many rows that their sums exceed the device's limits: the session estimates the errors.
+    /// Refuses frames with more rows than the device has workgroups; the session then estimates the errors.
     fn estimate_errors(&mut self) -> Result<bool, Error> {
         let Outputs { points, status, neighbours, .. } = self.outputs;
         let workgroups = ErrorPass::CorrelateRows.workgroups(self.shape)[0];

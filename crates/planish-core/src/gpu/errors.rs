@@ -1,5 +1,5 @@
-//! Standard errors on the device (docs/method.md, section 17): four passes after those of a frame, which read its input
-//! and its result and add a channel to the result.
+//! Standard errors on the device (docs/method.md, section 17): four passes after those of a frame. They read its input
+//! and its result, and add a channel to the result.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 
@@ -38,7 +38,7 @@ struct Uniform {
 
 const _: () = assert!(size_of::<Uniform>() == 64);
 
-/// A pass over pixels, rows or frames. What is compiled into its kernel is the kind of input that it reads.
+/// A pass over pixels, rows or frames. Its kernel depends on the kind of input only if it reads the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum ErrorPass {
     SetResiduals(InputKind),

@@ -163,8 +163,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to kernels, then to those of standard errors or to the filter over time. Requests the buffers
-    /// for when they are done.
+    /// Submits the frames to the kernels, then to the kernels of standard errors or to the filter over time. Requests
+    /// the buffers for when they are done.
     pub(super) fn submit(
         &self,
         kernels: &[SizedKernel],

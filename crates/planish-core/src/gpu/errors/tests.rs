@@ -1,4 +1,4 @@
-//! The errors that the device estimates against those of the CPU, from the same result.
+//! Compares the device's errors with the CPU's, estimated from the same result.
 
 use super::super::engine::Gpu;
 use super::super::tests::device;

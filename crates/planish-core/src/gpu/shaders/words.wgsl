@@ -1,8 +1,8 @@
 // Words of the input, for every pass over frames; `batch` is its uniform.
 //
-// Points that are not finite or outside the image are NO_POINT in every coordinate: a finite number so far away that no
-// radius reaches it. Vulkan lets shaders assume that NaN never occurs, so they never compute with it; finiteness is
-// read from the bits.
+// Points outside the image, and those with a coordinate that is not finite, are NO_POINT in every coordinate: a finite
+// number beyond every radius. Vulkan lets shaders assume that NaN never occurs, so they never compute with it;
+// finiteness is read from the bits.
 
 const NO_POINT: f32 = 4.0e18;
 

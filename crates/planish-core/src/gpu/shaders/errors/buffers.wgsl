@@ -44,7 +44,7 @@ fn kept_at(frame: u32, i: u32) -> f32 {
     return memory[frame * batch.memory_words + i];
 }
 
-// Where the sums of the k-th row are that counts.
+// The place of the sums of row k * ROW_STEP.
 fn sums_at(frame: u32, k: u32) -> u32 {
     return frame * batch.memory_words + 3u * pixels() + k * SUMS;
 }
