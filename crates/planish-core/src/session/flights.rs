@@ -41,7 +41,8 @@ impl Session {
     }
 
     /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
-    /// device. The result stays where the device puts it. Standard errors are possible where a GPU estimates them.
+    /// device. The result stays where the device puts it. Standard errors are possible where a GPU estimates them; the
+    /// result then also has points, status and neighbours.
     ///
     /// # Errors
     /// As [`submit`](Self::submit).
