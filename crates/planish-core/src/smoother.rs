@@ -287,8 +287,8 @@ impl Smoother {
 
     /// Adds standard errors to all results, if the engine can; returns whether it does. Only for a session, which
     /// checks buffers.
-    pub(crate) fn estimate_errors(&mut self) -> Result<bool, Error> {
-        self.opened.estimate_errors()
+    pub(crate) fn enable_sigma(&mut self) -> Result<bool, Error> {
+        self.opened.enable_sigma()
     }
 
     /// Submits a frame whose shape was checked.

@@ -73,7 +73,7 @@ pub(crate) trait SmoothingEngine: Send {
     }
 
     /// Adds the standard errors of section 17 to all results from now on, if the engine can; returns whether it does.
-    fn estimate_errors(&mut self) -> Result<bool, Error> {
+    fn enable_sigma(&mut self) -> Result<bool, Error> {
         Ok(false)
     }
 

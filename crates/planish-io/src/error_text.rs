@@ -2,16 +2,16 @@
 
 use std::borrow::Cow;
 
-/// Escapes control characters and direction marks for a terminal, in the form `\u001b`, as JSON does; lines and tabs
-/// stay. For whatever is printed.
+/// Escapes control characters and direction marks for a terminal, in the form `\u001b`, as JSON does; line
+/// breaks and tabs stay. Use it for all printed text.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_hidden(c) && !matches!(c, '\n' | '\t'))
 }
 
-/// As [`printable`], and escapes lines and tabs too. For a name from a file, which could otherwise pretend to be a line
-/// of output.
-pub fn printable_name(name: &str) -> Cow<'_, str> {
-    escaped(name, is_hidden)
+/// Like [`printable`], but also escapes line breaks and tabs, so that a name from a file cannot imitate a line of
+/// output.
+pub fn printable_line(text: &str) -> Cow<'_, str> {
+    escaped(text, is_hidden)
 }
 
 fn is_hidden(c: char) -> bool {
@@ -62,6 +62,6 @@ mod tests {
         assert!(matches!(printable("Höhe 試 \t\"x\"\n"), Cow::Borrowed(_)));
         assert_eq!(printable("a\u{1b}[2Jb\r\u{9b}c\u{7f}"), "a\\u001b[2Jb\\u000d\\u009bc\\u007f");
         assert_eq!(printable("exe\u{202e}dcp"), "exe\\u202edcp");
-        assert_eq!(printable_name("/a\n/b\tc"), "/a\\u000a/b\\u0009c");
+        assert_eq!(printable_line("/a\n/b\tc"), "/a\\u000a/b\\u0009c");
     }
 }

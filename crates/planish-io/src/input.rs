@@ -60,8 +60,8 @@ pub enum Work {
     Merge,
 }
 
-/// Returns the pixels of a grid with the margin that engines add; they hold mostly margin when it is one pixel wide.
-fn padded_pixels((width, height): (usize, usize)) -> usize {
+/// Returns the number of pixels of a grid with the engines' margin, which dominates if the grid is one pixel wide.
+fn padded_pixels(width: usize, height: usize) -> usize {
     const MARGIN: usize = 8;
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
 }
@@ -127,25 +127,25 @@ impl ReadOptions {
 
     /// Refuses work on contents that needs more memory than the limit, before it begins.
     pub fn check_work_on(&self, work: Work, contents: &Contents) -> FormatResult<()> {
-        let grid = (!matches!(contents, Contents::General(_))).then(|| contents.shape());
-        self.check_work_on_grid(work, grid, contents.shape(), contents.field_bytes_per_point())
+        let is_grid = !matches!(contents, Contents::General(_));
+        self.check_work_on_shape(work, contents.shape(), is_grid, contents.field_bytes_per_point())
     }
 
-    /// Refuses work on a frame that needs more memory than the limit, before it begins. `field_bytes` is as in
+    /// Returns an error if work on a frame would need more memory than the limit. `field_bytes` is as in
     /// [`check_work`](Self::check_work).
     pub fn check_work_on_frame(&self, work: Work, frame: Frame<'_>, field_bytes: usize) -> FormatResult<()> {
-        self.check_work_on_grid(work, frame.grid(), frame.shape(), field_bytes)
+        self.check_work_on_shape(work, frame.shape(), frame.grid().is_some(), field_bytes)
     }
 
-    fn check_work_on_grid(
+    fn check_work_on_shape(
         &self,
         work: Work,
-        grid: Option<(usize, usize)>,
         (width, height): (usize, usize),
+        is_grid: bool,
         field_bytes: usize,
     ) -> FormatResult<()> {
         let is_smoothed = matches!(work, Work::Smooth | Work::Stream | Work::Evaluate | Work::Mesh | Work::MeshText);
-        let points = grid.filter(|_| is_smoothed).map_or(width.saturating_mul(height), padded_pixels);
+        let points = if is_grid && is_smoothed { padded_pixels(width, height) } else { width.saturating_mul(height) };
         self.check_work(work, points, field_bytes)
     }
 

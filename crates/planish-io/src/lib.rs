@@ -76,7 +76,7 @@ pub use contents::{CloudRef, Contents, DepthSummary, RgbImage};
 pub(crate) use contents::{Gridded, depth_of_integers, organized_if_grid};
 pub use convert::{ConvertOptions, ConvertReport, convert, write_merged};
 pub(crate) use error_text::{brief, quoted, text_of};
-pub use error_text::{printable, printable_name};
+pub use error_text::{printable, printable_line};
 #[cfg(not(all(feature = "exr", feature = "more-formats", feature = "npz", feature = "scans", feature = "tiff")))]
 pub(crate) use format::left_out;
 pub use format::{Encoding, Format, WRITTEN};

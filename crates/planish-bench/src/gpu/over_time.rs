@@ -12,7 +12,7 @@ use super::{Bench, Take, WARM_UP};
 /// Frames in flight.
 const SLOTS: usize = 6;
 
-/// How frames are smoothed over time.
+/// The compared configurations.
 #[derive(Clone, Copy, PartialEq)]
 enum Way {
     Off,
@@ -20,25 +20,25 @@ enum Way {
     /// With the poses of a camera that moves.
     Poses,
     /// Not over time, with standard errors.
-    Errors,
+    Sigma,
     /// Not over time, with standard errors and filled holes, which are filled on the CPU.
     Filled,
 }
 
 impl Way {
-    const ALL: [Self; 5] = [Self::Off, Self::Steady, Self::Poses, Self::Errors, Self::Filled];
+    const ALL: [Self; 5] = [Self::Off, Self::Steady, Self::Poses, Self::Sigma, Self::Filled];
 
     fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
             Self::Steady => "steady",
             Self::Poses => "steady, with poses",
-            Self::Errors => "off, with sigma",
+            Self::Sigma => "off, with sigma",
             Self::Filled => "off, with sigma and fill = 8",
         }
     }
 
-    /// Returns whether results stay where the device puts them.
+    /// Returns whether results can be read in place.
     fn is_in_place(self) -> bool {
         self != Self::Filled
     }
@@ -84,11 +84,11 @@ impl Bench<'_> {
         if way == Way::Filled {
             settings.set("fill", "8").map_err(Error::from)?;
         }
-        let has_errors = matches!(way, Way::Errors | Way::Filled);
+        let wants_sigma = matches!(way, Way::Sigma | Way::Filled);
         settings.adapter = self.args.adapter.clone();
         let gpu = planish::GpuOptions::default().with_bounds_checks(false).with_slots(SLOTS);
         let mut options = SmootherOptions::default()
-            .with_outputs(take.outputs().with_sigma(has_errors).with_status(way == Way::Filled))
+            .with_outputs(take.outputs().with_sigma(wants_sigma).with_status(way == Way::Filled))
             .with_gpu(gpu);
         change(&mut options);
         Ok(Session::new(settings)?.with_kept_window(true).with_options(options))

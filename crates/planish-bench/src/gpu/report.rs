@@ -48,7 +48,7 @@ pub(super) struct ThroughputRow {
     pub(super) frames_per_second: f64,
 }
 
-/// Frames per second are with six in flight; in place only where results are not finished on the CPU.
+/// Rates in frames/s with six in flight; `None` where results cannot be read in place.
 #[derive(Serialize)]
 pub(super) struct OverTimeRow {
     pub(super) way: &'static str,
@@ -112,7 +112,7 @@ pub(super) fn print_text(report: &Report) {
         crate::outln!("| {what} | {setting} | {transfer} | {slots} | {frames_per_second:.0} |");
     }
     crate::outln!(
-        "\n| over time, default | transfer | kernel, µs | points in place, frames per second | points copied | depth in \
+        "\n| default | transfer | kernel, µs | points in place, frames per second | points copied | depth in \
          place |\n|---|---|---|---|---|---|"
     );
     for OverTimeRow { way, transfer, kernel_us, points_in_place, points_copied, depth_in_place } in &report.over_time {

@@ -269,7 +269,7 @@ fn print_text(file: &Path, info: &Info, is_depth: bool) {
     let pixels = info.width * info.height;
     outln!("{}: {}, {kind}", file.display(), info.format);
     outln!("  size          {} x {}", info.width, info.height);
-    outln!("  fields        {}", io::printable_name(&info.fields.join(" ")));
+    outln!("  fields        {}", io::printable_line(&info.fields.join(" ")));
     let share = 100.0 * info.valid_points as f64 / pixels.max(1) as f64;
     outln!("  valid         {} of {pixels} ({share:.1} %)", info.valid_points);
     if let Some(unit) = info.unit {

@@ -56,14 +56,14 @@ impl Served {
         Self { files, token: token(), ticket: Mutex::new(None), shown, requests: AtomicUsize::new(0) }
     }
 
-    /// Returns a path that leads to the page once.
+    /// Issues a path that redirects to the page once.
     fn new_ticket(&self) -> String {
         let ticket = token();
         *self.ticket.lock().unwrap_or_else(PoisonError::into_inner) = Some(ticket.clone());
         ticket
     }
 
-    /// Returns the address of the page for its ticket, which is then worth nothing.
+    /// Returns the page's address if `path` is the ticket, and invalidates the ticket.
     fn redeem(&self, path: &str) -> Option<String> {
         let mut ticket = self.ticket.lock().unwrap_or_else(PoisonError::into_inner);
         let redeemed = ticket.take_if(|ticket| path.strip_prefix('/') == Some(ticket));
@@ -291,7 +291,7 @@ mod tests {
         }
         assert!(ask(&format!("GET /{token}/../index.html HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 404"));
         assert!(ask(&format!("POST /{token}/ HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 405"));
-        // The browser's command line shows a ticket, which leads to the page once.
+        // A ticket redirects to the page once.
         let ticket = served.new_ticket();
         assert!(ask(&format!("POST /{ticket} HTTP/1.1\r\n\r\n")).starts_with("HTTP/1.1 405"));
         let page = ask(&format!("GET /{ticket} HTTP/1.1\r\n\r\n"));

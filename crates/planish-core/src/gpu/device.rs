@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-use super::errors::ErrorPass;
 use super::kernel::KernelKey;
 use super::queues;
+use super::sigma_kernels::SigmaPass;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
@@ -59,7 +59,7 @@ pub(super) struct GpuDevice {
     pub(super) pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     /// By pass, and whether bounds are checked.
-    error_kernels: Mutex<HashMap<(ErrorPass, bool), wgpu::ComputePipeline>>,
+    sigma_kernels: Mutex<HashMap<(SigmaPass, bool), wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
     /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the
     /// last submission as done in the other, and panics.
@@ -229,7 +229,7 @@ impl GpuDevice {
             bind_group_layout,
             pipeline_layout,
             kernels: Mutex::default(),
-            error_kernels: Mutex::default(),
+            sigma_kernels: Mutex::default(),
             fault,
             turn: Mutex::default(),
             submitting: AtomicUsize::new(0),
@@ -333,29 +333,48 @@ impl GpuDevice {
 
     /// Returns a compiled kernel, from the cache if present.
     pub(super) fn kernel(&self, key: KernelKey) -> Result<wgpu::ComputePipeline, EngineError> {
-        // Not locked while compiling, so that other smoothers continue; two may then compile the same kernel.
-        let known = lock(&self.kernels).get(&key).cloned();
-        if let Some(kernel) = known {
-            return Ok(kernel);
-        }
-        let kernel = self.compile(key.pass.entry_point(), key.wgsl(), &self.pipeline_layout, key.bounds_checks)?;
-        lock(&self.kernels).insert(key, kernel.clone());
-        Ok(kernel)
+        cached(&self.kernels, key, || {
+            self.compile(key.pass.entry_point(), key.wgsl(), &self.pipeline_layout, key.bounds_checks)
+        })
     }
 
     /// As [`kernel`](Self::kernel), for standard errors.
-    pub(super) fn error_kernel(
-        &self,
-        pass: ErrorPass,
-        bounds_checks: bool,
-    ) -> Result<wgpu::ComputePipeline, EngineError> {
-        let known = lock(&self.error_kernels).get(&(pass, bounds_checks)).cloned();
-        if let Some(kernel) = known {
-            return Ok(kernel);
+    pub(super) fn sigma_kernel(&self, pass: SigmaPass, checks: bool) -> Result<wgpu::ComputePipeline, EngineError> {
+        cached(&self.sigma_kernels, (pass, checks), || {
+            self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, checks)
+        })
+    }
+
+    /// Creates a buffer.
+    pub(super) fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        let mapped_at_creation = false;
+        self.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
+    }
+
+    /// Creates a uniform with these contents.
+    pub(super) fn uniform(&self, label: &str, contents: &[u8]) -> wgpu::Buffer {
+        let uniform = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: contents.len() as u64,
+            usage: wgpu::BufferUsages::UNIFORM,
+            mapped_at_creation: true,
+        });
+        if let Ok(mut range) = uniform.get_mapped_range_mut(..) {
+            range.copy_from_slice(contents);
         }
-        let kernel = self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, bounds_checks)?;
-        lock(&self.error_kernels).insert((pass, bounds_checks), kernel.clone());
-        Ok(kernel)
+        uniform.unmap();
+        uniform
+    }
+
+    /// Binds the buffers of a frame's kernel: uniform, input, and three that it may write.
+    pub(super) fn bind(&self, buffers: [&wgpu::Buffer; 5]) -> wgpu::BindGroup {
+        let entries: Vec<_> = buffers
+            .into_iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        let layout = &self.bind_group_layout;
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
     /// Compiles one of this project's own kernels.
@@ -436,4 +455,20 @@ impl GpuDevice {
         }
         Err(self.lose(format!("no response for {} s", TIMEOUT.as_secs())))
     }
+}
+
+/// Returns a kernel from a cache, or adds it.
+fn cached<K: Eq + std::hash::Hash>(
+    cache: &Mutex<HashMap<K, wgpu::ComputePipeline>>,
+    key: K,
+    compile: impl FnOnce() -> Result<wgpu::ComputePipeline, EngineError>,
+) -> Result<wgpu::ComputePipeline, EngineError> {
+    // Not locked while compiling, so that other smoothers continue; two may then compile the same kernel.
+    let known = lock(cache).get(&key).cloned();
+    if let Some(kernel) = known {
+        return Ok(kernel);
+    }
+    let kernel = compile()?;
+    lock(cache).insert(key, kernel.clone());
+    Ok(kernel)
 }

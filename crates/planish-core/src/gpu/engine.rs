@@ -8,12 +8,12 @@ use rayon::prelude::*;
 
 use super::copier::{Copied, Copier};
 use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
-use super::errors::ErrorPass;
 use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::over_time::OverTime;
-use super::slot::{SizedKernel, Slot};
+use super::sigma_kernels::SigmaPass;
+use super::slot::{Dispatch, Slot};
 use super::upload::Uploader;
 use super::view::MappedView;
 use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
@@ -175,7 +175,7 @@ impl Gpu {
         let failed = || Err(self.gpu().failed("a kernel was not compiled"));
         compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))?;
         let all = adapter.devices.iter().flat_map(|gpu| InputKind::ALL.map(|kind| (gpu, kind)));
-        all.into_iter().try_for_each(|(gpu, kind)| self.error_kernels(gpu, kind).map(drop))
+        all.into_iter().try_for_each(|(gpu, kind)| self.sigma_kernels(gpu, kind).map(drop))
     }
 
     /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer
@@ -211,15 +211,15 @@ impl Gpu {
     }
 
     /// Returns the kernels of a frame's passes in order.
-    pub(super) fn kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<SizedKernel>, EngineError> {
+    pub(super) fn kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
     /// Returns the kernels that estimate a frame's standard errors, in order; none unless they are an output.
-    fn error_kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<SizedKernel>, EngineError> {
-        let passes = ErrorPass::of(kind).into_iter().filter(|_| self.outputs.sigma);
+    fn sigma_kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
+        let passes = SigmaPass::of(kind).into_iter().filter(|_| self.outputs.sigma);
         let checks = self.options.bounds_checks;
-        passes.map(|pass| Ok((gpu.error_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
+        passes.map(|pass| Ok((gpu.sigma_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
     }
 
     /// Returns the most workgroups of a frame, across or down.
@@ -301,9 +301,9 @@ impl Gpu {
     fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
         let kernels = self.kernels(&slot.gpu, kind)?;
-        let error_kernels = self.error_kernels(&slot.gpu, kind)?;
+        let sigma_kernels = self.sigma_kernels(&slot.gpu, kind)?;
         let submission =
-            slot.submit(&kernels, &error_kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
+            slot.submit(&kernels, &sigma_kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
         self.gpu().check()?;
         Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
     }
@@ -389,10 +389,11 @@ impl SmoothingEngine for Gpu {
         }
     }
 
-    /// Refuses frames with more rows than the device has workgroups; the session then estimates the errors.
-    fn estimate_errors(&mut self) -> Result<bool, Error> {
+    /// Returns false if points, status or neighbours are not among the outputs, with smoothing over time, and if the
+    /// device lacks workgroups or memory.
+    fn enable_sigma(&mut self) -> Result<bool, Error> {
         let Outputs { points, status, neighbours, .. } = self.outputs;
-        let workgroups = ErrorPass::CorrelateRows.workgroups(self.shape)[0];
+        let workgroups = SigmaPass::CorrelateRows.workgroups(self.shape)[0];
         let fits = workgroups <= self.gpu().limits.max_compute_workgroups_per_dimension as usize;
         if !(points && status && neighbours && fits) || self.over_time.is_some() {
             return Ok(false);

@@ -240,6 +240,20 @@ pub(super) fn write_constant(text: &mut String, name: &str, wgsl_type: &str, val
     let _ = writeln!(text, "const {name}: {wgsl_type} = {value};");
 }
 
+/// Writes constants of the type u32 in WGSL.
+pub(super) fn write_words(text: &mut String, words: &[(&str, usize)]) {
+    for (name, value) in words {
+        write_constant(text, name, "u32", format_args!("{value}u"));
+    }
+}
+
+/// Writes constants of the type f32 in WGSL.
+pub(super) fn write_numbers(text: &mut String, numbers: &[(&str, f32)]) {
+    for (name, value) in numbers {
+        write_constant(text, name, "f32", format_args!("{value:?}"));
+    }
+}
+
 /// Returns the constants in WGSL by which results are written (`output.wgsl`, `result_depth.wgsl`).
 pub(super) fn result_constants(outputs: Outputs) -> String {
     let mut text = String::new();
@@ -260,9 +274,7 @@ pub(super) fn result_constants(outputs: Outputs) -> String {
         ("STATUS_POLYNOMIAL_3", Status::Polynomial3 as usize),
         ("STATUS_ISOLATED", Status::Isolated as usize),
     ];
-    for (name, value) in words {
-        write_constant(&mut text, name, "u32", format_args!("{value}u"));
-    }
+    write_words(&mut text, &words);
     let flags = [
         ("WANTS_POINTS", outputs.points),
         ("WANTS_NORMALS", outputs.normals),
@@ -281,7 +293,6 @@ pub(super) fn result_constants(outputs: Outputs) -> String {
 /// Returns the constants of this layout in WGSL, for cells this many pixels wide.
 pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String {
     let mut text = result_constants(outputs);
-    let mut constant = |name: &str, wgsl_type: &str, value: String| write_constant(&mut text, name, wgsl_type, value);
     let words = [
         ("HEADER_WORDS", HEADER_WORDS),
         ("METRES_PER_UNIT", std::mem::offset_of!(FrameHeader, metres_per_unit) / 4),
@@ -301,16 +312,14 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String 
         ("POINT_CHANNELS", point_channels(cell as usize)),
         ("PLANE_CHANNELS", PLANE_CHANNELS),
     ];
-    for (name, value) in words {
-        constant(name, "u32", format!("{value}u"));
-    }
+    write_words(&mut text, &words);
     let flags = [
         ("IS_RAW_DEPTH", kind == InputKind::Depth),
         ("IS_DEPTH_METRES", kind == InputKind::DepthMetres),
         ("IS_POINTS", kind == InputKind::Points),
     ];
     for (name, value) in flags {
-        constant(name, "bool", value.to_string());
+        write_constant(&mut text, name, "bool", value);
     }
     let numbers = [
         ("MIN_POSITIVE", f32::MIN_POSITIVE),
@@ -375,9 +384,7 @@ pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String 
         ("SQRT_LOG2_E", constants::SQRT_LOG2_E),
         ("MAX_OFF_SURFACE", constants::MAX_OFF_SURFACE),
     ];
-    for (name, value) in numbers {
-        constant(name, "f32", format!("{value:?}"));
-    }
+    write_numbers(&mut text, &numbers);
     text
 }
 

@@ -20,8 +20,6 @@ mod device;
 #[cfg(feature = "gpu")]
 mod engine;
 #[cfg(feature = "gpu")]
-mod errors;
-#[cfg(feature = "gpu")]
 mod flight;
 #[cfg(feature = "gpu")]
 mod general;
@@ -37,6 +35,10 @@ pub(crate) mod plan;
 mod queues;
 mod results;
 mod shader;
+#[cfg(feature = "gpu")]
+mod sigma;
+#[cfg(feature = "gpu")]
+mod sigma_kernels;
 #[cfg(feature = "gpu")]
 mod slot;
 #[cfg(feature = "gpu")]

@@ -7,7 +7,7 @@
 use bytemuck::{Pod, Zeroable, bytes_of};
 
 use super::device::GpuDevice;
-use super::layout::{Layout, channels, result_constants, write_constant};
+use super::layout::{Layout, channels, result_constants, write_constant, write_numbers, write_words};
 use super::shader::shader;
 use crate::error::EngineError;
 use crate::outputs::Outputs;
@@ -89,9 +89,7 @@ impl Pass {
                     ("TILE_HEIGHT", constants::TILE),
                     ("ROW_STEP", 1),
                 ];
-                for (name, value) in words {
-                    write_constant(&mut text, name, "u32", format_args!("{value}u"));
-                }
+                write_words(&mut text, &words);
                 write_constant(&mut text, "WANTS_FRAMES", "bool", over_time.frames);
                 text += shader!("shaders/pixel_result.wgsl");
                 text += shader!("shaders/result_depth.wgsl");
@@ -119,9 +117,7 @@ fn temporal_constants(in_space: Outputs) -> String {
         ("SPATIAL_DEPTH_M", channels.depth_m),
         ("SPATIAL_CHANNELS", channels.count),
     ];
-    for (name, value) in words {
-        write_constant(&mut text, name, "u32", format_args!("{value}u"));
-    }
+    write_words(&mut text, &words);
     let numbers = [
         // The change of a pixel without one: finite, unlike NaN.
         ("NO_CHANGE", 4.0e18),
@@ -162,9 +158,7 @@ fn temporal_constants(in_space: Outputs) -> String {
         ("LEAST_WEIGHT", constants::LEAST_WEIGHT),
         ("NEAREST_M", constants::NEAREST_M),
     ];
-    for (name, value) in numbers {
-        write_constant(&mut text, name, "f32", format_args!("{value:?}"));
-    }
+    write_numbers(&mut text, &numbers);
     text
 }
 
@@ -201,14 +195,7 @@ impl OverTime {
             })
             .collect::<Result<_, EngineError>>()?;
         let bytes = 4 * Self::words(&video, shape) as u64;
-        let memory = gpu.allocate(bytes, || {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("state over time"),
-                size: bytes,
-                usage: wgpu::BufferUsages::STORAGE,
-                mapped_at_creation: false,
-            })
-        })?;
+        let memory = gpu.allocate(bytes, || gpu.buffer("state over time", bytes, wgpu::BufferUsages::STORAGE))?;
         Ok(Self { video, shape, memory, kernels, state_at: 0, bytes })
     }
 
@@ -239,23 +226,10 @@ impl OverTime {
     /// Creates the buffers that a slot needs for it.
     pub(super) fn slot(&self, gpu: &GpuDevice, layout: &Layout, bound: [&wgpu::Buffer; 2]) -> SlotOverTime {
         use wgpu::BufferUsages as Usage;
-        let buffer = |label, size, usage| {
-            let mapped_at_creation = false;
-            gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
-        };
-        let step = buffer("step", size_of::<Step>() as u64, Usage::UNIFORM | Usage::COPY_DST);
-        let in_space = buffer("in space", 4 * layout.output_words() as u64, Usage::STORAGE);
+        let step = gpu.buffer("step", size_of::<Step>() as u64, Usage::UNIFORM | Usage::COPY_DST);
+        let in_space = gpu.buffer("in space", 4 * layout.output_words() as u64, Usage::STORAGE);
         let [input, output] = bound;
-        let entries: Vec<_> = [&step, input, output, &in_space, &self.memory]
-            .into_iter()
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
-        let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &gpu.bind_group_layout,
-            entries: &entries,
-        });
+        let bind_group = gpu.bind([&step, input, output, &in_space, &self.memory]);
         SlotOverTime { step, in_space, bind_group }
     }
 

@@ -10,10 +10,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::bytes_of;
 
 use super::device::GpuDevice;
-use super::errors::{self, SlotErrors};
 use super::layout::Layout;
 use super::mapped::Mapped;
 use super::over_time::{OverTime, SlotOverTime};
+use super::sigma::SlotSigma;
+use super::sigma_kernels::scratch_words;
 use super::stamps::Stamps;
 use super::upload::Uploader;
 use crate::devices::{GpuOptions, Transfer};
@@ -26,7 +27,7 @@ use crate::timings::FrameTimings;
 const WORD: u64 = 4;
 
 /// A kernel, with its workgroups for a frame, across and down.
-pub(super) type SizedKernel = (wgpu::ComputePipeline, [usize; 2]);
+pub(super) type Dispatch = (wgpu::ComputePipeline, [usize; 2]);
 
 pub(super) struct Slot {
     /// Where it is submitted.
@@ -47,7 +48,7 @@ pub(super) struct Slot {
     _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
     over_time: Option<SlotOverTime>,
-    errors: Option<SlotErrors>,
+    sigma: Option<SlotSigma>,
     stamps: Option<Stamps>,
     mapped: Mapped,
     _counted: Counted,
@@ -91,10 +92,10 @@ impl Slot {
         let direct = options.transfer == Transfer::Direct;
         // The kernels have places for them whether they use them or not.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
-        let residual_bytes = layout.sigma().map_or(0, |_| (errors::kept_words(&layout) * frames) as u64 * WORD);
+        let scratch_bytes = layout.sigma().map_or(0, |_| (scratch_words(&layout) * frames) as u64 * WORD);
         let total = kept_bytes.iter().sum::<u64>()
             + in_space_bytes
-            + residual_bytes
+            + scratch_bytes
             + if direct { 1 } else { 2 } * (input_bytes + output_bytes);
         let owner = Arc::clone(&gpu);
         gpu.allocate(total, || {
@@ -108,27 +109,13 @@ impl Slot {
             let readback = buffer("readback", output_bytes, Usage::MAP_READ | readback_as, false);
             let input = (!direct).then(|| buffer("input", input_bytes, Usage::STORAGE | Usage::COPY_DST, false));
             let output = (!direct).then(|| buffer("output", output_bytes, Usage::STORAGE | Usage::COPY_SRC, false));
-            let uniform = buffer("batch", size_of_val(&layout.batch()) as u64, Usage::UNIFORM, true);
-            if let Ok(mut range) = uniform.get_mapped_range_mut(..) {
-                range.copy_from_slice(bytes_of(&layout.batch()));
-            }
-            uniform.unmap();
+            let uniform = gpu.uniform("batch", bytes_of(&layout.batch()));
             let kept = kept_bytes.map(|bytes| buffer("kept", bytes, Usage::STORAGE, false));
             let (read, written) = (input.as_ref().unwrap_or(&upload), output.as_ref().unwrap_or(&readback));
             let over_time = over_time.map(|over_time| over_time.slot(&gpu, &layout, [read, written]));
             let written = over_time.as_ref().map_or(written, |over_time| &over_time.in_space);
-            let errors = SlotErrors::new(&gpu, &layout, frames, params, [read, written, &kept[0]]);
-            let bound = [&uniform, read, written, &kept[0], &kept[1]];
-            let entries: Vec<_> = bound
-                .into_iter()
-                .zip(0..)
-                .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-                .collect();
-            let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: None,
-                layout: &gpu.bind_group_layout,
-                entries: &entries,
-            });
+            let sigma = SlotSigma::new(&gpu, &layout, frames, params, [read, written, &kept[0]]);
+            let bind_group = gpu.bind([&uniform, read, written, &kept[0], &kept[1]]);
             let stamps = options.timestamps.then(|| Stamps::new(&gpu));
             Self {
                 gpu: owner,
@@ -142,7 +129,7 @@ impl Slot {
                 _kept: kept,
                 bind_group,
                 over_time,
-                errors,
+                sigma,
                 stamps,
                 mapped: Mapped::default(),
                 _counted: Counted::new(total, all_bytes),
@@ -163,12 +150,12 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the frames to the kernels, then to the kernels of standard errors or to the filter over time. Requests
-    /// the buffers for when they are done.
+    /// Submits the kernels, then those of standard errors or the filter over time, and requests that the buffers are
+    /// mapped when they are done.
     pub(super) fn submit(
         &self,
-        kernels: &[SizedKernel],
-        error_kernels: &[SizedKernel],
+        kernels: &[Dispatch],
+        sigma_kernels: &[Dispatch],
         over_time: Option<(&mut OverTime, &VideoStep)>,
     ) -> wgpu::SubmissionIndex {
         self.upload.unmap();
@@ -187,11 +174,11 @@ impl Slot {
             let timestamp_writes = self.stamps.as_ref().map(Stamps::around_kernels);
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
             pass.set_bind_group(0, &self.bind_group, &[]);
-            // Each waits for the previous one: wgpu detects that both use the kept buffers.
+            // Each dispatch waits for the previous one: wgpu detects that they share buffers.
             self.dispatch(&mut pass, kernels);
-            if let Some(errors) = &self.errors {
-                pass.set_bind_group(0, &errors.bind_group, &[]);
-                self.dispatch(&mut pass, error_kernels);
+            if let Some(sigma) = &self.sigma {
+                pass.set_bind_group(0, &sigma.bind_group, &[]);
+                self.dispatch(&mut pass, sigma_kernels);
             }
             if let Some((over_time, slot, moves)) = begun {
                 over_time.encode(&mut pass, slot, moves);
@@ -212,7 +199,7 @@ impl Slot {
         submission
     }
 
-    fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, kernels: &[SizedKernel]) {
+    fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, kernels: &[Dispatch]) {
         for (kernel, [across, down]) in kernels {
             pass.set_pipeline(kernel);
             pass.dispatch_workgroups(*across as u32, *down as u32, self.frames as u32);

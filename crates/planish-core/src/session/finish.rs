@@ -20,7 +20,7 @@ pub(super) struct Finish {
     /// The widest hole to fill, in pixels.
     fill_px: Option<u32>,
     /// Whether the engine has estimated the standard errors.
-    has_errors: bool,
+    has_sigma: bool,
 }
 
 /// Finishes results. Because it is a trait object, WebAssembly, which creates none, does not contain its code.
@@ -85,8 +85,8 @@ impl Session {
         outputs.with_status(outputs.status || (!ONE_THREAD && self.fill_px().is_some()))
     }
 
-    /// Returns the outputs from which the requested ones follow. Standard errors are among them where an engine may
-    /// estimate them: not after smoothing over time.
+    /// Returns the outputs to request from the engine. Without smoothing over time they include `sigma`, which
+    /// the engine may estimate.
     pub(super) fn outputs_to_finish(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         if !self.finishes() {
@@ -188,16 +188,16 @@ impl Session {
             return None;
         }
         let open = self.open.as_ref()?;
-        let (params, has_errors) = (open.open_for().params, open.estimates_errors());
+        let (params, has_sigma) = (open.open_for().params, open.estimates_sigma());
         let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px(), has_errors })
+        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px(), has_sigma })
     }
 
     fn finish(&mut self, frame: Frame<'_>, smoothed: &mut Smoothed, finish: &Finish) -> Result<(), Error> {
         let threads = self.threads_to_finish()?;
-        let Finish { geometry, params, outputs, fill_px, has_errors } = *finish;
+        let Finish { geometry, params, outputs, fill_px, has_sigma } = *finish;
         let buffers = self.finish_buffers();
-        if outputs.sigma && !has_errors {
+        if outputs.sigma && !has_sigma {
             Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
         }
         let Some(width_px) = fill_px else { return Ok(()) };

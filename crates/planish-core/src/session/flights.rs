@@ -41,18 +41,18 @@ impl Session {
     }
 
     /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
-    /// device. The result stays where the device puts it. Standard errors are possible where a GPU estimates them; the
-    /// result then also has points, status and neighbours.
+    /// device. The result stays where the device puts it. The output `sigma` needs a GPU that estimates it; the result
+    /// then also has points, status and neighbours.
     ///
     /// # Errors
-    /// As [`submit`](Self::submit).
+    /// As [`submit`](Self::submit); if holes are to be filled, or no GPU estimates `sigma`.
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
         self.check_can_finish(frame)?;
         let admitted = self.open_in_flight(frame, false)?;
-        let has_errors = !self.options.outputs.sigma || self.open.as_ref().is_some_and(Open::estimates_errors);
-        if self.finishes() && (self.fill_px().is_some() || !has_errors) {
+        let is_finished_here = self.options.outputs.sigma && !self.open.as_ref().is_some_and(Open::estimates_sigma);
+        if self.finishes() && (self.fill_px().is_some() || is_finished_here) {
             let allowed = "only for frames that are shared (submit), since it follows from frame and result";
             let (field, value) = match self.fill_px() {
                 Some(width_px) => ("fill", width_px.to_string()),

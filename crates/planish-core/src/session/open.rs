@@ -28,7 +28,7 @@ pub(super) struct OpenFor {
     /// The video that the engine smooths over time, if it can.
     pub(super) video: Option<Video>,
     /// Whether the engine estimates standard errors, if it can.
-    pub(super) wants_errors: bool,
+    pub(super) wants_sigma: bool,
 }
 
 #[derive(Debug)]
@@ -37,7 +37,7 @@ pub(super) struct Open {
     smoothing: Smoothing,
     /// Whether the engine smooths over time, and whether it estimates standard errors.
     is_over_time: bool,
-    estimates_errors: bool,
+    estimates_sigma: bool,
 }
 
 #[derive(Debug)]
@@ -54,22 +54,22 @@ enum Smoothing {
 impl Open {
     /// Opens a fleet if devices are given, otherwise a smoother.
     pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
-        let OpenFor { grid, params, options, video, wants_errors, .. } = &open_for;
-        let (mut is_over_time, mut estimates_errors) = (false, false);
+        let OpenFor { grid, params, options, video, wants_sigma, .. } = &open_for;
+        let (mut is_over_time, mut estimates_sigma) = (false, false);
         let smoothing = if devices.is_empty() {
             let mut smoother = Box::new(Smoother::open_decided(*params, options, *grid)?);
             if let Some(video) = video {
                 is_over_time = smoother.smooth_over_time(video)?;
             }
-            if *wants_errors {
-                estimates_errors = smoother.estimate_errors()?;
+            if *wants_sigma {
+                estimates_sigma = smoother.enable_sigma()?;
             }
             Smoothing::One(smoother)
         } else {
             let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid)?);
             Smoothing::Fleet { fleet, devices: devices.to_vec(), reported: Vec::new() }
         };
-        Ok(Self { open_for, smoothing, is_over_time, estimates_errors })
+        Ok(Self { open_for, smoothing, is_over_time, estimates_sigma })
     }
 
     pub(super) fn open_for(&self) -> &OpenFor {
@@ -80,8 +80,8 @@ impl Open {
         self.is_over_time
     }
 
-    pub(super) fn estimates_errors(&self) -> bool {
-        self.estimates_errors
+    pub(super) fn estimates_sigma(&self) -> bool {
+        self.estimates_sigma
     }
 
     pub(super) fn one(&self) -> Option<&Smoother> {

@@ -13,7 +13,7 @@ pub(crate) const MOST_LAG_PX: usize = 6;
 /// Correlations below this are noise of the estimate.
 pub(crate) const LEAST_CORRELATION: f64 = 0.02;
 /// The correlation is estimated from every third row.
-pub(crate) const STEP_PX: usize = 3;
+pub(crate) const ROW_STRIDE_PX: usize = 3;
 /// The standard error in units of the residual deviation over the root of the number of samples, measured on simulated
 /// frames of every sensor; and the exponent of the area of correlation, whose estimate from residuals is low.
 pub(crate) const FACTOR: f64 = 1.38;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::constants::{LEAST_CORRELATION, MOST_LAG_PX, STEP_PX};
+use super::constants::{LEAST_CORRELATION, MOST_LAG_PX, ROW_STRIDE_PX};
 
 /// Sums are kept in this number of parts, so that they are the same for every instruction set.
 const PARTS: usize = 16;
@@ -25,7 +25,7 @@ pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usiz
         [std::array::from_fn(|k| along_row(k + 1)), std::array::from_fn(|k| along_column(k + 1))]
     };
     // Added in order, so that the result is the same for every number of threads.
-    let of_rows: Vec<Sums> = (0..height).into_par_iter().step_by(STEP_PX).map(of_row).collect();
+    let of_rows: Vec<Sums> = (0..height).into_par_iter().step_by(ROW_STRIDE_PX).map(of_row).collect();
     let along = |axis: usize| {
         let correlation = |lag: usize| {
             let [product, square] = [0, 1].map(|k| of_rows.iter().map(|row| row[axis][lag][k]).sum::<f64>());

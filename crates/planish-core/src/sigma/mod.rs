@@ -137,10 +137,10 @@ impl Sigma {
     }
 }
 
-/// How the errors of a frame scale with its residuals and the area of their correlation, for parameters of smoothing.
+/// Scale from residuals to standard errors: what of it depends only on the parameters of smoothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ErrorScale {
-    /// The standard error over the deviation of the residuals, of a point with one neighbour and an area of one pixel.
+    /// Ratio of the standard error to the deviation of the residuals, for one neighbour and an area of one pixel.
     pub(crate) gain: f64,
     /// The least area of correlation in pixels, and the least variance of residuals.
     pub(crate) least_area: f64,
@@ -162,7 +162,7 @@ impl ErrorScale {
         }
     }
 
-    /// Returns how errors follow from residuals, if the noise of this number of pixels counts as one.
+    /// Returns the model for an area of correlation in pixels.
     fn model(&self, area: f64) -> rows::ErrorModel {
         let area = area.max(self.least_area);
         rows::ErrorModel {

@@ -158,7 +158,7 @@ fn read_some(file: &mut impl Read, to: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// Parses a record.
+/// Parses a record after checking that its parts fit into it.
 pub(super) fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, FormatError> {
     if !lengths_fit(opcode, data) {
         return Err(FormatError::Malformed("damaged: a part is longer than its record".into()));

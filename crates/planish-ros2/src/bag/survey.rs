@@ -12,7 +12,7 @@ use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE};
 use super::wire::{Wire, is_known_type, kind_of};
 use crate::ros::{CameraInfo, DepthMessage, camera_info_topic as beside, is_rectified};
 use planish_core::{Camera, Error, FormatError, IoError};
-use planish_io::{ReadOptions, printable_name};
+use planish_io::{ReadOptions, printable_line};
 
 /// Type of the messages of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -122,7 +122,7 @@ impl Survey {
         camera: Option<&Camera>,
     ) -> Result<Vec<Chosen>, Error> {
         let refuse = |problem: String| -> Error {
-            let problem = FormatError::Unsupported(printable_name(&problem).into_owned());
+            let problem = FormatError::Unsupported(printable_line(&problem).into_owned());
             IoError { path: path.to_path_buf(), problem }.into()
         };
         let chosen: Vec<&Topic> = if topics.is_empty() {

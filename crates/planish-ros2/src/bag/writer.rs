@@ -203,7 +203,7 @@ impl BagWriter {
         }
     }
 
-    /// Completes the recording and gives it its name. Deletes one without frames.
+    /// Completes the recording under its final name, or deletes it if it has no frames.
     pub fn finish(self) -> Result<(), Error> {
         // Locked until it is done: the process may be about to end.
         let mut open = self.lock();

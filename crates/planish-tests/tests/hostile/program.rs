@@ -67,10 +67,6 @@ pub struct Running {
     folder: PathBuf,
 }
 
-fn find(text: &[u8], word: &str) -> bool {
-    text.windows(word.len()).any(|part| part == word.as_bytes())
-}
-
 /// Starts the command in a folder, with its output in files there.
 pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_space_kib: u64) -> Running {
     let script = format!("ulimit -v {address_space_kib}; exec \"$0\" \"$@\"");
@@ -95,10 +91,12 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
 }
 
 impl Running {
-    /// Interrupts it as soon as it has printed a word, unless it ends before.
-    pub fn interrupt_after(&self, word: &str, longest: Duration) {
+    /// Sends SIGINT once stdout contains `text`, the process has ended, or `longest` has passed.
+    pub fn interrupt_after(&self, text: &str, longest: Duration) {
         let start = Instant::now();
-        let has_printed = || fs::read(self.folder.join("stdout")).is_ok_and(|text| find(&text, word));
+        let has_printed = || {
+            fs::read(self.folder.join("stdout")).is_ok_and(|printed| String::from_utf8_lossy(&printed).contains(text))
+        };
         while !has_printed() && !self.has_ended() && start.elapsed() < longest {
             thread::sleep(Duration::from_millis(2));
         }
@@ -106,7 +104,7 @@ impl Running {
     }
 
     fn has_ended(&self) -> bool {
-        // SAFETY: zeros are a valid value, and the pointer is valid. The process stays to be waited for.
+        // SAFETY: zeros are a valid value, and the pointer is valid. WNOWAIT leaves the process waitable.
         unsafe {
             let mut information: libc::siginfo_t = std::mem::zeroed();
             let options = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;

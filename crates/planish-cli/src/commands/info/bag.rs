@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use planish::bag::Survey;
-use planish::io::printable_name;
+use planish::io::printable_line;
 use planish_bench::outln;
 use serde::Serialize;
 
@@ -68,7 +68,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
         outln!("{}", serde_json::to_string(&info)?);
         return Ok(ExitCode::SUCCESS);
     }
-    let print_topic = |text: &str| outln!("  {}", printable_name(text));
+    let print_topic = |text: &str| outln!("  {}", printable_line(text));
     let count = |messages: Option<u64>| messages.map_or("? messages".to_owned(), |count| format!("{count} messages"));
     let compression = match info.compression {
         None => "",

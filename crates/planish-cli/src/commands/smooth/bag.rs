@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::bag::{BagSink, SmoothBagOptions, SmoothBagReport, file_of, is_bag, refuse_other_bags, smooth_bag};
-use planish::io::printable_name;
+use planish::io::printable_line;
 use planish::ros::MessageSmoother;
 use planish::source::{self, OwnedFrame, SourceOptions};
 use planish::stream::{self, FolderSink, Sink, SinkFormat, StreamEvent, StreamOptions};
@@ -155,7 +155,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             let engine = engine.unwrap_or("none");
             outln!(
                 "{}: {} smoothed in {seconds:.1} s, {rate:.1} per second, engine {engine}",
-                topic.topic,
+                printable_line(&topic.topic),
                 count(topic.smoothed, "message")
             );
         }
@@ -165,12 +165,13 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
         let first = topic.first_failure.as_deref().unwrap_or_default();
         errln!(
             "{}: copied unchanged: {}; the first: {first}",
-            printable_name(&topic.topic),
+            printable_line(&topic.topic),
             count(topic.failed, "message")
         );
     }
     if !report.not_chosen.is_empty() {
         let topics = report.not_chosen.join(", ");
+        let topics = printable_line(&topics);
         errln!(
             "{}: depth on {topics} was copied unchanged; select topics with --topic, which may be repeated",
             args.input.display()

@@ -1,4 +1,4 @@
-// Words of the input, for every pass over frames; `batch` is its uniform.
+// Helpers that kernels share: fields of the input's header, and finiteness by the bits. They need the uniform `batch`.
 //
 // Points outside the image, and those with a coordinate that is not finite, are NO_POINT in every coordinate: a finite
 // number beyond every radius. Vulkan lets shaders assume that NaN never occurs, so they never compute with it;
@@ -16,4 +16,8 @@ fn header_bits(frame: u32, field: u32) -> u32 {
 
 fn is_finite(bits: u32) -> bool {
     return (bits & 0x7f800000u) != 0x7f800000u;
+}
+
+fn pixels() -> u32 {
+    return batch.width * batch.height;
 }

@@ -44,10 +44,6 @@ struct Step {
 // The nearest range in metres that is smoothed over time: from there on, changes are within f32.
 const LEAST_RANGE_M: f32 = 1e-9;
 
-fn pixels() -> u32 {
-    return batch.width * batch.height;
-}
-
 fn tiles_across() -> u32 {
     return (batch.width + TILE - 1u) / TILE;
 }

@@ -1,17 +1,17 @@
-// The buffers of the passes that estimate standard errors (errors.rs).
+// The buffers of the passes that estimate standard errors (sigma.rs).
 //
 // Stage: docs/method.md, section 17.
 
 // Begins with the fields of a batch (buffers.wgsl).
-struct Errors {
+struct Sigma {
     width: u32,
     height: u32,
     input_words: u32,
     output_words: u32,
     // Coefficients of the standard deviation of depth.
-    sigma: vec3<f32>,
-    // Distance between frames in `memory`.
-    memory_words: u32,
+    sensor_sigma: vec3<f32>,
+    // Distance between frames in `scratch`.
+    scratch_words: u32,
     gain: f32,
     least_area: f32,
     least_variance: f32,
@@ -22,43 +22,38 @@ struct Errors {
     padding: vec2<u32>,
 }
 
-@group(0) @binding(0) var<uniform> batch: Errors;
+@group(0) @binding(0) var<uniform> batch: Sigma;
 @group(0) @binding(1) var<storage, read> input: array<u32>;
 // The result, with a channel for the errors.
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
-// The residuals, the smoothed ranges, 1 for pixels with a step to the next one; sums of rows; the area of correlation.
-@group(0) @binding(3) var<storage, read_write> memory: array<f32>;
+// Per frame: residuals, smoothed ranges, steps (1 if the pixel to the right or below is across one), the sums of the
+// sampled rows, and the area of correlation.
+@group(0) @binding(3) var<storage, read_write> scratch: array<f32>;
 
-// A pixel without a range, and one without a residual: beyond all clamped ones.
+// Markers of a missing range, and of a missing residual: larger than CLIP.
 const NO_RANGE: f32 = -1.0;
 const NO_RESIDUAL: f32 = 100.0;
-// Sums of a row: products and mean squares of pairs, for each lag along rows and columns.
-const SUMS: u32 = 4u * MOST_LAG;
 
-fn pixels() -> u32 {
-    return batch.width * batch.height;
+// The residual of pixel i; at i + pixels() its range, at i + 2 pixels() its step.
+fn scratch_at(frame: u32, i: u32) -> f32 {
+    return scratch[frame * batch.scratch_words + i];
 }
 
-// A word of a frame: a residual, or with offsets of `pixels()` a range or a step.
-fn kept_at(frame: u32, i: u32) -> f32 {
-    return memory[frame * batch.memory_words + i];
-}
-
-// The place of the sums of row k * ROW_STEP.
+// The place of the sums of row k * ROW_STRIDE_PX.
 fn sums_at(frame: u32, k: u32) -> u32 {
-    return frame * batch.memory_words + 3u * pixels() + k * SUMS;
+    return frame * batch.scratch_words + PIXEL_WORDS * pixels() + k * ROW_WORDS;
 }
 
-fn rows() -> u32 {
-    return (batch.height + ROW_STEP - 1u) / ROW_STEP;
+fn sampled_rows() -> u32 {
+    return (batch.height + ROW_STRIDE_PX - 1u) / ROW_STRIDE_PX;
 }
 
 fn area_at(frame: u32) -> u32 {
-    return sums_at(frame, rows());
+    return sums_at(frame, sampled_rows());
 }
 
 fn deviation(range: f32) -> f32 {
-    let sigma = batch.sigma;
+    let sigma = batch.sensor_sigma;
     return max(fma(fma(sigma.z, range, sigma.y), range, sigma.x), LEAST_DEVIATION_M);
 }
 

@@ -17,14 +17,14 @@ use crate::threads::Threads;
 
 const OUTPUTS: Outputs = Outputs::POINTS.with_status(true).with_neighbours(true);
 
-/// Smooths a frame alone and several in one submission, and compares the errors with the CPU's.
+/// Compares a frame's errors with the CPU's, and those of a batch with the single frame's.
 fn compare(name: &str, frame: Frame<'_>, params: FrameParams, bounds_checks: bool) {
     let Some((_, adapter)) = device("standard errors") else { return };
     let options = GpuOptions::default().with_adapter(adapter.index.to_string()).with_bounds_checks(bounds_checks);
     let params = EngineParams::from(params);
     let shape = frame.grid().unwrap();
     let mut engine = Gpu::open(params, OUTPUTS, &options, shape).unwrap();
-    assert!(engine.estimate_errors().unwrap(), "{name}");
+    assert!(engine.enable_sigma().unwrap(), "{name}");
     let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
     let admitted = AdmittedFrame::new(frame, geometry);
     let mut found = Smoothed::default();
@@ -34,13 +34,13 @@ fn compare(name: &str, frame: Frame<'_>, params: FrameParams, bounds_checks: boo
     let (threads, mut buffers) = (Threads::open(Some(1)).unwrap(), SigmaBuffers::default());
     Sigma { geometry, params }.estimate(frame, &mut expected, &threads, &mut buffers);
     let (found_m, expected_m) = (found.sigma.as_ref().unwrap(), expected.sigma.as_ref().unwrap());
-    let mut stated = 0;
+    let mut finite = 0;
     for (i, (found, expected)) in found_m.iter().zip(expected_m).enumerate() {
         assert_eq!(found.is_nan(), expected.is_nan(), "{name} {i}");
-        stated += usize::from(found.is_finite());
+        finite += usize::from(found.is_finite());
         assert!(found.is_nan() || (found - expected).abs() <= 2e-3 * expected, "{name} {i}: {found} {expected}");
     }
-    assert!(stated > found_m.len() / 3, "{name}: {stated} of {}", found_m.len());
+    assert!(finite > found_m.len() / 3, "{name}: {finite} of {}", found_m.len());
     let mut batch = vec![Smoothed::default(); 3];
     engine.smooth_batch(&[admitted; 3], &mut batch).unwrap();
     let bits = |smoothed: &Smoothed| smoothed.sigma.as_ref().unwrap().iter().map(|m| m.to_bits()).collect::<Vec<_>>();
@@ -71,7 +71,7 @@ fn depth_of_every_kind_has_the_errors_of_the_cpu() {
         let view = DepthView::new(&frame.raw, &distorted).unwrap();
         compare("distorted", view.into_frame().unwrap(), FrameParams::default(), false);
     }
-    // Narrower than the lags of the correlation: walls.
+    // Walls narrower than the largest lag.
     for shape in [(6, 40), (40, 5), (1, 30)] {
         let camera = Camera::new(shape, [525.0; 2], [0.0; 2]);
         let raw: Vec<u16> = (0..shape.0 * shape.1).map(|i| 1000 + (i * i % 7) as u16).collect();
@@ -117,6 +117,6 @@ fn what_the_device_cannot_estimate_is_left_to_the_session() {
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let params = EngineParams::from(FrameParams::paper());
     for outputs in [Outputs::POINTS, OUTPUTS.with_points(false).with_normals(true)] {
-        assert!(!Gpu::open(params, outputs, &options, (64, 48)).unwrap().estimate_errors().unwrap());
+        assert!(!Gpu::open(params, outputs, &options, (64, 48)).unwrap().enable_sigma().unwrap());
     }
 }

@@ -40,18 +40,18 @@ fn set_residuals(@builtin(global_invocation_id) id: vec3<u32>) {
     var residual = NO_RESIDUAL;
     var is_step = false;
     if range >= 0.0 {
-        let unit = deviation(range);
+        let deviation_m = deviation(range);
         let measured = measured_range(frame, at);
         if measured >= 0.0 && is_on_surface(code(frame, batch.status_at, at)) {
-            residual = clamp((measured - range) / unit, -CLIP, CLIP);
+            residual = clamp((measured - range) / deviation_m, -CLIP, CLIP);
         }
-        let limit = max(STEP_DEVIATIONS * unit, STEP_SHARE * range);
+        let limit = max(STEP_DEVIATIONS * deviation_m, STEP_SHARE * range);
         let right = smoothed_range(frame, vec2<u32>(min(at.x + 1u, batch.width - 1u), at.y));
         let below = smoothed_range(frame, vec2<u32>(at.x, min(at.y + 1u, batch.height - 1u)));
         is_step = (right >= 0.0 && abs(range - right) > limit) || (below >= 0.0 && abs(range - below) > limit);
     }
-    let i = frame * batch.memory_words + at.y * batch.width + at.x;
-    memory[i] = residual;
-    memory[i + pixels()] = range;
-    memory[i + 2u * pixels()] = select(0.0, 1.0, is_step);
+    let i = frame * batch.scratch_words + at.y * batch.width + at.x;
+    scratch[i] = residual;
+    scratch[i + pixels()] = range;
+    scratch[i + 2u * pixels()] = select(0.0, 1.0, is_step);
 }

@@ -2,14 +2,14 @@
 
 // Each part of the threads adds up every PARTS-th row.
 const PARTS: u32 = 10u;
-const THREADS: u32 = PARTS * SUMS;
+const THREADS: u32 = PARTS * ROW_WORDS;
 
 var<workgroup> totals: array<f32, THREADS>;
 
 // The sum of the correlations over the lags of both directions, up to the first small one.
 fn along(axis: u32) -> f32 {
     var sum = 1.0;
-    for (var k = 0u; k < MOST_LAG; k++) {
+    for (var k = 0u; k < MOST_LAG_PX; k++) {
         let product = totals[4u * k + 2u * axis];
         let square = totals[4u * k + 2u * axis + 1u];
         let correlation = select(0.0, product / max(square, MIN_POSITIVE), square > 0.0);
@@ -24,20 +24,20 @@ fn along(axis: u32) -> f32 {
 @compute @workgroup_size(THREADS)
 fn measure_area(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let frame = group.z;
-    let which = thread % SUMS;
+    let which = thread % ROW_WORDS;
     var total = 0.0;
-    for (var k = thread / SUMS; k < rows(); k += PARTS) {
-        total += memory[sums_at(frame, k) + which];
+    for (var k = thread / ROW_WORDS; k < sampled_rows(); k += PARTS) {
+        total += scratch[sums_at(frame, k) + which];
     }
     totals[thread] = total;
     workgroupBarrier();
-    if thread < SUMS {
+    if thread < ROW_WORDS {
         for (var part = 1u; part < PARTS; part++) {
-            totals[thread] += totals[part * SUMS + thread];
+            totals[thread] += totals[part * ROW_WORDS + thread];
         }
     }
     workgroupBarrier();
     if thread == 0u {
-        memory[area_at(frame)] = max(along(0u) * along(1u), batch.least_area);
+        scratch[area_at(frame)] = max(along(0u) * along(1u), batch.least_area);
     }
 }
