@@ -367,7 +367,7 @@ pub struct LimitArgs {
     #[arg(long, value_name = "N")]
     pub fps: Option<f64>,
     /// Number of frames [default: until the source ends]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
     /// Duration in seconds [default: until the source ends]
     #[arg(long, value_name = "S")]

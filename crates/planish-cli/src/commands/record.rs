@@ -166,9 +166,9 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     } else if frames > 0 {
         outln!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
-    let is_empty = frames == 0 && !stop.load(Ordering::Relaxed);
-    if is_empty {
-        errln!("{}: delivered no frames; nothing was recorded", args.source.name());
+    if frames == 0 {
+        errln!("{}: no frames; nothing was recorded", args.source.name());
     }
+    let is_empty = frames == 0 && !stop.load(Ordering::Relaxed);
     Ok(if unreadable > 0 || is_empty { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }

@@ -3,11 +3,12 @@
 use crate::exit::ExitCode;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use anyhow::{Result, bail};
 use planish::Outputs;
 use planish::stream::{self, FolderSink, Latency, Sink, SinkFormat, StreamOptions, StreamStatistics};
-use planish_bench::outln;
+use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use super::checks::{check_is_new, check_not_input, is_mcap};
@@ -136,7 +137,12 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
             outln!("  many points restart in every frame; if the camera moves, add --track");
         }
     }
-    Ok(if statistics.failed_sinks + statistics.unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
+    let is_empty = statistics.frames_out == 0 && !stop.load(Ordering::Relaxed);
+    if is_empty {
+        errln!("{}: delivered no frames; nothing was written", args.source.name());
+    }
+    let has_failed = statistics.failed_sinks + statistics.unreadable > 0 || is_empty;
+    Ok(if has_failed { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
 impl StreamArgs {

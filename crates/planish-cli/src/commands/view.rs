@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::{Component, Path};
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -34,6 +34,9 @@ const LONGEST_REQUEST: usize = 16 << 10;
 /// Requests at a time; a browser has about six connections.
 const MOST_REQUESTS: usize = 32;
 
+/// How long the browser may take to start.
+const TICKET_LIFE: Duration = Duration::from_secs(60);
+
 /// How often to look for a signal.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -43,8 +46,8 @@ struct Served {
     files: Vec<(String, Vec<u8>)>,
     /// The first part of their paths, which cannot be guessed.
     token: String,
-    /// One-time path for the browser started by this process, whose command line other users can see.
-    ticket: Mutex<Option<String>>,
+    /// One-time path for the browser started by this process, whose command line other users can see, and its end.
+    ticket: Mutex<Option<(String, Instant)>>,
     /// The part of the address that names the frame.
     shown: String,
     /// Requests in progress.
@@ -59,15 +62,16 @@ impl Served {
     /// Issues a path that redirects to the page once.
     fn new_ticket(&self) -> String {
         let ticket = token();
-        *self.ticket.lock().unwrap_or_else(PoisonError::into_inner) = Some(ticket.clone());
+        let end = Instant::now() + TICKET_LIFE;
+        *self.ticket.lock().unwrap_or_else(PoisonError::into_inner) = Some((ticket.clone(), end));
         ticket
     }
 
     /// Returns the page's address if `path` is the ticket, and invalidates the ticket.
     fn redeem(&self, path: &str) -> Option<String> {
         let mut ticket = self.ticket.lock().unwrap_or_else(PoisonError::into_inner);
-        let redeemed = ticket.take_if(|ticket| path.strip_prefix('/') == Some(ticket));
-        redeemed.map(|_| format!("/{}/#{}", self.token, self.shown))
+        let redeemed = ticket.take_if(|(ticket, _)| path.strip_prefix('/') == Some(ticket));
+        redeemed.filter(|(_, end)| Instant::now() < *end).map(|_| format!("/{}/#{}", self.token, self.shown))
     }
 }
 
@@ -101,6 +105,7 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     let port = listener.local_addr()?.port();
     let served = Arc::new(Served::new(files, shown));
     let address = format!("http://127.0.0.1:{port}/{}/#{}", served.token, served.shown);
+    let stop = stop_flag();
     outln!("{address}");
     outln!("  data stays on this machine; press Ctrl-C to stop");
     if std::env::var_os("SSH_CONNECTION").is_some() {
@@ -108,7 +113,7 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     } else if !args.no_browser {
         open_browser(&format!("http://127.0.0.1:{port}/{}", served.new_ticket()));
     }
-    serve(&listener, &served)
+    serve(&listener, &served, &stop)
 }
 
 /// Returns the files of the page.
@@ -183,8 +188,7 @@ fn open_browser(address: &str) {
 }
 
 /// Answers requests until a signal comes.
-fn serve(listener: &TcpListener, served: &Arc<Served>) -> Result<ExitCode> {
-    let stop = stop_flag();
+fn serve(listener: &TcpListener, served: &Arc<Served>, stop: &AtomicBool) -> Result<ExitCode> {
     listener.set_nonblocking(true)?;
     while !stop.load(Ordering::Relaxed) {
         match listener.accept() {
@@ -231,7 +235,7 @@ fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     let below = path.strip_prefix('/').and_then(|path| path.strip_prefix(&*served.token)?.strip_prefix('/'));
     let name = below.map(|name| if name.is_empty() { "index.html" } else { name });
     let found = name.and_then(|name| served.files.iter().find(|(file, _)| file == name));
-    let page = if method == "GET" { served.redeem(path) } else { None };
+    let page = if method == "GET" && is_own(&stream) { served.redeem(path) } else { None };
     let (status, kind, body) = match (method, found) {
         _ if page.is_some() => ("302 Found", "text/plain", &[][..]),
         ("GET", Some((name, body))) => ("200 OK", kind_of(name), &body[..]),
@@ -247,6 +251,27 @@ fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
         body.len()
     )?;
     stream.write_all(body)
+}
+
+/// Returns false if the process at the other end of a connection is known to belong to another user.
+#[cfg(target_os = "linux")]
+fn is_own(stream: &TcpStream) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let user_of_peer = || -> Option<u32> {
+        let peer = stream.peer_addr().ok()?;
+        // The address as a number in the order of the machine's bytes, and the port.
+        let address = format!("{:08X}:{:04X}", u32::from_ne_bytes(Ipv4Addr::LOCALHOST.octets()), peer.port());
+        let connections = std::fs::read_to_string("/proc/net/tcp").ok()?;
+        let fields = connections.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+        fields.into_iter().find(|fields| fields.get(1) == Some(&&*address))?.get(7)?.parse().ok()
+    };
+    let own = std::fs::metadata("/proc/self").map(|process| process.uid());
+    user_of_peer().zip(own.ok()).is_none_or(|(peer, own)| peer == own)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn is_own(_: &TcpStream) -> bool {
+    true
 }
 
 fn kind_of(name: &str) -> &'static str {

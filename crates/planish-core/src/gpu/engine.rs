@@ -12,7 +12,7 @@ use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::over_time::OverTime;
-use super::sigma_kernels::SigmaPass;
+use super::sigma_kernels::{SigmaPass, scratch_words};
 use super::slot::{Dispatch, Slot};
 use super::upload::Uploader;
 use super::view::MappedView;
@@ -236,7 +236,8 @@ impl Gpu {
     /// Returns the bytes of a frame's largest buffer.
     fn frame_bytes(layout: Layout) -> u64 {
         let [points, planes] = layout.kept_words();
-        4 * layout.input_words().max(layout.output_words()).max(points).max(planes) as u64
+        let scratch = layout.sigma().map_or(0, |_| scratch_words(&layout));
+        4 * layout.input_words().max(layout.output_words()).max(points).max(planes).max(scratch) as u64
     }
 
     /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its

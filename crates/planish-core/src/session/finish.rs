@@ -13,14 +13,15 @@ use crate::threads::{ONE_THREAD, Threads};
 /// How a result is finished when it is received.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Finish {
-    geometry: FrameGeometry,
+    /// `None` if the engine has left nothing to do.
+    geometry: Option<FrameGeometry>,
     params: EngineParams,
     /// The outputs that were requested.
     outputs: Outputs,
     /// The widest hole to fill, in pixels.
     fill_px: Option<u32>,
-    /// Whether the engine has estimated the standard errors.
-    has_sigma: bool,
+    /// Whether to estimate standard errors: the engine has not.
+    estimates_sigma: bool,
 }
 
 /// Finishes results. Because it is a trait object, WebAssembly, which creates none, does not contain its code.
@@ -188,16 +189,18 @@ impl Session {
             return None;
         }
         let open = self.open.as_ref()?;
-        let (params, has_sigma) = (open.open_for().params, open.estimates_sigma());
-        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        Some(Finish { geometry, params, outputs: self.options.outputs, fill_px: self.fill_px(), has_sigma })
+        let (outputs, fill_px) = (self.options.outputs, self.fill_px());
+        let estimates_sigma = outputs.sigma && !open.estimates_sigma();
+        let is_left = estimates_sigma || fill_px.is_some();
+        let geometry = is_left.then(|| FrameGeometry::of(frame, true, &mut GeometryScratch::default()));
+        Some(Finish { geometry, params: open.open_for().params, outputs, fill_px, estimates_sigma })
     }
 
     fn finish(&mut self, frame: Frame<'_>, smoothed: &mut Smoothed, finish: &Finish) -> Result<(), Error> {
+        let Finish { geometry: Some(geometry), params, fill_px, estimates_sigma, .. } = *finish else { return Ok(()) };
         let threads = self.threads_to_finish()?;
-        let Finish { geometry, params, outputs, fill_px, has_sigma } = *finish;
         let buffers = self.finish_buffers();
-        if outputs.sigma && !has_sigma {
+        if estimates_sigma {
             Sigma { geometry, params }.estimate(frame, smoothed, &threads, &mut buffers.sigma);
         }
         let Some(width_px) = fill_px else { return Ok(()) };

@@ -50,15 +50,13 @@ impl Session {
         let frame = frame.into_frame()?;
         self.check_room()?;
         self.check_can_finish(frame)?;
+        // Before the frame becomes part of a video.
+        if self.fill_px().is_some() || self.options.outputs.sigma && self.over_time(frame).is_some() {
+            return Err(self.needs_frame().into());
+        }
         let admitted = self.open_in_flight(frame, false)?;
-        let is_finished_here = self.options.outputs.sigma && !self.open.as_ref().is_some_and(Open::estimates_sigma);
-        if self.finishes() && (self.fill_px().is_some() || is_finished_here) {
-            let allowed = "only for frames that are shared (submit), since it follows from frame and result";
-            let (field, value) = match self.fill_px() {
-                Some(width_px) => ("fill", width_px.to_string()),
-                None => ("outputs", "sigma".to_owned()),
-            };
-            return Err(ParamError { field, value, allowed }.into());
+        if self.options.outputs.sigma && !self.open.as_ref().is_some_and(Open::estimates_sigma) {
+            return Err(self.needs_frame().into());
         }
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
             self.video.leave_device();
@@ -68,6 +66,16 @@ impl Session {
         let (is_cloud, outputs) = (frame.grid().is_none(), self.options.outputs);
         self.pending.push_back(Pending { frame: None, is_cloud, on_receipt, finish: None, outputs });
         Ok(())
+    }
+
+    /// Returns the error for results that the session finishes from frame and result.
+    fn needs_frame(&self) -> ParamError {
+        let allowed = "only for frames that are shared (submit), since it follows from frame and result";
+        let (field, value) = match self.fill_px() {
+            Some(width_px) => ("fill", width_px.to_string()),
+            None => ("outputs", "sigma".to_owned()),
+        };
+        ParamError { field, value, allowed }
     }
 
     /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of

@@ -356,6 +356,7 @@ impl Session {
             options = device.options(&options);
         }
         let video = self.video_of_engine(&options, uses_fleet);
+        let wants_sigma = wants_sigma && !uses_fleet && matches!(options.engine, Engine::Auto | Engine::Gpu);
         let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video, wants_sigma };
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
             check_options(params, &wanted.options, frame.grid())?;

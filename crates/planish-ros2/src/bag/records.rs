@@ -174,14 +174,19 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         let (length, rest) = data.split_first_chunk::<4>()?;
         rest.get(u32::from_le_bytes(*length) as usize..)
     }
-    /// Returns a table of texts, two for each entry.
+    /// Skips a table of texts, two for each entry.
     fn skip_texts(data: &[u8]) -> Option<&[u8]> {
         let after = skip(data)?;
         let mut table = &data[4..data.len() - after.len()];
         while !table.is_empty() {
-            table = skip(table)?;
+            table = skip(skip(table)?)?;
         }
         Some(after)
+    }
+    /// Skips a table of entries of this many bytes. The parser reads whole entries, even beyond the table's end.
+    fn skip_entries(data: &[u8], bytes: usize) -> Option<&[u8]> {
+        let after = skip(data)?;
+        (data.len() - after.len() - 4).is_multiple_of(bytes).then_some(after)
     }
     /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind
     /// it.
@@ -195,10 +200,10 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         op::CHANNEL => skip_texts(skip(skip(data.get(4..)?)?)?),
         op::ATTACHMENT => skip_attached(skip(skip(data.get(16..)?)?)?),
         op::METADATA => skip_texts(skip(data)?),
-        op::STATISTICS => skip(data.get(42..)?),
+        op::STATISTICS => skip_entries(data.get(42..)?, 10),
         op::CHUNK => skip(data.get(28..)?),
-        op::MESSAGE_INDEX => skip(data.get(2..)?),
-        op::CHUNK_INDEX => skip(skip(data.get(32..)?)?.get(8..)?),
+        op::MESSAGE_INDEX => skip_entries(data.get(2..)?, 16),
+        op::CHUNK_INDEX => skip(skip_entries(data.get(32..)?, 10)?.get(8..)?),
         op::ATTACHMENT_INDEX => skip(skip(data.get(40..)?)?),
         op::METADATA_INDEX => skip(data.get(16..)?),
         _ => Some(data),

@@ -203,11 +203,11 @@ impl BagWriter {
         }
     }
 
-    /// Completes the recording under its final name, or deletes it if it has no frames.
+    /// Completes the recording under its final name, or deletes it if nothing was added.
     pub fn finish(self) -> Result<(), Error> {
         // Locked until it is done: the process may be about to end.
         let mut open = self.lock();
-        let finished = open.take().map_or(Ok(()), |open| if open.has_frames { open.finish() } else { open.delete() });
+        let finished = open.take().map_or(Ok(()), Open::finish_or_delete);
         drop(open);
         Ok(finished.map_err(IoError::at(&self.path))?)
     }
@@ -327,6 +327,17 @@ impl Open {
     /// Finishes the recording, or deletes it if it is empty or all-or-nothing.
     fn close(self) -> Result<(), FormatError> {
         if self.has_frames && !self.is_all_or_nothing { self.finish() } else { self.delete() }
+    }
+
+    fn finish_or_delete(self) -> Result<(), FormatError> {
+        match (self.channels.is_empty(), self.has_frames || !self.has_failed) {
+            (false, true) => self.finish(),
+            (true, true) => self.delete(),
+            (_, false) => {
+                self.delete()?;
+                Err(of_mcap(McapError::AttemptedWriteAfterFailure))
+            }
+        }
     }
 
     fn delete(self) -> Result<(), FormatError> {

@@ -73,7 +73,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
     let compression = match info.compression {
         None => "",
         Some("") => ", not compressed",
-        Some(name) => &format!(", compressed by {name}"),
+        Some(name) => &format!(", compressed by {}", printable_line(name)),
     };
     outln!("{}: MCAP, {}{compression}", file.display(), count(info.messages));
     for topic in &info.topics {

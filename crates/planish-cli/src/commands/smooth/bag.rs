@@ -162,7 +162,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
         outln!("  {} of other topics copied -> {}", count(report.copied, "message"), args.output.display());
     }
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
-        let first = topic.first_failure.as_deref().unwrap_or_default();
+        let first = printable_line(topic.first_failure.as_deref().unwrap_or_default());
         errln!(
             "{}: copied unchanged: {}; the first: {first}",
             printable_line(&topic.topic),
@@ -178,7 +178,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
         );
     }
     if let Some(warning) = &report.warning {
-        errln!("warning: {warning}");
+        errln!("warning: {}", printable_line(warning));
     }
     if report.damaged_chunks > 0 {
         let chunks = count(report.damaged_chunks, "chunk");
@@ -246,7 +246,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let source = source::open(&name, &options)?;
     let tell = |event: StreamEvent<'_>| {
         if let StreamEvent::Warning(warning) = event {
-            errln!("warning: {warning}");
+            errln!("warning: {}", printable_line(&warning));
         }
     };
     let statistics = stream::Stream::new(source, options_of_stream)
@@ -267,7 +267,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
             "unreadable": unreadable, "seconds": seconds,
         });
         outln!("{report}");
-    } else {
+    } else if frames > 0 {
         let rate = statistics.fps();
         outln!(
             "{} smoothed in {seconds:.1} s, {rate:.1} per second, engine {engine} -> {}",
@@ -275,7 +275,10 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
             args.output.display()
         );
     }
-    Ok(if statistics.failed_sinks + unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
+    if frames == 0 {
+        errln!("{}: no frame could be smoothed; nothing was written", input.display());
+    }
+    Ok(if statistics.failed_sinks + unreadable > 0 || frames == 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
 /// Returns true if the first readable frame is depth; clouds with a camera count if depth is requested.
