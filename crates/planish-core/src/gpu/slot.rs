@@ -150,8 +150,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the kernels, then those of standard errors or the filter over time, and requests that the buffers are
-    /// mapped when they are done.
+    /// Submits the kernels of the frames, then the kernels of standard errors or of the filter over time. Requests the
+    /// buffers for when they are done.
     pub(super) fn submit(
         &self,
         kernels: &[Dispatch],

@@ -20,7 +20,7 @@ pub(super) struct Finish {
     outputs: Outputs,
     /// The widest hole to fill, in pixels.
     fill_px: Option<u32>,
-    /// Whether to estimate standard errors: the engine has not.
+    /// Whether the session estimates standard errors because the engine has not.
     estimates_sigma: bool,
 }
 

@@ -1,7 +1,7 @@
 // Helpers that kernels share: fields of the input's header, and finiteness by the bits. They need the uniform `batch`.
 //
-// Points outside the image, and those with a coordinate that is not finite, are NO_POINT in every coordinate: a finite
-// number beyond every radius. Vulkan lets shaders assume that NaN never occurs, so they never compute with it;
+// Points outside the image and points with a non-finite coordinate are NO_POINT in every coordinate, a finite number
+// beyond every radius. Vulkan lets shaders assume that NaN never occurs, so they never compute with it;
 // finiteness is read from the bits.
 
 const NO_POINT: f32 = 4.0e18;
