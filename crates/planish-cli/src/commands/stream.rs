@@ -137,7 +137,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
             outln!("  many points restart in every frame; if the camera moves, add --track");
         }
     }
-    let is_empty = statistics.frames_out == 0 && !stop.load(Ordering::Relaxed);
+    let is_empty = args.save.is_some() && statistics.frames_out == 0 && !stop.load(Ordering::Relaxed);
     if is_empty {
         errln!("{}: delivered no frames; nothing was written", args.source.name());
     }

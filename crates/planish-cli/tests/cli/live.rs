@@ -253,3 +253,22 @@ fn time_stamps_that_ros_cannot_hold_are_refused() {
     fs::write(set.join("depth.txt"), format!("2147483647.5 {image}\n")).unwrap();
     ok(&["record", str(&set), str(&recording)]);
 }
+
+#[cfg(feature = "mcap")]
+#[test]
+fn a_source_of_damaged_frames_leaves_no_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let (set, recording) = (folder.path().join("set"), folder.path().join("walk.mcap"));
+    ok(&["record", "synthetic", str(&set), "--frames", "1"]);
+    let list = fs::read_to_string(set.join("depth.txt")).unwrap();
+    let image = list.lines().last().unwrap().split_whitespace().nth(1).unwrap();
+    fs::write(set.join(image), "cut").unwrap();
+    let _ = fs::remove_file(set.join("rgb.txt"));
+    let stream = ["stream", str(&set), "--save", str(&recording)];
+    for arguments in [&["record", str(&set), str(&recording)][..], &stream] {
+        let output = Command::new(env!("CARGO_BIN_EXE_planish")).args(arguments).output().unwrap();
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains("damaged PNG"), "{arguments:?}: {said}");
+        assert!(!recording.exists() && !planish::bag::part_of(&recording).exists(), "{arguments:?}");
+    }
+}
