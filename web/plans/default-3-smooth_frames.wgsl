@@ -140,6 +140,10 @@ fn is_finite(bits: u32) -> bool {
 return (bits & 0x7f800000u) != 0x7f800000u;
 }
 
+fn pixels() -> u32 {
+return batch.width * batch.height;
+}
+
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
