@@ -307,3 +307,25 @@ pub(super) fn first_compression(path: &Path) -> Option<String> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_whose_entries_reach_beyond_them_are_refused_before_they_are_parsed() {
+        let text = |text: &[u8]| [&(text.len() as u32).to_le_bytes(), text].concat();
+        let channel =
+            |table: &[u8]| [&[1, 0, 0, 0][..], &text(b"/a"), &text(b"cdr"), &text(table), &[0xff; 4]].concat();
+        // A name without a value: the parser would take the length of the value from behind the table.
+        let name = text(b"");
+        let refused = |opcode, data: &[u8]| parse_record(opcode, data).is_err_and(|e| e.to_string().contains("longer"));
+        assert!(refused(op::CHANNEL, &channel(&name)));
+        assert!(parse_record(op::CHANNEL, &channel(&[&name[..], &name].concat())).is_ok());
+        let chunk_index = |table: &[u8]| [&[0; 32][..], &text(table), &[0; 8], &text(b"lz4"), &[0; 16]].concat();
+        assert!(refused(op::CHUNK_INDEX, &chunk_index(&[0])));
+        assert!(parse_record(op::CHUNK_INDEX, &chunk_index(&[0; 10])).is_ok());
+        // Cut within an attachment's data.
+        assert!(refused(op::ATTACHMENT, &[0; 28]));
+    }
+}
