@@ -35,16 +35,20 @@ export class Core {
 
   /** Compiles the module from its bytes or a response. */
   static async load(source: Response | BufferSource): Promise<Core> {
-    const { module, instance } =
-      source instanceof Response
-        ? await WebAssembly.instantiateStreaming(source, {})
-        : await WebAssembly.instantiate(source, {});
-    return new Core(module, instance);
+    try {
+      const { module, instance } =
+        source instanceof Response
+          ? await WebAssembly.instantiateStreaming(source, {})
+          : await WebAssembly.instantiate(source, {});
+      return new Core(module, instance);
+    } catch (error) {
+      throw new PlanishError(`planish.wasm cannot be loaded: ${String(error)}`);
+    }
   }
 
   /** Asks for something. The bytes of the reply are a copy. */
   call<T>(request: { op: string; [key: string]: unknown }, bytes: Uint8Array = NO_BYTES): { ok: T; bytes: Uint8Array<ArrayBuffer> } {
-    const text = JSON.stringify(renamed(request, snakeCase), onlyFinite);
+    const text = written(request);
     let answer: { ok: T; bytes: Uint8Array<ArrayBuffer> };
     try {
       answer = this.ask<T>(new TextEncoder().encode(text), bytes);
@@ -122,6 +126,16 @@ export function renamed(value: unknown, rename: (name: string) => string): unkno
   if (Array.isArray(value)) return value.map((item) => renamed(item, rename));
   if (typeof value !== "object" || value === null) return value;
   return Object.fromEntries(Object.entries(value).map(([name, item]) => [rename(name), renamed(item, rename)]));
+}
+
+/** A request as JSON, which has no cycles, functions or big integers. */
+function written(request: object): string {
+  try {
+    return JSON.stringify(renamed(request, snakeCase), onlyFinite);
+  } catch (error) {
+    if (error instanceof PlanishError) throw error;
+    throw new PlanishError(`not a value of JSON: ${String(error)}`);
+  }
 }
 
 /** Refuses numbers that JSON cannot represent. */

@@ -195,7 +195,7 @@ export class Planish {
 
   /** Reads a camera file for a frame. */
   readCamera(frame: Frame, text: string): Camera {
-    return this.core.call<Camera>({ op: "read_camera", frame: frame.frame, camera: text }).ok;
+    return this.core.call<Camera>({ op: "read_camera", frame: idOf(frame, "frame"), camera: text }).ok;
   }
 
   /** Reads a settings file in JSON or YAML, as the command and Python have them. */
@@ -217,7 +217,7 @@ export class Planish {
   async smoothFrame(frame: Frame, settings: Settings = {}, camera?: CameraLike): Promise<Result> {
     const start = performance.now();
     let withoutGpu: string | undefined;
-    const request = { frame: frame.frame, settings, ...(camera === undefined ? {} : { camera }) };
+    const request = { frame: idOf(frame, "frame"), settings, ...(camera === undefined ? {} : { camera }) };
     const done = (ok: Omit<Result, "engine" | "milliseconds">, engine: Result["engine"]): Result => ({
       ...ok,
       engine,
@@ -246,7 +246,7 @@ export class Planish {
 
   /** The arrays of a result. */
   arrays(result: Result): Omit<Smoothed, "engine" | "milliseconds" | "withoutGpu"> {
-    const { ok, bytes } = this.core.call<{ width: number; height: number }>({ op: "arrays", result: result.result });
+    const { ok, bytes } = this.core.call<{ width: number; height: number }>({ op: "arrays", result: idOf(result, "result") });
     const pixels = ok.width * ok.height;
     return {
       ...ok,
@@ -258,27 +258,27 @@ export class Planish {
 
   /** Draws a frame, raw or smoothed, as RGBA. */
   picture(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> } {
-    const request = { op: "picture", frame: frame.frame, side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
+    const request = { op: "picture", frame: idOf(frame, "frame"), side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ width: number; height: number }>(request);
     return { width: ok.width, height: ok.height, rgba: new Uint8ClampedArray(bytes.buffer) };
   }
 
   /** The finite points of a frame, raw or smoothed, with a colour each. */
   cloud(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> } {
-    const request = { op: "cloud", frame: frame.frame, side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
+    const request = { op: "cloud", frame: idOf(frame, "frame"), side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ points: number }>(request);
     return { points: new Float32Array(bytes.buffer, 0, 3 * ok.points), rgba: new Uint8Array(bytes.buffer, 12 * ok.points) };
   }
 
   /** Encodes a result as a file: "pcd", "ply", "npy", "xyz", or of depth "png". */
   write(result: Result, format: string, camera?: CameraLike): Uint8Array<ArrayBuffer> {
-    const request = { op: "write", result: result.result, format, ...(camera === undefined ? {} : { camera }) };
+    const request = { op: "write", result: idOf(result, "result"), format, ...(camera === undefined ? {} : { camera }) };
     return this.core.call({ ...request }).bytes;
   }
 
   /** Forgets frames and results. */
   release(...held: (Frame | Result)[]): void {
-    this.releaseIds(held.map((held) => ("frame" in held ? held.frame : held.result)));
+    this.releaseIds(held.map((held) => idOf(held, "result" in Object(held) ? "result" : "frame")));
   }
 
   /** Gives the GPU back; WebAssembly goes on. */
@@ -315,9 +315,16 @@ export class Planish {
   }
 }
 
+/** The number of a frame or result. */
+function idOf(held: object | null | undefined, kind: "frame" | "result"): number {
+  const id = (held as Record<string, unknown> | null | undefined)?.[kind];
+  if (typeof id !== "number") throw new PlanishError(`a ${kind} of planish is expected; ${String(held)} is none`);
+  return id;
+}
+
 /** Keeps only the number of a result, as the module expects. */
 function sideOf(side: Side): Side {
-  return side === "raw" ? side : { result: side.result };
+  return side === "raw" ? side : { result: idOf(side, "result") };
 }
 
 function checkShape(length: number, width: number, height: number, values: number): void {

@@ -78,6 +78,18 @@ test("arrays of other types, numbers that are none and cameras that are misspelt
   await refused(() => planish.smooth(depth), /second argument/);
   await refused(() => planish.points(new Float64Array(36), width, height), /Float32Array/);
   await refused(() => planish.depth(depth, 4, 4), /12 values came; 4x4/);
+  for (const none of [undefined, null, 3, "frame", {}, { frame: "1" }]) {
+    await refused(() => planish.smoothFrame(none), /frame of planish/);
+    await refused(() => planish.picture(none, "raw", "depth"), /frame of planish/);
+    await refused(() => planish.release(none), /frame of planish/);
+    await refused(() => planish.arrays(none), /result of planish/);
+    await refused(() => planish.write(none, "ply"), /result of planish/);
+  }
+  const cycle = {};
+  cycle.settings = cycle;
+  await refused(() => planish.smooth(depth, camera, cycle), /JSON/);
+  await refused(() => planish.smooth(depth, camera, { window: 3n }), /JSON/);
+  await refused(() => Planish.load({ wasm: new Uint8Array([1, 2, 3]) }), /cannot be loaded/);
   await refused(() => planish.depth(depth, -4, -3), /whole numbers above 0/);
   await refused(() => planish.open("x.pcd", "text"), /Uint8Array or ArrayBuffer/);
   await refused(() => planish.smooth(depth, { ...camera, fx: NaN }), /fx = NaN is not a finite/);

@@ -140,17 +140,23 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
         None => real_gpu(adapters)
             .ok_or_else(|| unavailable(format!("no real GPU; select a software adapter by name ({})", names()))),
         Some(wanted) => {
-            let lower = wanted.to_lowercase();
-            // A number is an index and nothing else: many names have numbers in them.
-            let found = match wanted.parse::<usize>() {
-                Ok(index) => adapters.get(index),
-                Err(_) if wanted.is_empty() => None,
-                Err(_) => adapters.iter().find(|a| a.name.to_lowercase().contains(&lower)),
-            };
+            let names_alone: Vec<&str> = adapters.iter().map(|adapter| adapter.name.as_str()).collect();
+            let found = find(&names_alone, wanted).map(|index| &adapters[index]);
             found.ok_or_else(|| {
                 unavailable(format!("no adapter has the index or name '{wanted}'; available are {}", names()))
             })
         }
+    }
+}
+
+/// Returns the device with this index or part of its name, case-insensitive. A number is an index and nothing else:
+/// many names have numbers in them.
+pub(crate) fn find(names: &[impl AsRef<str>], wanted: &str) -> Option<usize> {
+    let lower = wanted.to_lowercase();
+    match wanted.parse::<usize>() {
+        Ok(index) => (index < names.len()).then_some(index),
+        Err(_) if wanted.is_empty() => None,
+        Err(_) => names.iter().position(|name| name.as_ref().to_lowercase().contains(&lower)),
     }
 }
 

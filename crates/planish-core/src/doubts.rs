@@ -117,7 +117,7 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     let is_valid = |point: &[f64; 3]| point.iter().all(|value| value.is_finite());
 
     let stride = points.len().div_ceil(SAMPLE).max(1);
-    let sample = || (0..points.len()).step_by(stride).map(|i| points.get(i)).filter(is_valid);
+    let sample = || (0..points.len()).step_by(stride).map(|i| points.get_exact(i)).filter(is_valid);
     let far: Vec<[f64; 3]> = sample().filter(|&point| step_of(point) > FINE_M).collect();
     let far_share = far.len() as f32 / sample().count() as f32;
     if far.is_empty() || far_share <= FEW {
@@ -129,7 +129,7 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     let sparser = (stride as f64).sqrt();
     let spacing_m = |of: &[f64; 3]| {
         let squares = (0..points.len()).step_by(stride).map(|i| {
-            let other = points.get(i);
+            let other = points.get_exact(i);
             (0..3).map(|axis| (other[axis] - of[axis]).powi(2)).sum::<f64>()
         });
         let mut nearest = [f64::INFINITY; NEIGHBOUR];
@@ -237,7 +237,9 @@ impl fmt::Display for Doubt {
 mod tests {
     use super::*;
     use crate::camera::Distortion;
+    use crate::cloud::PointCloud;
     use crate::frame::{DepthView, IntoFrame};
+    use crate::xyz::Xyz;
 
     fn of(raw: u16, camera: Camera) -> Vec<Doubt> {
         let raw = vec![raw; camera.width * camera.height];
@@ -275,6 +277,17 @@ mod tests {
         assert_eq!(of(&strays), []);
         let sparse: Vec<[f32; 3]> = (0..200).map(|i| [1e5 + 50.0 * i as f32, 7.0 * i as f32, 0.0]).collect();
         assert_eq!(of(&sparse), []);
+        // All of a second plane would become one point of f32.
+        let mut two = PointCloud::new(Xyz::from([plane(0.0, 2500), vec![[1e7; 3]; 2500]].concat()));
+        assert_eq!(doubts(PointsView::from_cloud(&two).unwrap().into_frame().unwrap()), []);
+        let exact = |axis: usize| {
+            let second = |[x, y, _]: [f32; 3]| 1e7 + f64::from([x, y, 0.0][axis]);
+            let first = plane(0.0, 2500).into_iter().map(|point| f64::from(point[axis]));
+            first.chain(plane(0.0, 2500).into_iter().map(second)).collect()
+        };
+        two.keep_exact([exact(0), exact(1), exact(2)]);
+        let found = doubts(PointsView::from_cloud(&two).unwrap().into_frame().unwrap());
+        assert!(matches!(found[..], [Doubt::Coarse { share, .. }] if (0.4..0.6).contains(&share)), "{found:?}");
         // Duplicates one f32 step apart do not count as spacing.
         let once = plane(2048.0, 5000);
         let again = once.iter().map(|&[x, y, z]| [x, y, z + 1e-4]);

@@ -97,6 +97,18 @@ pub enum FrameError {
         /// The smallest that is allowed.
         least: usize,
     },
+    /// An address that is not in the memory of the GPU that the smoother was opened for.
+    #[error(
+        "{what} is not in the memory of CUDA device {device} ({gpu}): copy it there, or open the smoother for its GPU"
+    )]
+    NotOnGpu {
+        /// What the address is for.
+        what: &'static str,
+        /// The GPU.
+        gpu: String,
+        /// CUDA's number of it.
+        device: i32,
+    },
     /// A buffer for an output that the smoother was not opened for.
     #[error("the smoother was opened without {output}; request it in the outputs")]
     OutputNotOpened {

@@ -82,7 +82,7 @@ pub use frame::{
     DepthFrame, DepthImage, DepthView, Frame, IntoFrame, OwnedFrame, PointLayout, PointsView, RangeRule, Scalar,
 };
 #[cfg(feature = "cuda")]
-pub use gpu::CudaSmoother;
+pub use gpu::{CudaMemory, CudaSmoother};
 pub use outputs::{Outputs, SmoothedMut, VectorsMut};
 pub use params::{
     CloudParams, CloudRadius, Edges, Fit, FrameParams, FrameRadius, Params, Project, Strength, Window, WindowSize,

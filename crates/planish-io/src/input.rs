@@ -56,6 +56,10 @@ pub enum Work {
     Stream,
     /// Smoothed and measured.
     Evaluate,
+    /// Smoothed by several engines and timed.
+    Bench,
+    /// Copied up to 32 times, smoothed and timed.
+    BenchCopies,
     /// Put together with others; per point of all.
     Merge,
 }
@@ -87,6 +91,8 @@ impl Work {
             Self::Smooth => 240,
             Self::Stream => 480,
             Self::Evaluate => 240,
+            Self::Bench => 760,
+            Self::BenchCopies => 2400,
             Self::Merge => 64,
         }
     }
@@ -144,7 +150,16 @@ impl ReadOptions {
         is_grid: bool,
         field_bytes: usize,
     ) -> FormatResult<()> {
-        let is_smoothed = matches!(work, Work::Smooth | Work::Stream | Work::Evaluate | Work::Mesh | Work::MeshText);
+        let is_smoothed = matches!(
+            work,
+            Work::Smooth
+                | Work::Stream
+                | Work::Evaluate
+                | Work::Bench
+                | Work::BenchCopies
+                | Work::Mesh
+                | Work::MeshText
+        );
         let points = if is_grid && is_smoothed { padded_pixels(width, height) } else { width.saturating_mul(height) };
         self.check_work(work, points, field_bytes)
     }

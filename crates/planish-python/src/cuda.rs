@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::camera::PyCamera;
+use crate::dlpack::PyCudaArray;
 use crate::errors::to_py;
 use crate::settings::from_dict;
 
@@ -37,6 +38,12 @@ impl PyCudaSmoother {
         Ok(Self(Mutex::new(smoother)))
     }
 
+    /// Smooths the image at an address into another, while no frame is in flight.
+    fn smooth(&self, py: Python<'_>, depth: u64, row_stride: usize, result: u64, stream: usize) -> PyResult<()> {
+        // SAFETY: as of `submit`.
+        self.with(py, |smoother| unsafe { smoother.smooth(depth, row_stride, result, stream) })
+    }
+
     /// Hands over the image at an address.
     fn submit(&self, py: Python<'_>, depth: u64, row_stride: usize, stream: usize) -> PyResult<()> {
         // SAFETY: the Python class checks the arrays and keeps them; their memory is freed in the order of the stream.
@@ -47,6 +54,13 @@ impl PyCudaSmoother {
     fn receive(&self, py: Python<'_>, result: u64, stream: usize) -> PyResult<bool> {
         // SAFETY: the same.
         self.with(py, |smoother| unsafe { smoother.receive(result, stream) })
+    }
+
+    /// Memory for the result of an image of this width and height, which the stream will write.
+    fn new_result(&self, py: Python<'_>, height: usize, width: usize, stream: usize) -> PyResult<PyCudaArray> {
+        self.with(py, |smoother| {
+            Ok(PyCudaArray::new(smoother.new_result()?, [smoother.channels(), height, width], stream))
+        })
     }
 
     /// Channels of a result, frames in flight, and how many may be.

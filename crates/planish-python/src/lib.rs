@@ -3,6 +3,7 @@
 mod arrays;
 mod camera;
 mod cuda;
+mod dlpack;
 mod errors;
 mod files;
 mod settings;
@@ -29,6 +30,8 @@ mod _planish {
     use super::command;
     #[pymodule_export]
     use super::cuda::PyCudaSmoother;
+    #[pymodule_export]
+    use super::dlpack::PyCudaArray;
     #[pymodule_export]
     use super::files::{
         devices, evaluate, origin_values, read, read_settings, settings_to_json, simulate, write_depth, write_points,

@@ -481,16 +481,3 @@ def test_settings_of_a_file_are_keyword_arguments(tmp_path: Path) -> None:
         planish.read_settings(file)
     with pytest.raises(ValueError, match="1 to 7"):
         planish.write_settings(written, {"window": 9})
-
-
-def test_cuda_arrays_are_asked_for_and_a_machine_without_cuda_says_so():
-    camera = planish.Camera(64, 48, 50.0, 50.0)
-    with pytest.raises(TypeError, match="a planish.Camera"):
-        planish.CudaSmoother("kinect")
-    with pytest.raises(ValueError, match="outputs"):
-        planish.CudaSmoother(camera, outputs=["status"])
-    with pytest.raises(ValueError, match="temporal"):
-        planish.CudaSmoother(camera, temporal="steady")
-    if not Path("/dev/nvidia0").exists():
-        with pytest.raises((RuntimeError, ValueError, OSError), match="."):
-            planish.CudaSmoother(camera)

@@ -262,9 +262,10 @@ typedef struct planish_output {
 extern "C" {
 #endif // __cplusplus
 
-// Makes a smoother for depth images of one camera in CUDA's memory, on Linux: PLANISH_DEPTH_U16 in the camera's units
-// or PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
-// and depth_m. Needs the GPU's Vulkan driver too.
+// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
+// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
+// depth_m, and adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
+// CUDA's compiler, which is loaded at run time.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
                               uint32_t kind,

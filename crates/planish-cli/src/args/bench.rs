@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 
-use super::{CameraArgs, EdgesArg, EngineArg, GpusArgs, RigWayArg};
+use super::{CameraArgs, EdgesArg, EngineArg, GpusArgs, MemoryArgs, RigWayArg};
 
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  planish bench speedup --quick\n  planish bench general --points 100000")]
@@ -47,6 +47,8 @@ pub struct ExperimentArgs {
     pub input: Vec<PathBuf>,
     #[command(flatten)]
     pub camera: CameraArgs,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// Fewer and shorter measurements: about a minute for `all` on two cores
     #[arg(long)]
     pub quick: bool,
@@ -66,6 +68,8 @@ pub struct BenchGpuArgs {
     /// Organized cloud of a 640x480 camera with a focal length of 525 [default: simulated]
     #[arg(long, value_name = "FILE")]
     pub input: Option<PathBuf>,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
@@ -120,6 +124,8 @@ pub struct BenchGeneralArgs {
     /// Clouds, whose grid is ignored [default: simulated scans of --points]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     /// Numbers of points of simulated scans, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(5000..=1_000_000_000))]
     pub points: Vec<u32>,

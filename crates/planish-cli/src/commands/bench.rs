@@ -4,11 +4,11 @@ use crate::exit::ExitCode;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use planish::io::{self, Contents};
+use planish::io::{Contents, Work};
 use planish::{CloudRadius, DepthFrame, Engine, Error, FleetDevice, GpuOptions, Outputs, SmootherOptions};
 use planish_bench::{Ended, Experiment, GeneralOptions, GpuBenchOptions, Input, Options, RigBenchOptions};
 
-use super::organized;
+use super::{organized, read_within};
 use crate::args::{
     BenchArgs, BenchCommand, BenchGeneralArgs, BenchGpuArgs, BenchRigArgs, EdgesArg, EngineArg, ExperimentArgs,
     params_of_voxels,
@@ -36,7 +36,8 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
         version: env!("PLANISH_VERSION"),
         rustc: env!("PLANISH_RUSTC"),
     };
-    let inputs = inputs(args)?;
+    let makes_copies = experiments.contains(&Experiment::Scaleup);
+    let inputs = inputs(args, if makes_copies { Work::BenchCopies } else { Work::Bench })?;
     let stop = stop_flag();
     Ok(match planish_bench::run(experiments, &options, inputs, &stop)? {
         Ended::Whole => ExitCode::SUCCESS,
@@ -45,8 +46,11 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
 }
 
 fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
-    let cloud = args.input.as_ref().map(|path| planish::io::read_organized(path)).transpose().map_err(Error::from)?;
-    let input = cloud.zip(args.input.as_ref()).map(|(cloud, path)| (path.display().to_string(), cloud));
+    let named = |path: &PathBuf| match read_within(&args.memory, Work::Bench, path)? {
+        Contents::Organized(cloud) => Ok((path.display().to_string(), cloud)),
+        _ => bail!("{}: not an organized cloud", path.display()),
+    };
+    let input = args.input.as_ref().map(named).transpose()?;
     let devices = args.gpus.devices(Engine::Gpu)?;
     let first = devices.iter().find_map(|device| match device {
         FleetDevice::Gpu(adapter) => Some(adapter.clone()),
@@ -88,7 +92,7 @@ fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
 
 fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
     let cloud = |path: &PathBuf| {
-        let cloud = match io::read(path).map_err(Error::from)?.1 {
+        let cloud = match read_within(&args.memory, Work::Bench, path)? {
             Contents::Organized(cloud) => cloud.points,
             Contents::General(cloud) => cloud,
             _ => bail!("{}: a depth image, not a cloud; use `planish bench speedup`", path.display()),
@@ -121,10 +125,10 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
 }
 
 /// Returns the frames that the user gave, or a simulated room and a simulated table.
-fn inputs(args: &ExperimentArgs) -> Result<Vec<Input>> {
+fn inputs(args: &ExperimentArgs, work: Work) -> Result<Vec<Input>> {
     let of_file = |(index, file): (usize, &PathBuf)| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        match io::read(file)?.1 {
+        match read_within(&args.memory, work, file)? {
             Contents::Depth(image) => {
                 let camera = args.camera.required((image.width, image.height), file)?;
                 Input::of_depth(index, name, DepthFrame::from_image(camera, image).map_err(Error::from)?)

@@ -27,7 +27,7 @@ use planish_bench::{errln, outln};
 use serde::Serialize;
 
 use self::print::{draw_error_over_z, percent, print};
-use super::{check_work, ms_since, organized};
+use super::{ms_since, organized, read_within};
 use crate::args::{EvaluateArgs, MemoryArgs, SmoothingArgs, by_option, option_of};
 
 /// Full colour in the error maps.
@@ -97,7 +97,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 
 /// Evaluates a real frame, whose truth is unknown.
 fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
-    let contents = read_within(&args.memory, file)?;
+    let contents = read_measured(&args.memory, file)?;
     if let Contents::General(cloud) = &contents {
         return on_general(args, file, cloud);
     }
@@ -144,7 +144,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
 fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<ExitCode> {
     let (points, normals) = match args.results.first() {
         Some(result) => {
-            let Contents::General(other) = read_within(&args.memory, result)? else {
+            let Contents::General(other) = read_measured(&args.memory, result)? else {
                 bail!("{}: has a grid, but {} is an unorganized cloud", result.display(), file.display());
             };
             if other.len() != cloud.len() {
@@ -405,16 +405,13 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
 }
 
 /// Reads a file that is to be measured.
-fn read_within(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
-    let options = memory.options();
-    let contents = io::read_with(file, &options)?.1;
-    check_work(io::Work::Evaluate, &contents, &options, file)?;
-    Ok(contents)
+fn read_measured(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
+    read_within(memory, io::Work::Evaluate, file)
 }
 
 /// Reads another program's result for a frame of that shape: points and normals.
 fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
-    let Contents::Organized(cloud) = read_within(&args.memory, file)? else {
+    let Contents::Organized(cloud) = read_measured(&args.memory, file)? else {
         bail!("{}: is not an organized cloud; each point must stay on its pixel", file.display());
     };
     if (cloud.width(), cloud.height()) != (width, height) {

@@ -28,7 +28,7 @@ use anyhow::{Context, Result, bail};
 use planish::OrganizedCloud;
 use planish::io::{self, Contents, FileRead};
 
-use crate::args::{CameraArgs, StreamArgs};
+use crate::args::{CameraArgs, MemoryArgs, StreamArgs};
 use crate::exit::ExitCode;
 
 /// Streams a source, or a rig.
@@ -53,6 +53,14 @@ fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Re
     let read = io::read_file(file, &options)?;
     let camera = camera.or(read.camera);
     Ok((read, camera))
+}
+
+/// Reads a file for work of that kind, within a limit of memory.
+fn read_within(memory: &MemoryArgs, work: io::Work, file: &Path) -> Result<Contents> {
+    let options = memory.options();
+    let contents = io::read_with(file, &options)?.1;
+    check_work(work, &contents, &options, file)?;
+    Ok(contents)
 }
 
 /// Refuses work that needs more memory than allowed.

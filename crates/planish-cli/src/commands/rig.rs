@@ -6,6 +6,7 @@ mod simulate;
 pub use evaluate::evaluate;
 
 use std::fs;
+use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -83,12 +84,15 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
 
 /// Returns true if a file is planish's own: JSON of an object, where COLMAP's has a list.
 fn is_rig_file(file: &Path) -> bool {
+    /// Enough for any white space before the first brace.
+    const HEAD_BYTES: u64 = 4096;
     let is_json = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
-    let starts_with = |text: &str, c: char| text.trim_start_matches('\u{feff}').trim_start().starts_with(c);
-    file.is_file()
-        && fs::read_to_string(file).is_ok_and(|text| {
-            starts_with(&text, '{') || is_json && !starts_with(&text, '[') && !starts_with(&text, '<')
-        })
+    let mut head = Vec::new();
+    let read =
+        file.is_file().then(|| fs::File::open(file).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head)));
+    let text = String::from_utf8_lossy(&head);
+    let first = text.trim_start_matches('\u{feff}').trim_start().chars().next();
+    matches!(read, Some(Ok(_))) && (first == Some('{') || is_json && !matches!(first, Some('[' | '<')))
 }
 
 fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {

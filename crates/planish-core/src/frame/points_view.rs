@@ -62,7 +62,8 @@ pub struct PointsView<'a> {
     camera: Option<&'a Camera>,
     /// The cloud that the points are a part of: how far it spans, and how many points it has.
     whole: Option<(f64, usize)>,
-    colours: Option<Colours<'a>>,
+    /// The cloud whose positions these are.
+    cloud: Option<&'a PointCloud>,
 }
 
 /// Coordinates as they lie in memory.
@@ -150,7 +151,7 @@ impl<'a> PointsView<'a> {
             subtracted_m: DVec3::ZERO,
             camera: None,
             whole: None,
-            colours: None,
+            cloud: None,
         }
     }
 
@@ -160,9 +161,7 @@ impl<'a> PointsView<'a> {
         check_origin(cloud.origin_m)?;
         let positions = &cloud.positions;
         let view = Self::from_planes(positions.x(), positions.y(), positions.z())?;
-        // WebAssembly fills no holes.
-        let colours = if ONE_THREAD { None } else { Colours::of_cloud(cloud) };
-        Self { origin_m: DVec3::from_array(cloud.origin_m), colours, ..view }.with_pose(cloud.pose)
+        Self { origin_m: DVec3::from_array(cloud.origin_m), cloud: Some(cloud), ..view }.with_pose(cloud.pose)
     }
 
     /// Borrows an organized cloud.
@@ -235,11 +234,12 @@ impl<'a> PointsView<'a> {
         'a: 'b,
     {
         let planes = Positions::Planes([positions.x(), positions.y(), positions.z()]);
-        PointsView { positions: planes, subtracted_m: DVec3::ZERO, ..*self }
+        PointsView { positions: planes, subtracted_m: DVec3::ZERO, cloud: None, ..*self }
     }
 
     pub(super) fn colours(&self) -> Option<Colours<'a>> {
-        self.colours
+        // WebAssembly fills no holes.
+        if ONE_THREAD { None } else { self.cloud.and_then(Colours::of_cloud) }
     }
 
     /// Returns the number of points, including holes.
@@ -275,6 +275,15 @@ impl<'a> PointsView<'a> {
     /// Point `i` in metres, relative to the origin. Not finite for a hole.
     pub fn get(&self, i: usize) -> [f64; 3] {
         self.point(i).to_array()
+    }
+
+    /// Point `i` in metres, relative to the origin, with the digits of its file.
+    pub(crate) fn get_exact(&self, i: usize) -> [f64; 3] {
+        let rounded = self.get(i);
+        std::array::from_fn(|axis| match self.cloud.and_then(|cloud| cloud.exact_m.as_ref()?[axis].get(i)) {
+            Some(exact) => exact - self.origin_m[axis],
+            None => rounded[axis],
+        })
     }
 
     /// Returns the number of finite points.

@@ -10,10 +10,7 @@
 
 #[cfg(feature = "gpu")]
 mod copier;
-#[cfg(all(feature = "cuda", target_os = "linux"))]
-mod cuda;
-#[cfg(all(feature = "cuda", not(target_os = "linux")))]
-#[path = "cuda_absent.rs"]
+#[cfg(feature = "cuda")]
 mod cuda;
 #[cfg(feature = "gpu")]
 mod device;
@@ -51,7 +48,7 @@ mod upload;
 mod view;
 
 #[cfg(feature = "cuda")]
-pub use cuda::CudaSmoother;
+pub use cuda::{CudaMemory, CudaSmoother};
 #[cfg(feature = "gpu")]
 pub use engine::lose_devices;
 #[cfg(feature = "gpu")]

@@ -145,6 +145,12 @@ impl Plan {
         4 * self.layout.output_words()
     }
 
+    /// Bytes of an upload before its samples, which depend on the camera alone.
+    #[cfg(feature = "cuda")]
+    pub(super) fn head_bytes(&self) -> usize {
+        4 * self.layout.rays().end
+    }
+
     /// Bytes of the two buffers that passes leave for one another.
     pub fn kept_bytes(&self) -> [usize; 2] {
         // Every kernel binds them, whether it uses them or not.

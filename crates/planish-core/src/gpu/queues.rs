@@ -20,10 +20,8 @@ pub(super) fn open_several(_: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu:
 
 #[cfg(not(target_vendor = "apple"))]
 pub(super) use vulkan::open_several;
-#[cfg(all(feature = "cuda", target_os = "linux"))]
-pub(super) use vulkan::open_with;
 
-pub(super) fn descriptor(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
+fn descriptor(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
     let useful = wgpu::Features::TIMESTAMP_QUERY
         | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS
         | wgpu::Features::MAPPABLE_PRIMARY_BUFFERS;
@@ -37,7 +35,6 @@ pub(super) fn descriptor(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'sta
 
 #[cfg(not(target_vendor = "apple"))]
 mod vulkan {
-    use std::ffi::CStr;
     use std::sync::Arc;
 
     use ash::vk;
@@ -52,14 +49,6 @@ mod vulkan {
     /// Opens the adapter with several queues. Returns `None` without queues that are known to run concurrently, or if
     /// the driver refuses.
     pub(crate) fn open_several(adapter: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
-        open_with(adapter, &[])
-    }
-
-    /// [`open_several`] with further extensions, which the driver must have.
-    pub(crate) fn open_with(
-        adapter: &wgpu::Adapter,
-        further: &[&'static CStr],
-    ) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
         // SAFETY: nothing of the adapter is destroyed.
         let raw_adapter = unsafe { adapter.as_hal::<api::Vulkan>() }?;
         let (family, available) = compute_family(&raw_adapter)?;
@@ -72,9 +61,6 @@ mod vulkan {
         let add_queues: Box<vulkan::CreateDeviceCallback> = Box::new(|device| {
             let added = vk::DeviceQueueCreateInfo::default().queue_family_index(family);
             device.queue_create_infos.push(added.queue_priorities(&PRIORITIES[..queues]));
-            let absent = further.iter().filter(|name| !device.extensions.contains(name)).copied();
-            let absent: Vec<&CStr> = absent.collect();
-            device.extensions.extend(absent);
         });
         // SAFETY: features and limits are the adapter's. The callback adds existing queues, of another family than
         // wgpu's graphics queue.

@@ -20,7 +20,7 @@ Many frames, with buffers that are kept:
 from ._cuda import CudaSmoother
 from ._files import Devices, Frame, Simulated, devices, evaluate, info, read, simulate, write
 from ._planish import VERSION as __version__
-from ._planish import Camera
+from ._planish import Camera, CudaArray
 from ._result import CloudChoice, Origin, Smoothed, Status
 from ._settings import Sensor, Settings, SettingsFile, read_settings, write_settings
 from ._smoothing import Smoother, smooth
@@ -31,6 +31,7 @@ __all__ = [
     "Camera",
     "CloudChoice",
     "Comparison",
+    "CudaArray",
     "CudaSmoother",
     "Devices",
     "Distances",

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import importlib.util
+import math
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ._planish import Camera, CudaEngine
@@ -17,11 +22,11 @@ CHANNELS = {"points": 3, "normals": 3, "curvature": 1, "depth_m": 1}
 
 
 class CudaSmoother:
-    """Smooths depth images that are CUDA arrays, into CUDA arrays, without a copy to the host. Linux, NVIDIA, with the Vulkan driver.
+    """Smooths depth images that are CUDA arrays, into CUDA arrays, without a copy to the host.
 
-    Arrays of PyTorch, CuPy, JAX and Numba are taken (all that have ``__cuda_array_interface__``). Calls return at once; the work
-    is done in the order of the library's current stream. A GPU needs about 0.17 ms to change between CUDA and Vulkan, more than
-    for a frame: `smooth_batch` changes once for up to 16 frames.
+    Needs NVIDIA's driver and NVRTC, CUDA's compiler, which comes with PyTorch and CuPy (``pip install nvidia-cuda-nvrtc-cu12``).
+    Arrays of PyTorch, CuPy, JAX and Numba are taken (all that have ``__cuda_array_interface__`` or ``__dlpack__``). Calls return
+    at once; the work is done in the order of the library's current stream. `smooth_batch` smooths up to 16 images at once, in less time for each.
 
     Parameters
     ----------
@@ -32,7 +37,8 @@ class CudaSmoother:
     outputs : iterable of str
         Any of ``"points"``, ``"normals"``, ``"curvature"`` and ``"depth_m"``.
     **settings : Settings
-        As for `Smoother`. Steps before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not for CUDA arrays.
+        As for `Smoother`; ``adapter`` is the number or a part of the name of a CUDA device, the current one by default. Steps
+        before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not for CUDA arrays.
     """
 
     def __init__(
@@ -52,6 +58,7 @@ class CudaSmoother:
         self._camera = camera
         self._metres = metres
         given = {name: value for name, value in settings.items() if value is not None}
+        _load_compiler()
         self._engine = CudaEngine({**given, "outputs": names}, camera, metres)
         self._channels, _, self._most = self._engine.counts()
         # The arrays of the last call: the libraries' allocators order the memory of freed ones by streams, but not for all streams.
@@ -75,7 +82,8 @@ class CudaSmoother:
         depth : CUDA array, [H, W]
             The image; rows may have gaps.
         out : CUDA array, float32 [channels, H, W], optional
-            Where the result goes. A new array of the library of `depth` (PyTorch or CuPy) by default.
+            Where the result goes. By default a new array, of PyTorch or CuPy if `depth` is, otherwise a `CudaArray`, which other
+            libraries read by DLPack (``jax.dlpack.from_dlpack``).
         stream : int, optional
             The CUDA stream, as the address of a ``cudaStream_t``; the current one of the library of `depth` by default.
 
@@ -84,7 +92,12 @@ class CudaSmoother:
         CUDA array, float32 [channels, H, W]
             The result; holes are NaN.
         """
-        return self.smooth_batch([depth], outs=None if out is None else [out], stream=stream)[0]
+        chosen = _stream_of(depth) if stream is None else stream
+        interface = _interface(depth, "depth", chosen)
+        target = self._new(depth, chosen) if out is None else out
+        self._engine.smooth(*self._input(interface), self._output(target, chosen), chosen)
+        self._last = ([depth, interface], [target])
+        return target
 
     def smooth_batch(
         self, depths: Sequence[Any], *, outs: Sequence[Any] | None = None, stream: int | None = None
@@ -95,22 +108,22 @@ class CudaSmoother:
         results: list[Any] = []
         for begin in range(0, len(depths), self._most):
             group = list(depths[begin : begin + self._most])
-            inputs = [self._input(depth) for depth in group]
-            given = [None] * len(group) if outs is None else list(outs[begin : begin + self._most])
-            targets = [self._new(depth) if out is None else out for depth, out in zip(group, given)]
-            addresses = [self._output(out) for out in targets]
             chosen = _stream_of(group[0]) if stream is None else stream
+            interfaces = [_interface(depth, "depth", chosen) for depth in group]
+            inputs = [self._input(interface) for interface in interfaces]
+            given = [None] * len(group) if outs is None else list(outs[begin : begin + self._most])
+            targets = [self._new(depth, chosen) if out is None else out for depth, out in zip(group, given)]
+            addresses = [self._output(out, chosen) for out in targets]
             for address, stride in inputs:
                 self._engine.submit(address, stride, chosen)
             for address in addresses:
                 self._engine.receive(address, chosen)
-            self._last = (group, targets)
+            self._last = ([*group, *interfaces], targets)
             results.extend(targets)
         return results
 
-    def _input(self, depth: Any) -> tuple[int, int]:
+    def _input(self, interface: dict[str, Any]) -> tuple[int, int]:
         """The address of an image, and bytes from row to row."""
-        interface = _interface(depth, "depth")
         types = ("<f4",) if self._metres else ("<u2", "<i2")
         shape, kind = tuple(interface["shape"]), interface["typestr"]
         expected = (self._camera.height, self._camera.width)
@@ -122,8 +135,8 @@ class CudaSmoother:
             raise ValueError(f"depth: pixels of a row must be adjacent; its strides are {tuple(strides)} bytes")
         return int(interface["data"][0]), int(strides[0])
 
-    def _output(self, out: Any) -> int:
-        interface = _interface(out, "out")
+    def _output(self, out: Any, stream: int) -> int:
+        interface = _interface(out, "out", stream)
         shape = (self._channels, self._camera.height, self._camera.width)
         if tuple(interface["shape"]) != shape or interface["typestr"] != "<f4" or interface.get("strides"):
             found = f"{interface['typestr']} of {tuple(interface['shape'])}"
@@ -132,7 +145,7 @@ class CudaSmoother:
             raise ValueError("out: it is read-only")
         return int(interface["data"][0])
 
-    def _new(self, depth: Any) -> Any:
+    def _new(self, depth: Any, stream: int) -> Any:
         shape = (self._channels, self._camera.height, self._camera.width)
         library = type(depth).__module__.partition(".")[0]
         if library == "torch":
@@ -142,15 +155,73 @@ class CudaSmoother:
             cupy = sys.modules["cupy"]
             with depth.device:
                 return cupy.empty(shape, dtype="float32")
-        raise TypeError(f"out: it is needed for arrays of {library}: a float32 CUDA array of shape {shape}")
+        return self._engine.new_result(self._camera.height, self._camera.width, stream)
 
 
-def _interface(array: Any, name: str) -> dict[str, Any]:
+def _load_compiler() -> None:
+    """Load NVRTC from NVIDIA's packages, so that the engine finds it among the loaded libraries."""
+    nvidia = importlib.util.find_spec("nvidia")
+    folders = [Path(folder) for folder in (nvidia.submodule_search_locations or [])] if nvidia else []
+    for pattern in ("*/lib/libnvrtc.so.*", "*/bin/nvrtc64_*_0.dll", "*/bin/*/nvrtc64_*_0.dll"):
+        for file in (file for folder in folders for file in folder.glob(pattern)):
+            # One of another architecture cannot be loaded; others may be.
+            with contextlib.suppress(OSError):
+                ctypes.CDLL(str(file))
+
+
+def _interface(array: Any, name: str, stream: int) -> dict[str, Any]:
+    """Return shape, type, strides in bytes and address of an array, as ``__cuda_array_interface__`` has them."""
     interface: dict[str, Any] | None = getattr(array, "__cuda_array_interface__", None)
+    if interface is None and hasattr(array, "__dlpack__"):
+        interface = _of_dlpack(array, name, stream)
     if interface is None:
         found = type(array).__name__
         raise TypeError(f"{name}: an array in CUDA's memory is expected (PyTorch, CuPy, JAX, Numba), not {found}")
     return interface
+
+
+class _DlTensor(ctypes.Structure):
+    """DLPack's tensor: the beginning of a ``DLManagedTensor``."""
+
+    _fields_ = (
+        ("data", ctypes.c_void_p),
+        ("device_type", ctypes.c_int32),
+        ("device_id", ctypes.c_int32),
+        ("dimensions", ctypes.c_int32),
+        ("code", ctypes.c_uint8),
+        ("bits", ctypes.c_uint8),
+        ("lanes", ctypes.c_uint16),
+        ("shape", ctypes.POINTER(ctypes.c_int64)),
+        ("strides", ctypes.POINTER(ctypes.c_int64)),
+        ("byte_offset", ctypes.c_uint64),
+    )
+
+
+_pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(("PyCapsule_GetPointer", ctypes.pythonapi))
+
+# DLPack's number of CUDA's devices, of their managed memory, and of its kinds of numbers.
+_CUDA_DEVICES = (2, 13)
+_KINDS = {0: "i", 1: "u", 2: "f"}
+
+
+def _of_dlpack(array: Any, name: str, stream: int) -> dict[str, Any]:
+    device, _ = array.__dlpack_device__()
+    if int(device) not in _CUDA_DEVICES:
+        raise TypeError(f"{name}: an array in CUDA's memory is expected, not one of DLPack's device {int(device)}")
+    # 1 is the default stream. The capsule frees its tensor at its end, since nobody takes it.
+    capsule = array.__dlpack__(stream=stream or 1)
+    tensor = _DlTensor.from_address(_pointer_of(capsule, b"dltensor"))
+    item = tensor.bits // 8
+    shape = tuple(tensor.shape[: tensor.dimensions])
+    strides = tuple(item * stride for stride in tensor.strides[: tensor.dimensions]) if tensor.strides else None
+    contiguous = tuple(item * math.prod(shape[axis + 1 :]) for axis in range(len(shape)))
+    return {
+        "shape": shape,
+        "typestr": f"<{_KINDS.get(tensor.code, '?')}{item}",
+        "strides": None if strides == contiguous else strides,
+        "data": ((tensor.data or 0) + tensor.byte_offset, False),
+        "capsule": capsule,
+    }
 
 
 def _stream_of(array: Any) -> int:
@@ -160,6 +231,6 @@ def _stream_of(array: Any) -> int:
         return int(sys.modules["torch"].cuda.current_stream(array.device).cuda_stream)
     if library == "cupy":
         return int(sys.modules["cupy"].cuda.get_current_stream().ptr)
-    stream = _interface(array, "depth").get("stream")
+    stream = getattr(array, "__cuda_array_interface__", {}).get("stream")
     # 1 is the legacy default stream, which is 0 for the driver.
     return 0 if stream in (None, 1) else int(stream)

@@ -357,8 +357,7 @@ impl Attack {
             }
         }
         let mut max_memory = USUAL_BYTES;
-        let is_limited = !["rig", "bench"].contains(&command.as_str());
-        if is_limited && numbers.one_in(2) {
+        if command != "rig" && numbers.one_in(2) {
             max_memory = numbers.of(&[1 << 20, 16 << 20, 64 << 20, 64 << 20]);
             arguments.extend(["--max-memory".to_owned(), max_memory.to_string()]);
         }

@@ -10,7 +10,7 @@ use planish::{Camera, DepthImage, Error, Outputs, Session, Settings, Smoothed, X
 use planish_bench::outln;
 use serde::Serialize;
 
-use super::{percent, read_within, sensor_of};
+use super::{percent, read_measured, sensor_of};
 use crate::args::EvaluateArgs;
 use crate::commands::organized;
 use crate::exit::ExitCode;
@@ -87,7 +87,7 @@ fn result_in(args: &EvaluateArgs, folder: &Path, name: &str, camera: &Camera) ->
     let files = ["png", "tiff", "npy", "pcd", "ply"].map(|extension| folder.join(format!("{name}.{extension}")));
     let file = files.iter().find(|file| file.exists());
     let file = file.with_context(|| format!("{}: has no {name}.png, .tiff, .npy, .pcd or .ply", folder.display()))?;
-    let contents = read_within(&args.memory, file)?;
+    let contents = read_measured(&args.memory, file)?;
     if contents.shape() != (camera.width, camera.height) {
         bail!("{}: differs in size from the frame, {}x{}", file.display(), camera.width, camera.height);
     }
@@ -100,7 +100,7 @@ fn result_in(args: &EvaluateArgs, folder: &Path, name: &str, camera: &Camera) ->
 
 /// Cuts holes into a file, whose own smoothed values are the truth.
 fn of_file(args: &EvaluateArgs, file: &Path, width_px: u32) -> Result<FillReport> {
-    let mut cloud = organized(read_within(&args.memory, file)?, &args.camera, file)?;
+    let mut cloud = organized(read_measured(&args.memory, file)?, &args.camera, file)?;
     let settings = args.smoothing.settings()?;
     let mut whole = settings.clone();
     whole.fill = None;

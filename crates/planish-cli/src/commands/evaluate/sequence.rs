@@ -19,7 +19,7 @@ use planish::{
 use planish_bench::{out, outln};
 use serde::Serialize;
 
-use super::{percent, read_within, sensor_of};
+use super::{percent, read_measured, sensor_of};
 use crate::args::{EvaluateArgs, MemoryArgs, SequenceArg};
 use crate::commands::ms_since;
 use crate::exit::ExitCode;
@@ -372,7 +372,7 @@ fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
 
 /// Reads another program's depth in metres.
 fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
-    let depth_m: Vec<f32> = match read_within(memory, file)? {
+    let depth_m: Vec<f32> = match read_measured(memory, file)? {
         Contents::Depth(image) => {
             let camera = camera.with_context(|| format!("{}: the unit of depth is unknown", file.display()))?;
             image.raw.iter().map(|&raw| camera.depth_m(raw)).collect()

@@ -1,62 +1,27 @@
-//! CUDA's driver library, loaded at run time: importing memory and semaphores of Vulkan, and copies on a stream.
+//! CUDA's driver library, loaded at run time: memory of a device, kernels, and copies on a stream.
 
-use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
-use std::os::fd::{AsRawFd, IntoRawFd, OwnedFd};
+use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
 use std::ptr;
 
 use libloading::Library;
 
+use super::functions::functions;
+use crate::devices::find;
+
+#[cfg(not(windows))]
 const LIBRARY: &str = "libcuda.so.1";
+#[cfg(windows)]
+const LIBRARY: &str = "nvcuda.dll";
 
 /// An address in device memory.
 pub(super) type DevicePointer = u64;
 /// A handle of the driver's.
 type Handle = *mut c_void;
 
-const OPAQUE_FD: c_uint = 1;
-const TIMELINE_SEMAPHORE_FD: c_uint = 9;
-const DEDICATED: c_uint = 1;
 const DEVICE_MEMORY: c_uint = 2;
-
-/// The first 24 bytes of CUDA_EXTERNAL_MEMORY_HANDLE_DESC and CUDA_EXTERNAL_SEMAPHORE_HANDLE_DESC: the kind of handle,
-/// then a union of 16 bytes at a multiple of 8.
-#[repr(C, align(8))]
-struct HandleDescription {
-    kind: c_uint,
-    _gap: c_uint,
-    fd: c_int,
-    _rest_of_union: [c_uint; 3],
-}
-
-#[repr(C)]
-struct MemoryDescription {
-    handle: HandleDescription,
-    size: u64,
-    flags: c_uint,
-    reserved: [c_uint; 16],
-}
-
-#[repr(C)]
-struct BufferDescription {
-    offset: u64,
-    size: u64,
-    flags: c_uint,
-    reserved: [c_uint; 16],
-}
-
-#[repr(C)]
-struct SemaphoreDescription {
-    handle: HandleDescription,
-    flags: c_uint,
-    reserved: [c_uint; 16],
-}
-
-/// CUDA_EXTERNAL_SEMAPHORE_SIGNAL_PARAMS and ..._WAIT_PARAMS: of both the value comes first, and the rest is 0.
-#[repr(C)]
-struct SemaphoreParams {
-    value: u64,
-    rest: [u64; 17],
-}
+const CAPABILITY_MAJOR: c_int = 75;
+const CAPABILITY_MINOR: c_int = 76;
+const DEVICE_ORDINAL: c_int = 9;
 
 /// CUDA_MEMCPY2D.
 #[repr(C)]
@@ -79,55 +44,35 @@ struct Copy2d {
     height: usize,
 }
 
-const _: () = assert!(size_of::<MemoryDescription>() == 104 && size_of::<SemaphoreDescription>() == 96);
-const _: () = assert!(size_of::<SemaphoreParams>() == 144 && size_of::<Copy2d>() == 128);
-
-macro_rules! functions {
-    ($($name:ident = $symbol:literal ( $($argument:ty),* );)*) => {
-        /// The functions of the library that are used.
-        struct Functions {
-            $($name: unsafe extern "C" fn($($argument),*) -> c_int,)*
-            _library: Library,
-        }
-
-        impl Functions {
-            fn load() -> Result<Self, String> {
-                // SAFETY: loading the driver's library has no other effects.
-                let library = unsafe { Library::new(LIBRARY) }.map_err(|error| format!("no CUDA driver: {error}"))?;
-                // SAFETY: the signatures match cuda.h.
-                unsafe {
-                    Ok(Self {
-                        $($name: *library
-                            .get(concat!($symbol, "\0").as_bytes())
-                            .map_err(|_| format!("{LIBRARY} is too old: it lacks {}", $symbol))?,)*
-                        _library: library,
-                    })
-                }
-            }
-        }
-    };
-}
+const _: () = assert!(size_of::<Copy2d>() == 128);
 
 functions! {
     init = "cuInit"(c_uint);
+    driver_version = "cuDriverGetVersion"(*mut c_int);
     device_count = "cuDeviceGetCount"(*mut c_int);
     device_get = "cuDeviceGet"(*mut c_int, c_int);
-    device_uuid = "cuDeviceGetUuid"(*mut [u8; 16], c_int);
+    device_name = "cuDeviceGetName"(*mut c_char, c_int, c_int);
+    device_attribute = "cuDeviceGetAttribute"(*mut c_int, c_int, c_int);
     context_current = "cuCtxGetCurrent"(*mut Handle);
+    context_device = "cuCtxGetDevice"(*mut c_int);
     context_push = "cuCtxPushCurrent_v2"(Handle);
     context_pop = "cuCtxPopCurrent_v2"(*mut Handle);
     primary_context = "cuDevicePrimaryCtxRetain"(*mut Handle, c_int);
-    import_memory = "cuImportExternalMemory"(*mut Handle, *const MemoryDescription);
-    mapped_buffer = "cuExternalMemoryGetMappedBuffer"(*mut DevicePointer, Handle, *const BufferDescription);
-    destroy_memory = "cuDestroyExternalMemory"(Handle);
-    import_semaphore = "cuImportExternalSemaphore"(*mut Handle, *const SemaphoreDescription);
-    destroy_semaphore = "cuDestroyExternalSemaphore"(Handle);
-    signal = "cuSignalExternalSemaphoresAsync"(*const Handle, *const SemaphoreParams, c_uint, Handle);
-    wait = "cuWaitExternalSemaphoresAsync"(*const Handle, *const SemaphoreParams, c_uint, Handle);
+    release_context = "cuDevicePrimaryCtxRelease_v2"(c_int);
+    load_module = "cuModuleLoadData"(*mut Handle, *const c_void);
+    unload_module = "cuModuleUnload"(Handle);
+    get_function = "cuModuleGetFunction"(*mut Handle, Handle, *const c_char);
+    launch = "cuLaunchKernel"(
+        Handle, c_uint, c_uint, c_uint, c_uint, c_uint, c_uint, c_uint, Handle, *mut *mut c_void, *mut *mut c_void
+    );
+    allocate = "cuMemAlloc_v2"(*mut DevicePointer, usize);
+    free = "cuMemFree_v2"(DevicePointer);
+    upload = "cuMemcpyHtoD_v2"(DevicePointer, *const c_void, usize);
+    clear = "cuMemsetD8_v2"(DevicePointer, u8, usize);
     copy_2d = "cuMemcpy2DAsync_v2"(*const Copy2d, Handle);
     copy = "cuMemcpyDtoDAsync_v2"(DevicePointer, DevicePointer, usize, Handle);
-    free = "cuMemFree_v2"(DevicePointer);
     synchronize = "cuStreamSynchronize"(Handle);
+    pointer_attribute = "cuPointerGetAttribute"(*mut c_int, c_int, DevicePointer);
     error_name = "cuGetErrorName"(c_int, *mut *const c_char);
 }
 
@@ -135,6 +80,13 @@ functions! {
 pub(super) struct Cuda {
     functions: Functions,
     context: Handle,
+    /// CUDA's number of the device.
+    pub(super) device: c_int,
+    pub(super) name: String,
+    /// The compute capability: 90 for 9.0.
+    pub(super) capability: i32,
+    /// The driver's major version.
+    pub(super) driver_major: i32,
 }
 
 // SAFETY: the driver's functions may be called from any thread; the context is set around each call.
@@ -142,38 +94,97 @@ unsafe impl Send for Cuda {}
 // SAFETY: the same.
 unsafe impl Sync for Cuda {}
 
-/// Memory of Vulkan as CUDA sees it.
-pub(super) struct ImportedMemory {
-    memory: usize,
+/// Memory of the device.
+pub(super) struct Memory {
     pub(super) address: DevicePointer,
 }
 
-/// A timeline semaphore of Vulkan as CUDA sees it.
-pub(super) struct ImportedSemaphore(usize);
+/// A compiled kernel with its entry point.
+pub(super) struct Kernel {
+    module: usize,
+    function: usize,
+}
+
+/// Blocks of a launch, and threads of a block.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grid {
+    pub(super) blocks: [u32; 3],
+    pub(super) threads: [u32; 2],
+}
 
 impl Cuda {
-    /// Loads the driver, and opens the device with this UUID.
-    pub(super) fn open(uuid: [u8; 16]) -> Result<Self, String> {
-        let functions = Functions::load()?;
-        let mut cuda = Self { functions, context: ptr::null_mut() };
+    /// Loads the driver, and opens a device by its index or a part of its name; `None` is the device of the calling
+    /// thread's context, or else the first.
+    pub(super) fn open(wanted: Option<&str>) -> Result<Self, String> {
+        // SAFETY: loading the driver's library has no other effects.
+        let library = unsafe { Library::new(LIBRARY) }.map_err(|_| format!("no CUDA driver ({LIBRARY})"))?;
+        let functions = Functions::load(library, LIBRARY)?;
+        let mut cuda = Self {
+            functions,
+            context: ptr::null_mut(),
+            device: 0,
+            name: String::new(),
+            capability: 0,
+            driver_major: 0,
+        };
         // SAFETY: the arguments are as cuda.h asks for.
         unsafe {
             cuda.check("cuInit", (cuda.functions.init)(0))?;
-            let mut count = 0;
-            cuda.check("cuDeviceGetCount", (cuda.functions.device_count)(&mut count))?;
-            for i in 0..count {
-                let (mut device, mut found) = (0, [0; 16]);
-                cuda.check("cuDeviceGet", (cuda.functions.device_get)(&mut device, i))?;
-                cuda.check("cuDeviceGetUuid", (cuda.functions.device_uuid)(&mut found, device))?;
-                if found == uuid {
-                    let mut context = ptr::null_mut();
-                    let code = (cuda.functions.primary_context)(&mut context, device);
-                    cuda.check("cuDevicePrimaryCtxRetain", code)?;
-                    cuda.context = context;
-                    return Ok(cuda);
-                }
+            let mut version = 0;
+            cuda.check("cuDriverGetVersion", (cuda.functions.driver_version)(&mut version))?;
+            cuda.driver_major = version / 1000;
+            cuda.device = cuda.choose(wanted)?;
+            cuda.name = cuda.name_of(cuda.device)?;
+            let [mut major, mut minor] = [0; 2];
+            for (value, attribute) in [(&mut major, CAPABILITY_MAJOR), (&mut minor, CAPABILITY_MINOR)] {
+                let code = (cuda.functions.device_attribute)(value, attribute, cuda.device);
+                cuda.check("cuDeviceGetAttribute", code)?;
             }
-            Err(format!("none of {count} CUDA devices is the GPU that Vulkan opened"))
+            cuda.capability = 10 * major + minor;
+            let mut context = ptr::null_mut();
+            let code = (cuda.functions.primary_context)(&mut context, cuda.device);
+            cuda.check("cuDevicePrimaryCtxRetain", code)?;
+            cuda.context = context;
+        }
+        Ok(cuda)
+    }
+
+    fn choose(&self, wanted: Option<&str>) -> Result<c_int, String> {
+        let mut count = 0;
+        // SAFETY: the arguments are as cuda.h asks for.
+        self.check("cuDeviceGetCount", unsafe { (self.functions.device_count)(&mut count) })?;
+        let device = |index: c_int| {
+            let mut device = 0;
+            // SAFETY: the index is below the count.
+            self.check("cuDeviceGet", unsafe { (self.functions.device_get)(&mut device, index) })?;
+            Ok::<_, String>(device)
+        };
+        let names = (0..count).map(|index| self.name_of(device(index)?)).collect::<Result<Vec<_>, _>>()?;
+        let Some(wanted) = wanted else {
+            let mut current = 0;
+            // SAFETY: an error means that the thread has no context.
+            let is_current = unsafe { (self.functions.context_device)(&mut current) } == 0;
+            return if is_current {
+                Ok(current)
+            } else if count > 0 {
+                device(0)
+            } else {
+                Err("no CUDA device".into())
+            };
+        };
+        match find(&names, wanted) {
+            Some(index) => device(index as c_int),
+            None => Err(format!("no CUDA device has the index or name '{wanted}'; there are {}", names.join(", "))),
+        }
+    }
+
+    fn name_of(&self, device: c_int) -> Result<String, String> {
+        let mut name: [c_char; 256] = [0; 256];
+        // SAFETY: the buffer has the length stated; the driver ends the text with a zero.
+        unsafe {
+            let code = (self.functions.device_name)(name.as_mut_ptr(), name.len() as c_int, device);
+            self.check("cuDeviceGetName", code)?;
+            Ok(CStr::from_ptr(name.as_ptr()).to_string_lossy().into_owned())
         }
     }
 
@@ -191,7 +202,7 @@ impl Cuda {
     }
 
     /// Runs a body in the device's context, whatever the thread's is.
-    fn within<T>(&self, body: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    pub(super) fn within<T>(&self, body: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
         let mut current = ptr::null_mut();
         // SAFETY: the context is retained for as long as this lives.
         unsafe {
@@ -207,71 +218,63 @@ impl Cuda {
         }
     }
 
-    /// Imports memory by a file descriptor, which the driver owns afterwards.
-    pub(super) fn import_memory(&self, fd: OwnedFd, allocated: u64, bytes: u64) -> Result<ImportedMemory, String> {
-        self.within(|| {
-            let description = MemoryDescription {
-                handle: HandleDescription { kind: OPAQUE_FD, _gap: 0, fd: fd.as_raw_fd(), _rest_of_union: [0; 3] },
-                size: allocated,
-                flags: DEDICATED,
-                reserved: [0; 16],
-            };
-            let buffer = BufferDescription { offset: 0, size: bytes, flags: 0, reserved: [0; 16] };
-            let (mut memory, mut address) = (ptr::null_mut(), 0);
-            // SAFETY: the descriptions are complete.
-            unsafe {
-                let code = (self.functions.import_memory)(&mut memory, &description);
-                self.check("cuImportExternalMemory", code)?;
-                // The driver owns it now.
-                let _ = fd.into_raw_fd();
-                let code = (self.functions.mapped_buffer)(&mut address, memory, &buffer);
-                self.check("cuExternalMemoryGetMappedBuffer", code)?;
-            }
-            Ok(ImportedMemory { memory: memory as usize, address })
-        })
-    }
-
-    /// Imports a timeline semaphore by a file descriptor, which the driver owns afterwards.
-    pub(super) fn import_semaphore(&self, fd: OwnedFd) -> Result<ImportedSemaphore, String> {
-        self.within(|| {
-            let description = SemaphoreDescription {
-                handle: HandleDescription {
-                    kind: TIMELINE_SEMAPHORE_FD,
-                    _gap: 0,
-                    fd: fd.as_raw_fd(),
-                    _rest_of_union: [0; 3],
-                },
-                flags: 0,
-                reserved: [0; 16],
-            };
-            let mut semaphore = ptr::null_mut();
-            // SAFETY: the description is complete.
-            let code = unsafe { (self.functions.import_semaphore)(&mut semaphore, &description) };
-            self.check("cuImportExternalSemaphore", code)?;
-            // The driver owns it now.
-            let _ = fd.into_raw_fd();
-            Ok(ImportedSemaphore(semaphore as usize))
-        })
-    }
-
-    /// Has the semaphore signalled where the stream is now.
-    pub(super) fn signal(&self, semaphore: &ImportedSemaphore, value: u64, stream: usize) -> Result<(), String> {
-        let (handle, params) = (semaphore.0 as Handle, SemaphoreParams { value, rest: [0; 17] });
-        // SAFETY: the semaphore is alive.
+    /// Loads machine code or PTX with one entry point.
+    pub(super) fn load(&self, code: &[u8], entry_point: &str) -> Result<Kernel, String> {
+        let name = CString::new(entry_point).map_err(|error| error.to_string())?;
+        let (mut module, mut function) = (ptr::null_mut(), ptr::null_mut());
+        // SAFETY: the code is complete (NVRTC ends PTX with a zero), and the name is a text.
         self.within(|| unsafe {
-            self.check(
-                "cuSignalExternalSemaphoresAsync",
-                (self.functions.signal)(&handle, &params, 1, stream as Handle),
-            )
-        })
+            self.check("cuModuleLoadData", (self.functions.load_module)(&mut module, code.as_ptr().cast()))?;
+            let code = (self.functions.get_function)(&mut function, module, name.as_ptr());
+            self.check("cuModuleGetFunction", code)
+        })?;
+        Ok(Kernel { module: module as usize, function: function as usize })
     }
 
-    /// Has the stream wait for a value of the semaphore.
-    pub(super) fn wait(&self, semaphore: &ImportedSemaphore, value: u64, stream: usize) -> Result<(), String> {
-        let (handle, params) = (semaphore.0 as Handle, SemaphoreParams { value, rest: [0; 17] });
-        // SAFETY: the semaphore is alive.
+    /// Launches a kernel on a stream.
+    ///
+    /// # Safety
+    /// The arguments point to values of the types of the kernel's parameters, and addresses among them are valid until
+    /// the stream has run it.
+    pub(super) unsafe fn launch(
+        &self,
+        kernel: &Kernel,
+        grid: Grid,
+        arguments: &mut [*mut c_void],
+        stream: usize,
+    ) -> Result<(), String> {
+        let Grid { blocks: [x, y, z], threads: [across, down] } = grid;
+        let (function, stream) = (kernel.function as Handle, stream as Handle);
+        // SAFETY: as the caller promises.
+        let code = unsafe {
+            let arguments = arguments.as_mut_ptr();
+            (self.functions.launch)(function, x, y, z, across, down, 1, 0, stream, arguments, ptr::null_mut())
+        };
+        self.check("cuLaunchKernel", code)
+    }
+
+    /// Allocates memory of the device.
+    pub(super) fn allocate(&self, bytes: usize) -> Result<Memory, String> {
+        let mut address = 0;
+        // SAFETY: the driver writes the address.
         self.within(|| unsafe {
-            self.check("cuWaitExternalSemaphoresAsync", (self.functions.wait)(&handle, &params, 1, stream as Handle))
+            let code = (self.functions.allocate)(&mut address, bytes);
+            self.check(&format!("cuMemAlloc of {bytes} bytes"), code)
+        })?;
+        Ok(Memory { address })
+    }
+
+    /// Sets bytes of the device's memory to 0.
+    pub(super) fn clear(&self, memory: &Memory, bytes: usize) -> Result<(), String> {
+        // SAFETY: the callers allocate this much.
+        self.within(|| unsafe { self.check("cuMemsetD8", (self.functions.clear)(memory.address, 0, bytes)) })
+    }
+
+    /// Copies from the host, and waits for it.
+    pub(super) fn upload(&self, to: DevicePointer, from: &[u8]) -> Result<(), String> {
+        // SAFETY: the callers allocate this much.
+        self.within(|| unsafe {
+            self.check("cuMemcpyHtoD", (self.functions.upload)(to, from.as_ptr().cast(), from.len()))
         })
     }
 
@@ -286,34 +289,40 @@ impl Cuda {
         (row_bytes, rows): (usize, usize),
         stream: usize,
     ) -> Result<(), String> {
-        let copy = Copy2d {
-            src_x: 0,
-            src_y: 0,
-            src_type: DEVICE_MEMORY,
-            src_host: ptr::null(),
-            src_device: from,
-            src_array: ptr::null_mut(),
-            src_pitch: from_stride,
-            dst_x: 0,
-            dst_y: 0,
-            dst_type: DEVICE_MEMORY,
-            dst_host: ptr::null_mut(),
-            dst_device: to,
-            dst_array: ptr::null_mut(),
-            dst_pitch: row_bytes,
-            width_bytes: row_bytes,
-            height: rows,
-        };
-        self.within(|| {
-            // SAFETY: as the caller promises.
-            unsafe {
-                if from_stride == row_bytes {
-                    let code = (self.functions.copy)(to, from, row_bytes * rows, stream as Handle);
-                    return self.check("cuMemcpyDtoDAsync", code);
-                }
-                self.check("cuMemcpy2DAsync", (self.functions.copy_2d)(&copy, stream as Handle))
+        // SAFETY: as the caller promises.
+        unsafe {
+            if from_stride == row_bytes {
+                let code = (self.functions.copy)(to, from, row_bytes * rows, stream as Handle);
+                return self.check("cuMemcpyDtoDAsync", code);
             }
-        })
+            let copy = Copy2d {
+                src_x: 0,
+                src_y: 0,
+                src_type: DEVICE_MEMORY,
+                src_host: ptr::null(),
+                src_device: from,
+                src_array: ptr::null_mut(),
+                src_pitch: from_stride,
+                dst_x: 0,
+                dst_y: 0,
+                dst_type: DEVICE_MEMORY,
+                dst_host: ptr::null_mut(),
+                dst_device: to,
+                dst_array: ptr::null_mut(),
+                dst_pitch: row_bytes,
+                width_bytes: row_bytes,
+                height: rows,
+            };
+            self.check("cuMemcpy2DAsync", (self.functions.copy_2d)(&copy, stream as Handle))
+        }
+    }
+
+    /// Returns true if an address is in memory of this device.
+    pub(super) fn has(&self, address: DevicePointer) -> bool {
+        let mut ordinal = -1;
+        // SAFETY: the driver knows which addresses are its own; others are an error.
+        let code = unsafe { (self.functions.pointer_attribute)(&mut ordinal, DEVICE_ORDINAL, address) };
+        code == 0 && ordinal == self.device
     }
 
     /// Waits until a stream has run everything.
@@ -322,23 +331,28 @@ impl Cuda {
         self.within(|| unsafe { self.check("cuStreamSynchronize", (self.functions.synchronize)(stream as Handle)) })
     }
 
-    /// Gives imported memory back.
-    pub(super) fn free_memory(&self, memory: &ImportedMemory) {
+    /// Frees memory, when the device has done all that uses it.
+    pub(super) fn free(&self, memory: &Memory) {
         // Nothing can be done about an error here.
-        // SAFETY: it was imported, and is not used any more.
-        let _ = self.within(|| unsafe {
-            (self.functions.free)(memory.address);
-            (self.functions.destroy_memory)(memory.memory as Handle);
-            Ok(())
-        });
+        // SAFETY: it was allocated by this.
+        let _ = self.within(|| self.check("cuMemFree", unsafe { (self.functions.free)(memory.address) }));
     }
 
-    /// Gives an imported semaphore back.
-    pub(super) fn free_semaphore(&self, semaphore: &ImportedSemaphore) {
-        // SAFETY: it was imported, and is not used any more.
-        let _ = self.within(|| unsafe {
-            (self.functions.destroy_semaphore)(semaphore.0 as Handle);
-            Ok(())
+    /// Unloads a kernel that no stream will run any more.
+    pub(super) fn unload(&self, kernel: &Kernel) {
+        let _ = self.within(|| {
+            // SAFETY: it was loaded by this.
+            let code = unsafe { (self.functions.unload_module)(kernel.module as Handle) };
+            self.check("cuModuleUnload", code)
         });
+    }
+}
+
+impl Drop for Cuda {
+    fn drop(&mut self) {
+        if !self.context.is_null() {
+            // SAFETY: it was retained by this, once.
+            unsafe { (self.functions.release_context)(self.device) };
+        }
     }
 }

@@ -1,42 +1,36 @@
-//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed by the Vulkan kernels, and the result
-//! is in that program's memory again.
+//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed there, and the result is in that
+//! program's memory again.
 //!
-//! Vulkan exports the buffers of 16 frames, a timeline semaphore `copied`, and one `done` per queue; CUDA imports them.
-//! On the caller's stream, a frame is: copy the depth into a buffer, signal `copied`, wait for `done`, copy the result
-//! out. A queue of Vulkan waits for `copied`, runs the kernels, and signals its `done`. The host does not wait.
-//!
-//! A GPU works for one of CUDA and Vulkan at a time, and needs about 0.17 ms to change (H200, driver 580): frame by
-//! frame that is most of the time, for 16 frames in flight little of it.
+//! The kernels are those of the GPU engine. They are translated to CUDA C++ ([`translate`]), compiled by NVRTC
+//! ([`nvrtc`]) and launched in the device's primary context ([`driver`]), on the caller's stream: the GPU never changes
+//! between contexts, no copy or wait is needed for the order, and neither Vulkan nor wgpu is involved.
 
 mod driver;
-mod shared;
+mod functions;
+mod nvrtc;
+#[cfg(test)]
+mod tests;
+mod translate;
 
-use std::collections::VecDeque;
+use std::ffi::c_void;
 use std::sync::Arc;
 
-use ash::vk;
-use bytemuck::bytes_of;
-
-use self::driver::{Cuda, ImportedMemory, ImportedSemaphore};
-use self::shared::{ExportedBuffer, SharingDevice};
-use super::device::{GpuDevice, OpenAdapter, adapters, list};
-use super::engine::Gpu;
-use super::layout::{InputKind, Layout};
-use super::upload::Uploader;
+use self::driver::{Cuda, DevicePointer, Grid, Kernel, Memory};
+use self::nvrtc::Nvrtc;
+use self::translate::{ENTRY_POINT, translate};
+use super::plan::{Plan, PlannedPass, WebGpuLimits};
 use crate::camera::Camera;
-use crate::devices::{GpuOptions, choose};
 use crate::error::{EngineError, Error, FrameError, ParamError};
-use crate::frame::{DepthView, FrameGeometry, GeometryScratch, IntoFrame};
+use crate::frame::{DepthView, IntoFrame};
 use crate::outputs::Outputs;
-use crate::params::{EngineParams, FrameParams, Params};
+use crate::params::Params;
 use crate::settings::Settings;
-use crate::smoothing_engine::AdmittedFrame;
 
-/// Frames whose buffers exist at once, which may be in flight.
-const FRAMES: usize = 16;
+/// Frames that may be in flight.
+const FRAMES: u64 = 16;
 
-/// Submissions that wgpu may have unfinished before the host waits for the oldest.
-const MOST_UNFINISHED: usize = 64;
+/// Shared memory of a block that every CUDA device has, and blocks across and down. Memory is the device's to refuse.
+const LIMITS: WebGpuLimits = WebGpuLimits::new(48 << 10, u64::MAX, 65_535);
 
 /// Bytes of a word.
 const WORD: u64 = 4;
@@ -44,107 +38,121 @@ const WORD: u64 = 4;
 /// Smooths depth images in CUDA's memory, for one camera. Calls return at once; the work is done in the order of the
 /// stream.
 pub struct CudaSmoother {
-    slots: Vec<CudaSlot>,
-    /// One list per queue.
-    kernels: Vec<Vec<(wgpu::ComputePipeline, [usize; 2])>>,
-    layout: Layout,
-    /// Frames handed over, and received.
+    passes: Vec<Pass>,
+    frame: FrameSizes,
+    /// The uniform of the kernels.
+    batch: [u32; 4],
+    /// What every frame begins with: its header and the rays of its camera.
+    head: Vec<u8>,
+    /// Buffers of a frame that is smoothed alone, whose output is the caller's.
+    alone: Buffers,
+    /// Buffers of the frames in flight, from the first of them on.
+    ring: Option<Buffers>,
+    /// Frames handed over, launched, and received.
     submitted: u64,
+    launched: u64,
     received: u64,
     stream: Option<usize>,
-    /// Submissions with their queues.
-    unfinished: VecDeque<(usize, wgpu::SubmissionIndex)>,
-    /// Counts frames, in the order of the stream.
-    copied: (vk::Semaphore, ImportedSemaphore),
-    /// One per queue; its value is the number of the last finished frame.
-    done: Vec<(vk::Semaphore, ImportedSemaphore)>,
-    cuda: Cuda,
-    engine: Gpu,
-    sharing: SharingDevice,
+    cuda: Arc<Cuda>,
 }
 
-/// The buffers of a frame.
-struct CudaSlot {
-    input: ImportedMemory,
-    output: ImportedMemory,
-    bind_group: wgpu::BindGroup,
+/// Memory of a GPU for one result; freed at the end, when the GPU has done all that uses it.
+pub struct CudaMemory {
+    memory: Memory,
+    bytes: usize,
+    cuda: Arc<Cuda>,
+}
+
+/// A kernel and how it is launched for one frame.
+struct Pass {
+    kernel: Kernel,
+    bindings: Vec<u32>,
+    blocks: [u32; 2],
+    threads: [u32; 2],
+}
+
+/// Bytes of one frame, and its shape.
+struct FrameSizes {
+    width: usize,
+    height: usize,
+    row_bytes: usize,
+    input: u64,
+    output: u64,
+    kept: [u64; 2],
+}
+
+/// Device memory of frames, one after another.
+struct Buffers {
+    input: Memory,
+    output: Option<Memory>,
+    kept: [Memory; 2],
 }
 
 impl CudaSmoother {
-    /// Opens the GPU for depth of a camera without distortion: u16 in its units, or f32 in metres. The outputs of the
-    /// settings may be points, normals, curvature and depth_m.
+    /// Opens a GPU for depth of a camera without distortion: u16 in its units, or f32 in metres. The outputs of the
+    /// settings may be points, normals, curvature and depth_m. The setting `adapter` is the index or a part of the name
+    /// of a CUDA device; without it, the device of the thread's context is taken, or else the first.
     ///
     /// # Errors
-    /// If Vulkan or CUDA is missing, the Vulkan driver cannot export memory, or a setting does not apply.
+    /// If CUDA's driver or compiler (NVRTC) is missing, or a setting does not apply.
     pub fn open(settings: &Settings, camera: &Camera, is_metres: bool) -> Result<Self, Error> {
         let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
         camera.validate()?;
         let outputs = settings.outputs.unwrap_or_default();
         check(settings, camera, outputs)?;
-        let listed = list();
-        let chosen = choose(&listed, settings.adapter.as_deref())?;
-        let adapter = adapters().get(chosen.index).ok_or_else(|| unavailable("the adapter is gone".into()))?;
-        let sharing = SharingDevice::open(adapter, chosen).map_err(unavailable)?;
-        let cuda = Cuda::open(sharing.uuid).map_err(unavailable)?;
-        let shape = (camera.width, camera.height);
+        let cuda = Arc::new(Cuda::open(settings.adapter.as_deref()).map_err(unavailable)?);
+        let nvrtc = Nvrtc::load(cuda.driver_major).map_err(unavailable)?;
 
         // The header and rays depend on the camera only, so an empty frame provides them.
-        let (raw, metres) = (vec![0u16; camera.width * camera.height], vec![0f32; camera.width * camera.height]);
+        let pixels = camera.width * camera.height;
+        let (raw, metres) = (vec![0u16; pixels], vec![0f32; pixels]);
         let view = if is_metres { DepthView::from_metres(&metres, camera) } else { DepthView::new(&raw, camera) };
         let frame = view?.into_frame()?;
-        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        let Params::Frame(params @ FrameParams { window, .. }) = settings.resolve(frame)?.params else {
+        let Params::Frame(params) = settings.resolve(frame)?.params else {
             return Err(FrameError::MissingCamera { what: "depth in CUDA's memory" }.into());
         };
-        let pitch = geometry.rule.known_pitch_at_1m().filter(|_| window.is_auto());
-        let params = EngineParams::from(params).with_size(pitch.map_or(window.nominal(), |at| window.at_pitch(at)));
-        let adapter = Arc::new(OpenAdapter::new(adapter, &chosen.name, sharing.devices.clone()));
-        let options = GpuOptions::default();
-        let engine = Gpu::open_in(adapter, params, outputs, &options, shape)?;
-        let queues = engine.adapter.devices.len();
-        let kind = if is_metres { InputKind::DepthMetres } else { InputKind::Depth };
-        let layout = engine.layout(kind);
-        let kernels = engine.adapter.devices.iter().map(|gpu| engine.kernels(gpu, kind));
-        let kernels = kernels.collect::<Result<Vec<_>, _>>()?;
-        let mut words = vec![0u32; layout.input_words()];
-        let words_of: &mut [u8] = bytemuck::cast_slice_mut(&mut words);
-        Uploader::new(params).write(&layout, &AdmittedFrame::new(frame, geometry), &mut |word, bytes| {
-            words_of[4 * word..4 * word + bytes.len()].copy_from_slice(bytes);
-        });
-        let slot = |i: usize| {
-            CudaSlot::new((&sharing, i % queues), &engine.adapter.devices[i % queues], &cuda, &layout, &words)
+        let mut plan = Plan::new(params, outputs, frame, &LIMITS)?;
+        let mut head = plan.upload(frame)?;
+        let sizes = FrameSizes {
+            width: camera.width,
+            height: camera.height,
+            row_bytes: camera.width * if is_metres { 4 } else { 2 },
+            input: head.len() as u64,
+            output: plan.output_bytes() as u64,
+            kept: plan.kept_bytes().map(|bytes| bytes as u64),
         };
-        let slots = (0..FRAMES).map(slot).collect::<Result<Vec<_>, _>>().map_err(unavailable)?;
-        let semaphore = || -> Result<_, String> {
-            let (semaphore, fd) = sharing.exporter.semaphore()?;
-            Ok((semaphore, cuda.import_semaphore(fd)?))
+        head.truncate(plan.head_bytes());
+
+        let pass = |planned: PlannedPass| -> Result<Pass, String> {
+            let source = translate(&planned.wgsl)?;
+            let kernel = cuda.load(&nvrtc.compile(&source.text, cuda.capability)?, ENTRY_POINT)?;
+            Ok(Pass { kernel, bindings: source.bindings, blocks: planned.workgroups, threads: source.threads })
         };
-        let copied = semaphore().map_err(unavailable)?;
-        let done = (0..queues).map(|_| semaphore()).collect::<Result<Vec<_>, _>>().map_err(unavailable)?;
+        let passes = plan.passes().into_iter().map(pass).collect::<Result<_, _>>().map_err(unavailable)?;
+        let alone = Buffers::new(&cuda, &sizes, &head, 1, false).map_err(unavailable)?;
         Ok(Self {
-            slots,
-            kernels,
-            layout,
+            passes,
+            frame: sizes,
+            batch: plan.uniform(),
+            head,
+            alone,
+            ring: None,
             submitted: 0,
+            launched: 0,
             received: 0,
             stream: None,
-            unfinished: VecDeque::new(),
-            copied,
-            done,
             cuda,
-            engine,
-            sharing,
         })
     }
 
     /// The name of the GPU.
     pub fn gpu_name(&self) -> &str {
-        &self.engine.adapter.devices[0].name
+        &self.cuda.name
     }
 
     /// Channels of a result: three for points and normals each, one for curvature and depth_m each, in this order.
     pub fn channels(&self) -> usize {
-        self.layout.output_words() / self.layout.pixels()
+        (self.frame.output / WORD) as usize / (self.frame.width * self.frame.height)
     }
 
     /// Smooths an image at `depth`, whose rows begin every `row_stride` bytes, into `result`: a plane of f32 for each
@@ -155,77 +163,97 @@ impl CudaSmoother {
     /// adds to it, and `stream` a stream of its primary context; 0 is the default one.
     ///
     /// # Errors
-    /// If frames are in flight, the stride is too small, or the GPU fails.
+    /// If frames are in flight, the stride is too small, an address is not of this GPU's memory, or the GPU fails.
     pub unsafe fn smooth(&mut self, depth: u64, row_stride: usize, result: u64, stream: usize) -> Result<(), Error> {
         if self.in_flight() > 0 {
             return Err(EngineError::Full { in_flight: self.in_flight() }.into());
         }
-        // SAFETY: as the caller promises.
-        unsafe {
-            self.submit(depth, row_stride, stream)?;
-            self.receive(result, stream).map(drop)
-        }
+        self.check_depth(depth, row_stride)?;
+        self.check_memory("the result", result)?;
+        self.change_to(stream)?;
+        let samples = self.alone.input.address + self.head.len() as u64;
+        // SAFETY: as the caller promises; this buffer is used on this stream only.
+        let done = self.cuda.within(|| unsafe {
+            self.copy_in((samples, depth), row_stride, stream)?;
+            self.launch(self.alone.of_frame(0, &self.frame, result), 1, stream)
+        });
+        Ok(done.map_err(|reason| self.failed(reason))?)
     }
 
-    /// Hands an image over, as [`smooth`](Self::smooth) does; its result is received later, in the same order. The GPU
-    /// changes from CUDA to Vulkan and back once for all frames that were handed over before the first is received,
-    /// which takes longer than a frame.
+    /// Hands an image over, as [`smooth`](Self::smooth) does; its result is received later, in the same order. Frames
+    /// that were handed over before the first is received are smoothed together, which takes less time for each.
     ///
     /// # Safety
     /// As of [`smooth`](Self::smooth).
     ///
     /// # Errors
-    /// If as many are in flight as can be, the stride is too small, or the GPU fails.
+    /// If as many are in flight as can be, the stride is too small, the address is not of this GPU's memory, or the GPU
+    /// fails.
     pub unsafe fn submit(&mut self, depth: u64, row_stride: usize, stream: usize) -> Result<(), Error> {
-        let layout = self.layout;
-        let row_bytes = layout.width * if layout.kind == InputKind::DepthMetres { 4 } else { 2 };
-        if row_stride < row_bytes {
-            return Err(FrameError::BadStride { what: "row stride", stride: row_stride, least: row_bytes }.into());
-        }
-        if self.in_flight() == FRAMES {
-            return Err(EngineError::Full { in_flight: FRAMES }.into());
+        self.check_depth(depth, row_stride)?;
+        if self.in_flight() == self.max_in_flight() {
+            return Err(EngineError::Full { in_flight: self.in_flight() }.into());
         }
         self.change_to(stream)?;
-        let queue = self.queue_of(self.submitted);
-        let gpu = Arc::clone(&self.engine.adapter.devices[queue]);
-        gpu.check()?;
-        let failed = |what: String| EngineError::Device { device: gpu.name.clone(), reason: what };
-        let (slot, number) = (&self.slots[self.submitted as usize % FRAMES], self.submitted + 1);
-        let samples = slot.input.address + WORD * layout.rays().end as u64;
-        // The stream has waited for the kernels that read this slot before, to copy their result out.
-        // SAFETY: as the caller promises; the slot's buffers live as long as this.
-        unsafe {
-            let pointers = (samples, depth);
-            self.cuda.copy_rows(pointers, row_stride, (row_bytes, layout.height), stream).map_err(failed)?;
+        if self.ring.is_none() {
+            let ring = Buffers::new(&self.cuda, &self.frame, &self.head, FRAMES, true);
+            self.ring = Some(ring.map_err(|reason| self.failed(reason))?);
         }
-        self.cuda.signal(&self.copied.1, number, stream).map_err(failed)?;
-        self.launch(&gpu, queue, number)?;
-        self.submitted = number;
+        let Some(ring) = &self.ring else { return Ok(()) };
+        let slot = self.submitted % FRAMES;
+        let samples = ring.input.address + slot * self.frame.input + self.head.len() as u64;
+        // The result of the frame that was in this slot before has been copied out, in the order of the stream.
+        // SAFETY: as the caller promises; the buffers live as long as this.
+        let done = self.cuda.within(|| unsafe { self.copy_in((samples, depth), row_stride, stream) });
+        done.map_err(|reason| self.failed(reason))?;
+        self.submitted += 1;
         Ok(())
     }
 
-    /// Has the stream wait for the oldest frame in flight and copy its result; false if none is in flight.
+    /// Smooths what was handed over, and copies the oldest result; false if none is in flight.
     ///
     /// # Safety
     /// As of [`smooth`](Self::smooth).
     ///
     /// # Errors
-    /// If the GPU fails.
+    /// If the address is not of this GPU's memory, or the GPU fails.
     pub unsafe fn receive(&mut self, result: u64, stream: usize) -> Result<bool, Error> {
         if self.in_flight() == 0 {
             return Ok(false);
         }
+        self.check_memory("the result", result)?;
         self.change_to(stream)?;
-        let name = || self.gpu_name().to_owned();
-        let failed = |what: String| EngineError::Device { device: name(), reason: what };
-        let (slot, number) = (&self.slots[self.received as usize % FRAMES], self.received + 1);
-        let queue = self.queue_of(self.received);
-        self.cuda.wait(&self.done[queue].1, number, stream).map_err(failed)?;
-        let bytes = WORD as usize * self.layout.output_words();
-        // SAFETY: as the caller promises.
-        unsafe { self.cuda.copy_rows((result, slot.output.address), bytes, (bytes, 1), stream).map_err(failed)? };
-        self.received = number;
+        let Some((ring, output)) = self.ring.as_ref().and_then(|ring| Some((ring, ring.output.as_ref()?.address)))
+        else {
+            return Ok(false);
+        };
+        let (bytes, mut launched) = (self.frame.output, self.launched);
+        // SAFETY: as the caller promises; the buffers live as long as this.
+        let done = self.cuda.within(|| unsafe {
+            while launched < self.submitted {
+                // Frames that lie side by side, up to the end of the ring.
+                let slot = launched % FRAMES;
+                let frames = (self.submitted - launched).min(FRAMES - slot);
+                self.launch(ring.of_frame(slot, &self.frame, output + slot * bytes), frames as u32, stream)?;
+                launched += frames;
+            }
+            let from = output + self.received % FRAMES * bytes;
+            self.cuda.copy_rows((result, from), bytes as usize, (bytes as usize, 1), stream)
+        });
+        self.launched = launched;
+        done.map_err(|reason| self.failed(reason))?;
+        self.received += 1;
         Ok(true)
+    }
+
+    /// Allocates memory for a result.
+    ///
+    /// # Errors
+    /// If the GPU has too little.
+    pub fn new_result(&self) -> Result<CudaMemory, Error> {
+        let bytes = self.frame.output as usize;
+        let memory = self.cuda.allocate(bytes).map_err(|reason| self.failed(reason))?;
+        Ok(CudaMemory { memory, bytes, cuda: Arc::clone(&self.cuda) })
     }
 
     /// Frames handed over and not yet received.
@@ -235,46 +263,140 @@ impl CudaSmoother {
 
     /// How many may be.
     pub const fn max_in_flight(&self) -> usize {
-        FRAMES
+        FRAMES as usize
     }
 
-    /// Returns the queue of a frame, counted from 0.
-    fn queue_of(&self, frame: u64) -> usize {
-        frame as usize % FRAMES % self.engine.adapter.devices.len()
+    fn check_depth(&self, depth: u64, row_stride: usize) -> Result<(), Error> {
+        let least = self.frame.row_bytes;
+        if row_stride < least {
+            return Err(FrameError::BadStride { what: "row stride", stride: row_stride, least }.into());
+        }
+        self.check_memory("the depth", depth)
+    }
+
+    /// Refuses memory of the host and of other GPUs.
+    fn check_memory(&self, what: &'static str, address: u64) -> Result<(), Error> {
+        if self.cuda.has(address) {
+            return Ok(());
+        }
+        let gpu = self.cuda.name.clone();
+        Err(FrameError::NotOnGpu { what, gpu, device: self.cuda.device }.into())
     }
 
     /// Waits for what another stream does with the buffers.
     fn change_to(&mut self, stream: usize) -> Result<(), EngineError> {
         if let Some(before) = self.stream.filter(|before| *before != stream) {
-            let device = self.gpu_name().to_owned();
-            self.cuda.synchronize(before).map_err(|reason| EngineError::Device { device, reason })?;
+            self.cuda.synchronize(before).map_err(|reason| self.failed(reason))?;
         }
         self.stream = Some(stream);
         Ok(())
     }
 
-    /// Submits the kernels of the next frame.
-    fn launch(&mut self, gpu: &GpuDevice, queue: usize, number: u64) -> Result<(), EngineError> {
-        let failed = |what: String| EngineError::Device { device: gpu.name.clone(), reason: what };
-        let slot = &self.slots[self.submitted as usize % FRAMES];
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_bind_group(0, &slot.bind_group, &[]);
-            for (kernel, [across, down]) in &self.kernels[queue] {
-                pass.set_pipeline(kernel);
-                pass.dispatch_workgroups(*across as u32, *down as u32, 1);
-            }
+    /// Copies an image behind the header and rays of its frame.
+    ///
+    /// # Safety
+    /// As of [`Cuda::copy_rows`].
+    unsafe fn copy_in(&self, pointers: (u64, u64), row_stride: usize, stream: usize) -> Result<(), String> {
+        let size = (self.frame.row_bytes, self.frame.height);
+        // SAFETY: as the caller promises.
+        unsafe { self.cuda.copy_rows(pointers, row_stride, size, stream) }
+    }
+
+    /// Launches the kernels for frames that lie side by side.
+    ///
+    /// # Safety
+    /// The buffers are valid until the stream has run the kernels.
+    unsafe fn launch(&self, mut buffers: [DevicePointer; 4], frames: u32, stream: usize) -> Result<(), String> {
+        let mut batch = self.batch;
+        for Pass { kernel, bindings, blocks: [across, down], threads } in &self.passes {
+            let argument = |&binding: &u32| match binding {
+                0 => (&raw mut batch).cast::<c_void>(),
+                binding => (&raw mut buffers[binding as usize - 1]).cast(),
+            };
+            let mut arguments: Vec<*mut c_void> = bindings.iter().map(argument).collect();
+            let grid = Grid { blocks: [*across, *down, frames], threads: *threads };
+            // SAFETY: the parameters of the bindings are of these types; as the caller promises.
+            unsafe { self.cuda.launch(kernel, grid, &mut arguments, stream)? };
         }
-        let commands = encoder.finish();
-        self.sharing.stage(queue, (self.copied.0, number), (self.done[queue].0, number)).map_err(failed)?;
-        self.unfinished.push_back((queue, gpu.submit(commands)));
-        if self.unfinished.len() > MOST_UNFINISHED
-            && let Some((queue, oldest)) = self.unfinished.pop_front()
-        {
-            self.engine.adapter.devices[queue].wait(oldest)?;
+        Ok(())
+    }
+
+    fn failed(&self, reason: String) -> EngineError {
+        EngineError::Device { device: self.cuda.name.clone(), reason }
+    }
+}
+
+impl CudaMemory {
+    /// Its address.
+    pub fn address(&self) -> u64 {
+        self.memory.address
+    }
+
+    /// Its length in bytes.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// CUDA's number of its GPU.
+    pub fn device(&self) -> i32 {
+        self.cuda.device
+    }
+
+    /// Waits until a stream has run everything that was added to it.
+    ///
+    /// # Errors
+    /// If the GPU fails.
+    pub fn wait_for(&self, stream: usize) -> Result<(), Error> {
+        let failed = |reason| EngineError::Device { device: self.cuda.name.clone(), reason };
+        Ok(self.cuda.synchronize(stream).map_err(failed)?)
+    }
+}
+
+impl Drop for CudaMemory {
+    fn drop(&mut self) {
+        self.cuda.free(&self.memory);
+    }
+}
+
+impl Drop for CudaSmoother {
+    fn drop(&mut self) {
+        // Nothing may use the buffers any more.
+        if let Some(stream) = self.stream {
+            let _ = self.cuda.synchronize(stream);
         }
-        gpu.check()
+        for Buffers { input, output, kept } in [Some(&self.alone), self.ring.as_ref()].into_iter().flatten() {
+            [input].into_iter().chain(output).chain(kept).for_each(|memory| self.cuda.free(memory));
+        }
+        self.passes.iter().for_each(|pass| self.cuda.unload(&pass.kernel));
+    }
+}
+
+impl Buffers {
+    /// Allocates the buffers of some frames, with the head of each; with an output unless the caller has one.
+    fn new(cuda: &Cuda, sizes: &FrameSizes, head: &[u8], frames: u64, has_output: bool) -> Result<Self, String> {
+        let allocate = |bytes: u64| {
+            let bytes = (frames * bytes) as usize;
+            let memory = cuda.allocate(bytes)?;
+            cuda.clear(&memory, bytes)?;
+            Ok::<_, String>(memory)
+        };
+        let [points, planes] = sizes.kept;
+        let buffers = Self {
+            input: allocate(sizes.input)?,
+            output: has_output.then(|| allocate(sizes.output)).transpose()?,
+            kept: [allocate(points)?, allocate(planes)?],
+        };
+        for frame in 0..frames {
+            cuda.upload(buffers.input.address + frame * sizes.input, head)?;
+        }
+        Ok(buffers)
+    }
+
+    /// Returns the addresses of a frame by their binding, beginning with 1.
+    fn of_frame(&self, slot: u64, sizes: &FrameSizes, output: DevicePointer) -> [DevicePointer; 4] {
+        let [points, planes] = &self.kept;
+        let kept = [points.address + slot * sizes.kept[0], planes.address + slot * sizes.kept[1]];
+        [self.input.address + slot * sizes.input, output, kept[0], kept[1]]
     }
 }
 
@@ -310,68 +432,4 @@ fn check(settings: &Settings, camera: &Camera, outputs: Outputs) -> Result<(), E
         return refuse("distortion", value, "none for depth in CUDA's memory: rectify the images first");
     }
     Ok(())
-}
-
-impl CudaSlot {
-    fn new(
-        (sharing, queue): (&SharingDevice, usize),
-        gpu: &GpuDevice,
-        cuda: &Cuda,
-        layout: &Layout,
-        words: &[u32],
-    ) -> Result<Self, String> {
-        let shared = |label, words: usize| -> Result<_, String> {
-            let bytes = words as u64 * WORD;
-            let ExportedBuffer { buffer, fd, allocated } = sharing.buffer(queue, label, bytes)?;
-            Ok((buffer, cuda.import_memory(fd, allocated, bytes)?))
-        };
-        let (input, imported_input) = shared("input", layout.input_words())?;
-        let (output, imported_output) = shared("output", layout.output_words())?;
-        // Header and rays are the same for every frame.
-        gpu.queue.write_buffer(&input, 0, bytemuck::cast_slice(words));
-        let own = |label, size, usage| {
-            let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
-            gpu.device.create_buffer(&descriptor)
-        };
-        let batch = layout.batch();
-        let uniform =
-            own("batch", size_of_val(&batch) as u64, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST);
-        gpu.queue.write_buffer(&uniform, 0, bytes_of(&batch));
-        let kept =
-            layout.kept_words().map(|words| own("kept", words.max(4) as u64 * WORD, wgpu::BufferUsages::STORAGE));
-        let entries: Vec<_> = [&uniform, &input, &output, &kept[0], &kept[1]]
-            .into_iter()
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
-        let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &gpu.bind_group_layout,
-            entries: &entries,
-        });
-        // The writes are done before CUDA copies anything.
-        let submission = gpu.submit(gpu.device.create_command_encoder(&Default::default()).finish());
-        gpu.wait(submission).map_err(|error| error.to_string())?;
-        Ok(Self { input: imported_input, output: imported_output, bind_group })
-    }
-}
-
-impl Drop for CudaSmoother {
-    fn drop(&mut self) {
-        // Nothing may use the buffers any more; of a device that is lost, nothing does.
-        if let Some(stream) = self.stream {
-            let _ = self.cuda.synchronize(stream);
-        }
-        for (queue, submission) in self.unfinished.drain(..) {
-            let _ = self.engine.adapter.devices[queue].wait(submission);
-        }
-        for slot in &self.slots {
-            self.cuda.free_memory(&slot.input);
-            self.cuda.free_memory(&slot.output);
-        }
-        for (semaphore, imported) in self.done.iter().chain([&self.copied]) {
-            self.cuda.free_semaphore(imported);
-            self.sharing.exporter.destroy(*semaphore);
-        }
-    }
 }

@@ -1,0 +1,27 @@
+//! Functions of libraries that are loaded at run time.
+
+/// Defines `Functions`, the functions of one library, by their names and parameters; all return an int.
+macro_rules! functions {
+    ($($name:ident = $symbol:literal ( $($argument:ty),* );)*) => {
+        /// The functions of the library that are used.
+        struct Functions {
+            $($name: unsafe extern "C" fn($($argument),*) -> std::ffi::c_int,)*
+            _library: libloading::Library,
+        }
+
+        impl Functions {
+            fn load(library: libloading::Library, name: &str) -> Result<Self, String> {
+                // SAFETY: the signatures match the library's header.
+                unsafe {
+                    Ok(Self {
+                        $($name: *library
+                            .get(concat!($symbol, "\0").as_bytes())
+                            .map_err(|_| format!("{name} is too old: it lacks {}", $symbol))?,)*
+                        _library: library,
+                    })
+                }
+            }
+        }
+    };
+}
+pub(super) use functions;

@@ -1,0 +1,159 @@
+//! NVRTC, CUDA's compiler as a library, loaded at run time. PyTorch, CuPy and JAX bring it, as does CUDA's toolkit.
+
+use std::ffi::{CStr, CString, c_char, c_int, c_void};
+use std::path::PathBuf;
+use std::ptr;
+
+use libloading::Library;
+
+use super::functions::functions;
+
+/// Major versions, newest first, with the names of their files.
+#[cfg(not(windows))]
+const LIBRARIES: [(i32, &str); 3] = [(13, "libnvrtc.so.13"), (12, "libnvrtc.so.12"), (11, "libnvrtc.so.11.2")];
+#[cfg(windows)]
+const LIBRARIES: [(i32, &str); 3] = [(13, "nvrtc64_130_0.dll"), (12, "nvrtc64_120_0.dll"), (11, "nvrtc64_112_0.dll")];
+
+/// Variables that hold CUDA's folder, by its own convention.
+const FOLDERS: [&str; 2] = ["CUDA_PATH", "CUDA_HOME"];
+
+/// Divisions and roots may differ in the last bit, and denormals are zero, as in Vulkan.
+const OPTIONS: [&CStr; 6] = [
+    c"--std=c++17",
+    c"--device-as-default-execution-space",
+    c"--ftz=true",
+    c"--prec-div=false",
+    c"--prec-sqrt=false",
+    c"--disable-warnings",
+];
+
+/// A program of the library's.
+type Program = *mut c_void;
+
+functions! {
+    create = "nvrtcCreateProgram"(*mut Program, *const c_char, *const c_char, c_int, *const *const c_char, *const *const c_char);
+    compile = "nvrtcCompileProgram"(Program, c_int, *const *const c_char);
+    log_size = "nvrtcGetProgramLogSize"(Program, *mut usize);
+    log = "nvrtcGetProgramLog"(Program, *mut c_char);
+    cubin_size = "nvrtcGetCUBINSize"(Program, *mut usize);
+    cubin = "nvrtcGetCUBIN"(Program, *mut c_char);
+    ptx_size = "nvrtcGetPTXSize"(Program, *mut usize);
+    ptx = "nvrtcGetPTX"(Program, *mut c_char);
+    destroy = "nvrtcDestroyProgram"(*mut Program);
+    count_archs = "nvrtcGetNumSupportedArchs"(*mut c_int);
+    archs = "nvrtcGetSupportedArchs"(*mut c_int);
+}
+
+/// The compiler.
+pub(super) struct Nvrtc {
+    functions: Functions,
+}
+
+impl Nvrtc {
+    /// Loads the library: the driver's major version of it, or else an older one, or else a newer one.
+    pub(super) fn load(driver_major: i32) -> Result<Self, String> {
+        let (older, newer): (Vec<_>, Vec<_>) = LIBRARIES.into_iter().partition(|(major, _)| *major <= driver_major);
+        let folders = FOLDERS.iter().filter_map(std::env::var_os).map(PathBuf::from);
+        let folders: Vec<PathBuf> = folders.chain([PathBuf::from("/usr/local/cuda")]).collect();
+        let inside = if cfg!(windows) { "bin" } else { "lib64" };
+        for (_, name) in older.into_iter().chain(newer) {
+            let places = folders.iter().map(|folder| folder.join(inside).join(name));
+            let tried = [PathBuf::from(name)].into_iter().chain(places);
+            // SAFETY: loading the library has no other effects.
+            if let Some(library) = tried.filter_map(|path| unsafe { Library::new(path) }.ok()).next() {
+                return Ok(Self { functions: Functions::load(library, name)? });
+            }
+        }
+        let names = LIBRARIES.map(|(_, name)| name).join(", ");
+        Err(format!(
+            "CUDA's compiler was not found ({names}): install nvidia-cuda-nvrtc by pip, or CUDA's toolkit, or set \
+             CUDA_PATH to its folder"
+        ))
+    }
+
+    /// Compiles a source for a GPU of this compute capability (90 for 9.0): to its machine code, or to PTX if the
+    /// library does not know it.
+    pub(super) fn compile(&self, source: &str, capability: i32) -> Result<Vec<u8>, String> {
+        let known = self.architectures();
+        let is_known = known.contains(&capability);
+        let target =
+            if is_known { Some(capability) } else { known.into_iter().filter(|known| *known < capability).max() };
+        let target = target.ok_or_else(|| format!("NVRTC does not support GPUs of compute capability {capability}"))?;
+        let kind = if is_known { "sm" } else { "compute" };
+        let architecture = CString::new(format!("--gpu-architecture={kind}_{target}")).map_err(|e| e.to_string())?;
+        let options: Vec<*const c_char> =
+            OPTIONS.iter().map(|option| option.as_ptr()).chain([architecture.as_ptr()]).collect();
+        let source = CString::new(source).map_err(|error| error.to_string())?;
+        let functions = &self.functions;
+        let mut program = Held { functions, program: ptr::null_mut() };
+        // SAFETY: all texts end in a zero and outlive the calls; buffers have the sizes that the library states.
+        unsafe {
+            let name = c"planish.cu".as_ptr();
+            check(
+                (functions.create)(&mut program.program, source.as_ptr(), name, 0, ptr::null(), ptr::null()),
+                "nvrtcCreateProgram",
+            )?;
+            if (functions.compile)(program.program, options.len() as c_int, options.as_ptr()) != 0 {
+                let log = program.bytes(functions.log_size, functions.log)?;
+                return Err(format!("NVRTC: {}", String::from_utf8_lossy(&log).trim_end_matches('\0')));
+            }
+            if is_known {
+                program.bytes(functions.cubin_size, functions.cubin)
+            } else {
+                program.bytes(functions.ptx_size, functions.ptx)
+            }
+        }
+    }
+
+    /// Returns the compute capabilities that it compiles for.
+    fn architectures(&self) -> Vec<i32> {
+        let mut count = 0;
+        // SAFETY: the buffer has the length that the library states.
+        unsafe {
+            if (self.functions.count_archs)(&mut count) != 0 {
+                return Vec::new();
+            }
+            let mut known = vec![0; count.max(0) as usize];
+            if (self.functions.archs)(known.as_mut_ptr()) != 0 {
+                return Vec::new();
+            }
+            known
+        }
+    }
+}
+
+/// A program, destroyed at the end.
+struct Held<'a> {
+    functions: &'a Functions,
+    program: Program,
+}
+
+type Size = unsafe extern "C" fn(Program, *mut usize) -> c_int;
+type Copy = unsafe extern "C" fn(Program, *mut c_char) -> c_int;
+
+impl Held<'_> {
+    /// Returns an output of the program.
+    fn bytes(&self, size: Size, copy: Copy) -> Result<Vec<u8>, String> {
+        let mut len = 0;
+        // SAFETY: the program is alive, and the buffer has the length that the library states.
+        unsafe {
+            check(size(self.program, &mut len), "the size of NVRTC's output")?;
+            let mut bytes = vec![0u8; len];
+            check(copy(self.program, bytes.as_mut_ptr().cast()), "NVRTC's output")?;
+            Ok(bytes)
+        }
+    }
+}
+
+impl Drop for Held<'_> {
+    fn drop(&mut self) {
+        if !self.program.is_null() {
+            // SAFETY: it is not used any more.
+            unsafe { (self.functions.destroy)(&mut self.program) };
+        }
+    }
+}
+
+fn check(code: c_int, what: &str) -> Result<(), String> {
+    if code == 0 { Ok(()) } else { Err(format!("{what}: NVRTC's error {code}")) }
+}
