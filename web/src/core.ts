@@ -42,7 +42,7 @@ export class Core {
           : await WebAssembly.instantiate(source, {});
       return new Core(module, instance);
     } catch (error) {
-      throw new PlanishError(`planish.wasm cannot be loaded: ${String(error)}`);
+      throw new PlanishError(`planish.wasm cannot be loaded: ${String(error)}`, { cause: error });
     }
   }
 
@@ -134,7 +134,7 @@ function written(request: object): string {
     return JSON.stringify(renamed(request, snakeCase), onlyFinite);
   } catch (error) {
     if (error instanceof PlanishError) throw error;
-    throw new PlanishError(`not a value of JSON: ${String(error)}`);
+    throw new PlanishError(`not a value of JSON: ${String(error)}`, { cause: error });
   }
 }
 

@@ -318,7 +318,7 @@ export class Planish {
 /** The number of a frame or result. */
 function idOf(held: object | null | undefined, kind: "frame" | "result"): number {
   const id = (held as Record<string, unknown> | null | undefined)?.[kind];
-  if (typeof id !== "number") throw new PlanishError(`a ${kind} of planish is expected; ${String(held)} is none`);
+  if (typeof id !== "number") throw new PlanishError(`a ${kind} of planish is expected, not ${held === null ? "null" : typeof held}`);
   return id;
 }
 

@@ -165,7 +165,7 @@ mod with_cuda {
 
 /// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
 /// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-/// depth_m, and adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
+/// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
 /// CUDA's compiler, which is loaded at run time.
 ///
 /// # Safety
@@ -201,7 +201,7 @@ pub unsafe extern "C" fn planish_cuda_smooth(
 }
 
 /// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-/// flight. The GPU changes between CUDA and Vulkan once for all that are handed over before the first is received.
+/// flight. Images that are handed over before the first result is received are smoothed together, in less time for each.
 ///
 /// # Safety
 /// As described.
@@ -216,7 +216,7 @@ pub unsafe extern "C" fn planish_cuda_submit(
     guarded(|| unsafe { with_cuda::submit(cuda, (depth, row_stride), stream) })
 }
 
-/// Has the stream wait for the oldest frame in flight and copy its result; `received` is false if none is in flight.
+/// Smooths the images that were handed over, and copies the oldest result; `received` is false if none is in flight.
 ///
 /// # Safety
 /// As described.

@@ -92,7 +92,7 @@ impl Work {
             Self::Stream => 480,
             Self::Evaluate => 240,
             Self::Bench => 760,
-            Self::BenchCopies => 2400,
+            Self::BenchCopies => 1900,
             Self::Merge => 64,
         }
     }

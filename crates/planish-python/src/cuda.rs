@@ -33,8 +33,15 @@ impl PyCudaSmoother {
 #[pymethods]
 impl PyCudaSmoother {
     #[new]
-    fn new(settings: &Bound<'_, PyDict>, camera: PyRef<'_, PyCamera>, is_metres: bool) -> PyResult<Self> {
-        let smoother = CudaSmoother::open(&from_dict(settings)?, &camera.0, is_metres).map_err(to_py)?;
+    fn new(
+        py: Python<'_>,
+        settings: &Bound<'_, PyDict>,
+        camera: PyRef<'_, PyCamera>,
+        is_metres: bool,
+    ) -> PyResult<Self> {
+        let (settings, camera) = (from_dict(settings)?, camera.0);
+        // Compiling takes a second.
+        let smoother = py.detach(|| CudaSmoother::open(&settings, &camera, is_metres)).map_err(to_py)?;
         Ok(Self(Mutex::new(smoother)))
     }
 
@@ -46,7 +53,8 @@ impl PyCudaSmoother {
 
     /// Hands over the image at an address.
     fn submit(&self, py: Python<'_>, depth: u64, row_stride: usize, stream: usize) -> PyResult<()> {
-        // SAFETY: the Python class checks the arrays and keeps them; their memory is freed in the order of the stream.
+        // SAFETY: the Python class checks the arrays. It keeps them until its next call, and documents for how long its
+        // caller must keep them.
         self.with(py, |smoother| unsafe { smoother.submit(depth, row_stride, stream) })
     }
 
@@ -56,11 +64,17 @@ impl PyCudaSmoother {
         self.with(py, |smoother| unsafe { smoother.receive(result, stream) })
     }
 
-    /// Memory for the result of an image of this width and height, which the stream will write.
-    fn new_result(&self, py: Python<'_>, height: usize, width: usize, stream: usize) -> PyResult<PyCudaArray> {
+    /// Forgets the frames in flight.
+    fn forget(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |smoother| {
-            Ok(PyCudaArray::new(smoother.new_result()?, [smoother.channels(), height, width], stream))
+            smoother.forget();
+            Ok(())
         })
+    }
+
+    /// Memory for the result of an image of this width and height.
+    fn new_result(&self, py: Python<'_>, height: usize, width: usize) -> PyResult<PyCudaArray> {
+        self.with(py, |smoother| Ok(PyCudaArray::new(smoother.new_result()?, [smoother.channels(), height, width])))
     }
 
     /// Channels of a result, frames in flight, and how many may be.

@@ -6,6 +6,7 @@
 use std::ffi::{CStr, c_int, c_void};
 use std::ptr::{self, NonNull};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use planish::CudaMemory;
 use pyo3::exceptions::PyBufferError;
@@ -21,6 +22,8 @@ const FLOAT: u8 = 2;
 const FRESH: &CStr = c"dltensor";
 /// A stream by which a reader says that it needs no order.
 const NO_ORDER: isize = -1;
+/// DLPack's and CUDA's number of the default stream.
+const DEFAULT_STREAM: usize = 1;
 
 #[repr(C)]
 struct DlTensor {
@@ -43,7 +46,7 @@ struct DlManagedTensor {
     deleter: Option<unsafe extern "C" fn(*mut DlManagedTensor)>,
 }
 
-/// What a managed tensor points to.
+/// The data that a managed tensor owns.
 struct Owner {
     managed: DlManagedTensor,
     shape: [i64; 3],
@@ -53,15 +56,29 @@ struct Owner {
 /// float32 [channels, height, width] in CUDA's memory.
 #[pyclass(frozen, name = "CudaArray", module = "planish")]
 pub struct PyCudaArray {
-    memory: Arc<CudaMemory>,
+    /// `None` at its end only.
+    memory: Option<Arc<CudaMemory>>,
     shape: [i64; 3],
-    /// The stream that writes it.
-    stream: usize,
+    /// The last stream that writes it.
+    stream: AtomicUsize,
 }
 
 impl PyCudaArray {
-    pub fn new(memory: CudaMemory, shape: [usize; 3], stream: usize) -> Self {
-        Self { memory: Arc::new(memory), shape: shape.map(|side| side as i64), stream }
+    pub fn new(memory: CudaMemory, shape: [usize; 3]) -> Self {
+        let shape = shape.map(|side| side as i64);
+        Self { memory: Some(Arc::new(memory)), shape, stream: AtomicUsize::new(DEFAULT_STREAM) }
+    }
+
+    fn memory(&self) -> PyResult<&Arc<CudaMemory>> {
+        self.memory.as_ref().ok_or_else(|| PyBufferError::new_err("this array is at its end"))
+    }
+}
+
+impl Drop for PyCudaArray {
+    fn drop(&mut self) {
+        let memory = self.memory.take();
+        // Freeing waits for the GPU, which may wait for a callback in Python.
+        Python::try_attach(|py| py.detach(|| drop(memory)));
     }
 }
 
@@ -79,17 +96,23 @@ impl PyCudaArray {
         let interface = PyDict::new(py);
         interface.set_item("shape", self.shape())?;
         interface.set_item("typestr", "<f4")?;
-        interface.set_item("data", (self.memory.address(), false))?;
+        interface.set_item("data", (self.memory()?.address(), false))?;
         interface.set_item("strides", py.None())?;
-        // The default stream has the number 1 there.
-        interface.set_item("stream", self.stream.max(1))?;
+        interface.set_item("stream", self.stream.load(Ordering::Relaxed))?;
         interface.set_item("version", 3)?;
         Ok(interface)
     }
 
+    /// States that the work of a stream up to now writes the array.
+    fn written_by(&self, stream: usize) -> PyResult<()> {
+        self.stream.store(stream.max(DEFAULT_STREAM), Ordering::Relaxed);
+        // SAFETY: the Python class passes the stream of its present call.
+        unsafe { self.memory()?.written_by(stream) }.map_err(to_py)
+    }
+
     /// DLPack's kind of device and its number.
-    fn __dlpack_device__(&self) -> (c_int, c_int) {
-        (CUDA, self.memory.device())
+    fn __dlpack_device__(&self) -> PyResult<(c_int, c_int)> {
+        Ok((CUDA, self.memory()?.device()))
     }
 
     /// The array as DLPack's capsule, ready on the reader's stream.
@@ -104,20 +127,21 @@ impl PyCudaArray {
     ) -> PyResult<Py<PyAny>> {
         // Readers of later versions take capsules of version 0 too.
         let _ = max_version;
-        if dl_device.is_some_and(|device| device != self.__dlpack_device__()) || copy == Some(true) {
-            return Err(PyBufferError::new_err("this array is shared where it is, without a copy"));
+        let (memory, device) = (self.memory()?, self.__dlpack_device__()?);
+        if dl_device.is_some_and(|wanted| wanted != device) || copy == Some(true) {
+            return Err(PyBufferError::new_err("a CudaArray is shared where it is, without a copy"));
         }
-        // The reader's default stream has the number 1.
-        let reads_on = stream.map(|stream| if stream == 1 { 0 } else { stream });
-        if reads_on != Some(NO_ORDER) && reads_on != isize::try_from(self.stream).ok() {
-            py.detach(|| self.memory.wait_for(self.stream)).map_err(to_py)?;
+        let reads_on = stream.filter(|stream| *stream != 0).unwrap_or(DEFAULT_STREAM as isize);
+        if reads_on != NO_ORDER {
+            // SAFETY: DLPack's readers pass the stream on which they read.
+            unsafe { memory.wait_on(reads_on.cast_unsigned()) }.map_err(to_py)?;
         }
-        let mut owner = Box::new(Owner {
+        let owner = Box::new(Owner {
             managed: DlManagedTensor {
                 tensor: DlTensor {
-                    data: ptr::with_exposed_provenance_mut(self.memory.address() as usize),
+                    data: ptr::with_exposed_provenance_mut(memory.address() as usize),
                     device_type: CUDA,
-                    device_id: self.memory.device(),
+                    device_id: device.1,
                     dimensions: 3,
                     code: FLOAT,
                     bits: 32,
@@ -130,13 +154,13 @@ impl PyCudaArray {
                 deleter: Some(delete),
             },
             shape: self.shape,
-            _memory: Arc::clone(&self.memory),
+            _memory: Arc::clone(memory),
         });
-        owner.managed.tensor.shape = owner.shape.as_mut_ptr();
         let owner = NonNull::from(Box::leak(owner));
         // SAFETY: the owner lives until the deleter is called, by the reader or by `drop_fresh`.
         unsafe {
             (*owner.as_ptr()).managed.manager = owner.as_ptr().cast();
+            (*owner.as_ptr()).managed.tensor.shape = (&raw mut (*owner.as_ptr()).shape).cast();
             let managed = &raw mut (*owner.as_ptr()).managed;
             let capsule = ffi::PyCapsule_New(managed.cast(), FRESH.as_ptr(), Some(drop_fresh));
             let capsule = Bound::from_owned_ptr_or_err(py, capsule);
@@ -147,13 +171,13 @@ impl PyCudaArray {
         }
     }
 
-    fn __repr__(&self) -> String {
+    fn __repr__(&self) -> PyResult<String> {
         let [channels, height, width] = self.shape;
-        format!("CudaArray(float32 [{channels}, {height}, {width}], device {})", self.memory.device())
+        Ok(format!("CudaArray(float32 [{channels}, {height}, {width}], device {})", self.memory()?.device()))
     }
 }
 
-/// Frees what a managed tensor points to.
+/// Frees a managed tensor's data.
 ///
 /// # Safety
 /// It is one of this module's, and not used any more.

@@ -264,7 +264,7 @@ extern "C" {
 
 // Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
 // PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-// depth_m, and adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
+// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
 // CUDA's compiler, which is loaded at run time.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
@@ -282,10 +282,10 @@ planish_code planish_cuda_smooth(struct planish_cuda *cuda,
                                  void *stream);
 
 // Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-// flight. The GPU changes between CUDA and Vulkan once for all that are handed over before the first is received.
+// flight. Images that are handed over before the first result is received are smoothed together, in less time for each.
 planish_code planish_cuda_submit(struct planish_cuda *cuda, const void *depth, size_t row_stride, void *stream);
 
-// Has the stream wait for the oldest frame in flight and copy its result; `received` is false if none is in flight.
+// Smooths the images that were handed over, and copies the oldest result; `received` is false if none is in flight.
 planish_code planish_cuda_receive(struct planish_cuda *cuda, float *result, void *stream, bool *received);
 
 // Returns the number of channels of a result.

@@ -92,7 +92,7 @@ fn run_rig(args: &BenchRigArgs) -> Result<ExitCode> {
 
 fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
     let cloud = |path: &PathBuf| {
-        let cloud = match read_within(&args.memory, Work::Bench, path)? {
+        let cloud = match read_within(&args.memory, Work::Smooth, path)? {
             Contents::Organized(cloud) => cloud.points,
             Contents::General(cloud) => cloud,
             _ => bail!("{}: a depth image, not a cloud; use `planish bench speedup`", path.display()),

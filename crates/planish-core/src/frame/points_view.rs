@@ -280,8 +280,8 @@ impl<'a> PointsView<'a> {
     /// Point `i` in metres, relative to the origin, with the digits of its file.
     pub(crate) fn get_exact(&self, i: usize) -> [f64; 3] {
         let rounded = self.get(i);
-        std::array::from_fn(|axis| match self.cloud.and_then(|cloud| cloud.exact_m.as_ref()?[axis].get(i)) {
-            Some(exact) => exact - self.origin_m[axis],
+        std::array::from_fn(|axis| match self.cloud.filter(|cloud| cloud.is_unmoved(axis, i)) {
+            Some(cloud) => cloud.coordinate(axis, i) - self.origin_m[axis],
             None => rounded[axis],
         })
     }

@@ -6,12 +6,13 @@ import contextlib
 import ctypes
 import importlib.util
 import math
+import os
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ._planish import Camera, CudaEngine
+from ._planish import Camera, CudaArray, CudaEngine
 from ._settings import Output, Settings
 
 if TYPE_CHECKING:
@@ -24,9 +25,10 @@ CHANNELS = {"points": 3, "normals": 3, "curvature": 1, "depth_m": 1}
 class CudaSmoother:
     """Smooths depth images that are CUDA arrays, into CUDA arrays, without a copy to the host.
 
-    Needs NVIDIA's driver and NVRTC, CUDA's compiler, which comes with PyTorch and CuPy (``pip install nvidia-cuda-nvrtc-cu12``).
-    Arrays of PyTorch, CuPy, JAX and Numba are taken (all that have ``__cuda_array_interface__`` or ``__dlpack__``). Calls return
-    at once; the work is done in the order of the library's current stream. `smooth_batch` smooths up to 16 images at once, in less time for each.
+    Needs NVIDIA's driver and NVRTC, CUDA's compiler, which comes with PyTorch (otherwise ``pip install nvidia-cuda-nvrtc-cu12``).
+    Arrays of PyTorch, CuPy, JAX and Numba are taken (all that have ``__cuda_array_interface__`` or ``__dlpack__``). Calls with
+    arrays of PyTorch and CuPy return at once, and the work is done on the current stream of these libraries; for others, on the
+    default stream. `smooth_batch` smooths up to 16 images at once, in less time for each.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ class CudaSmoother:
         self._metres = metres
         given = {name: value for name, value in settings.items() if value is not None}
         _load_compiler()
-        self._engine = CudaEngine({**given, "outputs": names}, camera, metres)
+        self._engine = CudaEngine({"engine": "gpu", **given, "outputs": names}, camera, metres)
         self._channels, _, self._most = self._engine.counts()
         # The arrays of the last call: the libraries' allocators order the memory of freed ones by streams, but not for all streams.
         self._last: tuple[list[Any], list[Any]] = ([], [])
@@ -85,18 +87,21 @@ class CudaSmoother:
             Where the result goes. By default a new array, of PyTorch or CuPy if `depth` is, otherwise a `CudaArray`, which other
             libraries read by DLPack (``jax.dlpack.from_dlpack``).
         stream : int, optional
-            The CUDA stream, as the address of a ``cudaStream_t``; the current one of the library of `depth` by default.
+            The CUDA stream, as the address of a ``cudaStream_t``; the current one of the library of `depth` by default. With a
+            stream that is not the current one, keep arrays of libraries other than PyTorch until the stream has used them.
 
         Returns
         -------
         CUDA array, float32 [channels, H, W]
             The result; holes are NaN.
         """
-        chosen = _stream_of(depth) if stream is None else stream
-        interface = _interface(depth, "depth", chosen)
-        target = self._new(depth, chosen) if out is None else out
-        self._engine.smooth(*self._input(interface), self._output(target, chosen), chosen)
-        self._last = ([depth, interface], [target])
+        interface = _interface(depth, "depth", stream)
+        chosen = _stream_of(depth, interface) if stream is None else stream
+        image = self._input(interface)
+        target = self._new(depth, stream) if out is None else out
+        kept, address = self._output(target, chosen)
+        self._engine.smooth(*image, address, chosen)
+        self._done([depth], [target], stream, chosen, [interface, kept])
         return target
 
     def smooth_batch(
@@ -108,19 +113,35 @@ class CudaSmoother:
         results: list[Any] = []
         for begin in range(0, len(depths), self._most):
             group = list(depths[begin : begin + self._most])
-            chosen = _stream_of(group[0]) if stream is None else stream
-            interfaces = [_interface(depth, "depth", chosen) for depth in group]
+            interfaces = [_interface(depth, "depth", stream) for depth in group]
+            chosen = _stream_of(group[0], interfaces[0]) if stream is None else stream
             inputs = [self._input(interface) for interface in interfaces]
             given = [None] * len(group) if outs is None else list(outs[begin : begin + self._most])
-            targets = [self._new(depth, chosen) if out is None else out for depth, out in zip(group, given)]
-            addresses = [self._output(out, chosen) for out in targets]
-            for address, stride in inputs:
-                self._engine.submit(address, stride, chosen)
-            for address in addresses:
-                self._engine.receive(address, chosen)
-            self._last = ([*group, *interfaces], targets)
+            targets = [self._new(depth, stream) if out is None else out for depth, out in zip(group, given)]
+            outputs = [self._output(out, chosen) for out in targets]
+            try:
+                for address, stride in inputs:
+                    self._engine.submit(address, stride, chosen)
+                for _, address in outputs:
+                    self._engine.receive(address, chosen)
+            except BaseException:
+                # The next call must not receive what is left of this one.
+                self._engine.forget()
+                raise
+            self._done(group, targets, stream, chosen, [interfaces, outputs])
             results.extend(targets)
         return results
+
+    def _done(self, depths: list[Any], targets: list[Any], given: int | None, chosen: int, kept: list[Any]) -> None:
+        """Tell the owners of the memory that the stream uses it."""
+        self._last = ([*depths, *kept], targets)
+        for target in targets:
+            if isinstance(target, CudaArray):
+                target.written_by(chosen)
+        for array in [*depths, *targets] if given is not None else []:
+            if _library(array) == "torch":
+                torch = sys.modules["torch"]
+                array.record_stream(torch.cuda.ExternalStream(given, device=array.device))
 
     def _input(self, interface: dict[str, Any]) -> tuple[int, int]:
         """The address of an image, and bytes from row to row."""
@@ -131,31 +152,48 @@ class CudaSmoother:
             raise ValueError(f"depth: {' or '.join(types)} of shape {expected} is expected, not {kind} of {shape}")
         item = int(kind[2:])
         strides = interface.get("strides") or (item * shape[1], item)
-        if strides[1] != item or strides[0] < item * shape[1]:
+        # The stride of an axis of length 1 may be anything.
+        between_rows = strides[0] if shape[0] > 1 else item * shape[1]
+        if (shape[1] > 1 and strides[1] != item) or between_rows < item * shape[1]:
             raise ValueError(f"depth: pixels of a row must be adjacent; its strides are {tuple(strides)} bytes")
-        return int(interface["data"][0]), int(strides[0])
+        return int(interface["data"][0]), int(between_rows)
 
-    def _output(self, out: Any, stream: int) -> int:
+    def _output(self, out: Any, stream: int) -> tuple[dict[str, Any], int]:
+        """The interface of an array for a result, which must be kept, and its address."""
         interface = _interface(out, "out", stream)
         shape = (self._channels, self._camera.height, self._camera.width)
-        if tuple(interface["shape"]) != shape or interface["typestr"] != "<f4" or interface.get("strides"):
+        strides = interface.get("strides")
+        is_contiguous = strides is None or tuple(strides) == _contiguous(shape, 4)
+        if tuple(interface["shape"]) != shape or interface["typestr"] != "<f4" or not is_contiguous:
             found = f"{interface['typestr']} of {tuple(interface['shape'])}"
             raise ValueError(f"out: contiguous <f4 of shape {shape} is expected, not {found}")
         if interface["data"][1]:
             raise ValueError("out: it is read-only")
-        return int(interface["data"][0])
+        return interface, int(interface["data"][0])
 
-    def _new(self, depth: Any, stream: int) -> Any:
+    def _new(self, depth: Any, stream: int | None) -> Any:
+        """A new array of the library of an image, allocated for the stream that writes it."""
         shape = (self._channels, self._camera.height, self._camera.width)
-        library = type(depth).__module__.partition(".")[0]
+        library = _library(depth)
         if library == "torch":
             torch = sys.modules["torch"]
-            return torch.empty(shape, dtype=torch.float32, device=depth.device)
+            chosen = None if stream is None else torch.cuda.ExternalStream(stream, device=depth.device)
+            with torch.cuda.stream(chosen):
+                return torch.empty(shape, dtype=torch.float32, device=depth.device)
         if library == "cupy":
             cupy = sys.modules["cupy"]
-            with depth.device:
+            with depth.device, contextlib.nullcontext() if stream is None else cupy.cuda.ExternalStream(stream):
                 return cupy.empty(shape, dtype="float32")
-        return self._engine.new_result(self._camera.height, self._camera.width, stream)
+        return self._engine.new_result(self._camera.height, self._camera.width)
+
+
+def _library(array: Any) -> str:
+    return type(array).__module__.partition(".")[0]
+
+
+def _contiguous(shape: tuple[int, ...], item: int) -> tuple[int, ...]:
+    """The strides in bytes of an array without gaps."""
+    return tuple(item * math.prod(shape[axis + 1 :]) for axis in range(len(shape)))
 
 
 def _load_compiler() -> None:
@@ -164,16 +202,24 @@ def _load_compiler() -> None:
     folders = [Path(folder) for folder in (nvidia.submodule_search_locations or [])] if nvidia else []
     for pattern in ("*/lib/libnvrtc.so.*", "*/bin/nvrtc64_*_0.dll", "*/bin/*/nvrtc64_*_0.dll"):
         for file in (file for folder in folders for file in folder.glob(pattern)):
+            if hasattr(os, "add_dll_directory"):
+                # NVRTC loads another library of its folder.
+                os.add_dll_directory(str(file.parent))
             # One of another architecture cannot be loaded; others may be.
             with contextlib.suppress(OSError):
                 ctypes.CDLL(str(file))
 
 
-def _interface(array: Any, name: str, stream: int) -> dict[str, Any]:
+def _interface(array: Any, name: str, stream: int | None) -> dict[str, Any]:
     """Return shape, type, strides in bytes and address of an array, as ``__cuda_array_interface__`` has them."""
-    interface: dict[str, Any] | None = getattr(array, "__cuda_array_interface__", None)
-    if interface is None and hasattr(array, "__dlpack__"):
-        interface = _of_dlpack(array, name, stream)
+    has_dlpack = hasattr(array, "__dlpack__") and not isinstance(array, CudaArray)
+    # Only DLPack says in whose order JAX's arrays are written.
+    if has_dlpack and (_library(array) not in ("torch", "cupy") or not hasattr(array, "__cuda_array_interface__")):
+        return _of_dlpack(array, name, stream)
+    try:
+        interface: dict[str, Any] | None = getattr(array, "__cuda_array_interface__", None)
+    except (AttributeError, TypeError):
+        interface = None
     if interface is None:
         found = type(array).__name__
         raise TypeError(f"{name}: an array in CUDA's memory is expected (PyTorch, CuPy, JAX, Numba), not {found}")
@@ -204,7 +250,7 @@ _CUDA_DEVICES = (2, 13)
 _KINDS = {0: "i", 1: "u", 2: "f"}
 
 
-def _of_dlpack(array: Any, name: str, stream: int) -> dict[str, Any]:
+def _of_dlpack(array: Any, name: str, stream: int | None) -> dict[str, Any]:
     device, _ = array.__dlpack_device__()
     if int(device) not in _CUDA_DEVICES:
         raise TypeError(f"{name}: an array in CUDA's memory is expected, not one of DLPack's device {int(device)}")
@@ -214,23 +260,20 @@ def _of_dlpack(array: Any, name: str, stream: int) -> dict[str, Any]:
     item = tensor.bits // 8
     shape = tuple(tensor.shape[: tensor.dimensions])
     strides = tuple(item * stride for stride in tensor.strides[: tensor.dimensions]) if tensor.strides else None
-    contiguous = tuple(item * math.prod(shape[axis + 1 :]) for axis in range(len(shape)))
     return {
         "shape": shape,
         "typestr": f"<{_KINDS.get(tensor.code, '?')}{item}",
-        "strides": None if strides == contiguous else strides,
+        "strides": None if strides == _contiguous(shape, item) else strides,
         "data": ((tensor.data or 0) + tensor.byte_offset, False),
         "capsule": capsule,
     }
 
 
-def _stream_of(array: Any) -> int:
-    """The current stream of the array's library."""
-    library = type(array).__module__.partition(".")[0]
+def _stream_of(array: Any, interface: dict[str, Any]) -> int:
+    """The current stream of the array's library, or the one that writes the array, or the default stream."""
+    library = _library(array)
     if library == "torch":
         return int(sys.modules["torch"].cuda.current_stream(array.device).cuda_stream)
     if library == "cupy":
         return int(sys.modules["cupy"].cuda.get_current_stream().ptr)
-    stream = getattr(array, "__cuda_array_interface__", {}).get("stream")
-    # 1 is the legacy default stream, which is 0 for the driver.
-    return 0 if stream in (None, 1) else int(stream)
+    return int(interface.get("stream") or 0)

@@ -2,11 +2,13 @@
 
 use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
 use std::ptr;
+use std::sync::Arc;
 
 use libloading::Library;
 
 use super::functions::functions;
 use crate::devices::find;
+use crate::error::EngineError;
 
 #[cfg(not(windows))]
 const LIBRARY: &str = "libcuda.so.1";
@@ -22,6 +24,11 @@ const DEVICE_MEMORY: c_uint = 2;
 const CAPABILITY_MAJOR: c_int = 75;
 const CAPABILITY_MINOR: c_int = 76;
 const DEVICE_ORDINAL: c_int = 9;
+const OUT_OF_MEMORY: c_int = 2;
+/// An event that takes no time stamps.
+const NO_TIMING: c_uint = 2;
+/// The legacy default stream, on which the driver clears and uploads.
+const DEFAULT_STREAM: usize = 0;
 
 /// CUDA_MEMCPY2D.
 #[repr(C)]
@@ -61,6 +68,11 @@ functions! {
     release_context = "cuDevicePrimaryCtxRelease_v2"(c_int);
     load_module = "cuModuleLoadData"(*mut Handle, *const c_void);
     unload_module = "cuModuleUnload"(Handle);
+    create_event = "cuEventCreate"(*mut Handle, c_uint);
+    record_event = "cuEventRecord"(Handle, Handle);
+    wait_for_event = "cuStreamWaitEvent"(Handle, Handle, c_uint);
+    synchronize_event = "cuEventSynchronize"(Handle);
+    destroy_event = "cuEventDestroy_v2"(Handle);
     get_function = "cuModuleGetFunction"(*mut Handle, Handle, *const c_char);
     launch = "cuLaunchKernel"(
         Handle, c_uint, c_uint, c_uint, c_uint, c_uint, c_uint, c_uint, Handle, *mut *mut c_void, *mut *mut c_void
@@ -94,15 +106,23 @@ unsafe impl Send for Cuda {}
 // SAFETY: the same.
 unsafe impl Sync for Cuda {}
 
-/// Memory of the device.
+/// Device memory; freed at the end, when the device has done all that uses it.
 pub(super) struct Memory {
+    cuda: Arc<Cuda>,
     pub(super) address: DevicePointer,
 }
 
-/// A compiled kernel with its entry point.
+/// A compiled kernel with its entry point; no stream may run it any more at its end.
 pub(super) struct Kernel {
+    cuda: Arc<Cuda>,
     module: usize,
     function: usize,
+}
+
+/// A point in the work of a stream, which may end before the event does.
+pub(super) struct Event {
+    cuda: Arc<Cuda>,
+    event: usize,
 }
 
 /// Blocks of a launch, and threads of a block.
@@ -219,16 +239,19 @@ impl Cuda {
     }
 
     /// Loads machine code or PTX with one entry point.
-    pub(super) fn load(&self, code: &[u8], entry_point: &str) -> Result<Kernel, String> {
+    pub(super) fn load(self: &Arc<Self>, code: &[u8], entry_point: &str) -> Result<Kernel, String> {
         let name = CString::new(entry_point).map_err(|error| error.to_string())?;
+        let mut kernel = Kernel { cuda: Arc::clone(self), module: 0, function: 0 };
         let (mut module, mut function) = (ptr::null_mut(), ptr::null_mut());
         // SAFETY: the code is complete (NVRTC ends PTX with a zero), and the name is a text.
         self.within(|| unsafe {
             self.check("cuModuleLoadData", (self.functions.load_module)(&mut module, code.as_ptr().cast()))?;
+            kernel.module = module as usize;
             let code = (self.functions.get_function)(&mut function, module, name.as_ptr());
             self.check("cuModuleGetFunction", code)
         })?;
-        Ok(Kernel { module: module as usize, function: function as usize })
+        kernel.function = function as usize;
+        Ok(kernel)
     }
 
     /// Launches a kernel on a stream.
@@ -253,29 +276,55 @@ impl Cuda {
         self.check("cuLaunchKernel", code)
     }
 
-    /// Allocates memory of the device.
-    pub(super) fn allocate(&self, bytes: usize) -> Result<Memory, String> {
+    /// Allocates memory of the device, which is all zeros if that is wanted.
+    pub(super) fn allocate(self: &Arc<Self>, bytes: usize, is_zero: bool) -> Result<Memory, EngineError> {
         let mut address = 0;
+        let mut is_full = false;
         // SAFETY: the driver writes the address.
-        self.within(|| unsafe {
+        let allocated = self.within(|| unsafe {
             let code = (self.functions.allocate)(&mut address, bytes);
+            is_full = code == OUT_OF_MEMORY;
             self.check(&format!("cuMemAlloc of {bytes} bytes"), code)
-        })?;
-        Ok(Memory { address })
+        });
+        match allocated {
+            Ok(()) => {}
+            Err(reason) if is_full => {
+                return Err(EngineError::OutOfMemory { device: self.name.clone(), bytes: bytes as u64, reason });
+            }
+            Err(reason) => return Err(self.failed(reason)),
+        }
+        let memory = Memory { cuda: Arc::clone(self), address };
+        if is_zero {
+            // SAFETY: the memory has this length.
+            let cleared =
+                self.within(|| unsafe { self.check("cuMemsetD8", (self.functions.clear)(address, 0, bytes)) });
+            cleared.map_err(|reason| self.failed(reason))?;
+        }
+        Ok(memory)
     }
 
-    /// Sets bytes of the device's memory to 0.
-    pub(super) fn clear(&self, memory: &Memory, bytes: usize) -> Result<(), String> {
-        // SAFETY: the callers allocate this much.
-        self.within(|| unsafe { self.check("cuMemsetD8", (self.functions.clear)(memory.address, 0, bytes)) })
-    }
-
-    /// Copies from the host, and waits for it.
-    pub(super) fn upload(&self, to: DevicePointer, from: &[u8]) -> Result<(), String> {
-        // SAFETY: the callers allocate this much.
-        self.within(|| unsafe {
-            self.check("cuMemcpyHtoD", (self.functions.upload)(to, from.as_ptr().cast(), from.len()))
+    /// Copies parts from the host to addresses that have room for them, and waits for it.
+    pub(super) fn upload(&self, parts: impl Iterator<Item = (DevicePointer, impl AsRef<[u8]>)>) -> Result<(), String> {
+        self.within(|| {
+            for (to, from) in parts {
+                let from = from.as_ref();
+                // SAFETY: as the caller promises.
+                let code = unsafe { (self.functions.upload)(to, from.as_ptr().cast(), from.len()) };
+                self.check("cuMemcpyHtoD", code)?;
+            }
+            // The copies above may end before the data arrive.
+            // SAFETY: the default stream exists.
+            let code = unsafe { (self.functions.synchronize)(DEFAULT_STREAM as Handle) };
+            self.check("cuStreamSynchronize", code)
         })
+    }
+
+    /// Creates an event that nothing has to wait for yet.
+    pub(super) fn event(self: &Arc<Self>) -> Result<Event, String> {
+        let mut event = ptr::null_mut();
+        // SAFETY: the driver writes the handle.
+        self.within(|| unsafe { self.check("cuEventCreate", (self.functions.create_event)(&mut event, NO_TIMING)) })?;
+        Ok(Event { cuda: Arc::clone(self), event: event as usize })
     }
 
     /// Copies rows of device memory to contiguous rows.
@@ -321,29 +370,79 @@ impl Cuda {
     pub(super) fn has(&self, address: DevicePointer) -> bool {
         let mut ordinal = -1;
         // SAFETY: the driver knows which addresses are its own; others are an error.
-        let code = unsafe { (self.functions.pointer_attribute)(&mut ordinal, DEVICE_ORDINAL, address) };
-        code == 0 && ordinal == self.device
+        let found = self.within(|| unsafe {
+            let code = (self.functions.pointer_attribute)(&mut ordinal, DEVICE_ORDINAL, address);
+            self.check("cuPointerGetAttribute", code)
+        });
+        found.is_ok() && ordinal == self.device
     }
 
-    /// Waits until a stream has run everything.
-    pub(super) fn synchronize(&self, stream: usize) -> Result<(), String> {
-        // SAFETY: the stream is the caller's.
-        self.within(|| unsafe { self.check("cuStreamSynchronize", (self.functions.synchronize)(stream as Handle)) })
+    /// Returns an error of this device.
+    pub(super) fn failed(&self, reason: String) -> EngineError {
+        EngineError::Device { device: self.name.clone(), reason }
+    }
+}
+
+impl Event {
+    /// Moves the event to the end of a stream's present work.
+    pub(super) fn record(&self, stream: usize) -> Result<(), String> {
+        let Self { cuda, event } = self;
+        // SAFETY: the event is alive, and so is the stream of the present call.
+        cuda.within(|| unsafe {
+            cuda.check("cuEventRecord", (cuda.functions.record_event)(*event as Handle, stream as Handle))
+        })
     }
 
-    /// Frees memory, when the device has done all that uses it.
-    pub(super) fn free(&self, memory: &Memory) {
-        // Nothing can be done about an error here.
-        // SAFETY: it was allocated by this.
-        let _ = self.within(|| self.check("cuMemFree", unsafe { (self.functions.free)(memory.address) }));
+    /// Has a stream wait for the event.
+    pub(super) fn wait_on(&self, stream: usize) -> Result<(), String> {
+        let Self { cuda, event } = self;
+        // SAFETY: the event is alive, and so is the stream of the present call.
+        cuda.within(|| unsafe {
+            cuda.check("cuStreamWaitEvent", (cuda.functions.wait_for_event)(stream as Handle, *event as Handle, 0))
+        })
     }
 
-    /// Unloads a kernel that no stream will run any more.
-    pub(super) fn unload(&self, kernel: &Kernel) {
-        let _ = self.within(|| {
-            // SAFETY: it was loaded by this.
-            let code = unsafe { (self.functions.unload_module)(kernel.module as Handle) };
-            self.check("cuModuleUnload", code)
+    /// Waits for the event.
+    pub(super) fn synchronize(&self) -> Result<(), String> {
+        let Self { cuda, event } = self;
+        // SAFETY: the event is alive.
+        cuda.within(|| unsafe {
+            cuda.check("cuEventSynchronize", (cuda.functions.synchronize_event)(*event as Handle))
+        })
+    }
+}
+
+// Nothing can be done about errors at the end of these.
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        let Self { cuda, address } = self;
+        let _ = cuda.within(|| {
+            // SAFETY: it was allocated by the driver.
+            let code = unsafe { (cuda.functions.free)(*address) };
+            cuda.check("cuMemFree", code)
+        });
+    }
+}
+
+impl Drop for Kernel {
+    fn drop(&mut self) {
+        let Self { cuda, module, .. } = self;
+        let _ = cuda.within(|| {
+            // SAFETY: it was loaded by the driver.
+            let code = unsafe { (cuda.functions.unload_module)(*module as Handle) };
+            cuda.check("cuModuleUnload", code)
+        });
+    }
+}
+
+impl Drop for Event {
+    fn drop(&mut self) {
+        let Self { cuda, event } = self;
+        let _ = cuda.within(|| {
+            // SAFETY: it was created by the driver.
+            let code = unsafe { (cuda.functions.destroy_event)(*event as Handle) };
+            cuda.check("cuEventDestroy", code)
         });
     }
 }

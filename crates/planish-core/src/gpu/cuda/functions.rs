@@ -6,18 +6,18 @@ macro_rules! functions {
         /// The functions of the library that are used.
         struct Functions {
             $($name: unsafe extern "C" fn($($argument),*) -> std::ffi::c_int,)*
-            _library: libloading::Library,
         }
 
         impl Functions {
+            /// The library stays loaded, since it may have threads of its own.
             fn load(library: libloading::Library, name: &str) -> Result<Self, String> {
+                let library = std::mem::ManuallyDrop::new(library);
                 // SAFETY: the signatures match the library's header.
                 unsafe {
                     Ok(Self {
                         $($name: *library
                             .get(concat!($symbol, "\0").as_bytes())
                             .map_err(|_| format!("{name} is too old: it lacks {}", $symbol))?,)*
-                        _library: library,
                     })
                 }
             }

@@ -179,11 +179,17 @@ inline void threadgroup_barrier(mem_flags) { __syncthreads(); }
 
 } // namespace metal
 
+// The bits of a value as another type; of components in any order, those of their vector.
 template <class To, class From> inline To as_type(From from) {
     static_assert(sizeof(To) == sizeof(From), "the same bits");
     To to;
     memcpy(&to, &from, sizeof(to));
     return to;
+}
+
+template <class To, class V, class T, int SIZE, int... AT>
+inline To as_type(metal::Swizzle<V, T, SIZE, AT...> from) {
+    return as_type<To>(V(from));
 }
 
 #define kernel static __forceinline__

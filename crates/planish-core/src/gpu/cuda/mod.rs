@@ -2,8 +2,8 @@
 //! program's memory again.
 //!
 //! The kernels are those of the GPU engine. They are translated to CUDA C++ ([`translate`]), compiled by NVRTC
-//! ([`nvrtc`]) and launched in the device's primary context ([`driver`]), on the caller's stream: the GPU never changes
-//! between contexts, no copy or wait is needed for the order, and neither Vulkan nor wgpu is involved.
+//! ([`nvrtc`]) and launched in the device's primary context ([`driver`]), on the caller's stream. The GPU never changes
+//! between contexts, the host does not wait, and neither Vulkan nor wgpu is involved.
 
 mod driver;
 mod functions;
@@ -15,11 +15,12 @@ mod translate;
 use std::ffi::c_void;
 use std::sync::Arc;
 
-use self::driver::{Cuda, DevicePointer, Grid, Kernel, Memory};
+use self::driver::{Cuda, DevicePointer, Event, Grid, Kernel, Memory};
 use self::nvrtc::Nvrtc;
 use self::translate::{ENTRY_POINT, translate};
 use super::plan::{Plan, PlannedPass, WebGpuLimits};
 use crate::camera::Camera;
+use crate::engines::Engine;
 use crate::error::{EngineError, Error, FrameError, ParamError};
 use crate::frame::{DepthView, IntoFrame};
 use crate::outputs::Outputs;
@@ -29,8 +30,11 @@ use crate::settings::Settings;
 /// Frames that may be in flight.
 const FRAMES: u64 = 16;
 
-/// Shared memory of a block that every CUDA device has, and blocks across and down. Memory is the device's to refuse.
-const LIMITS: WebGpuLimits = WebGpuLimits::new(48 << 10, u64::MAX, 65_535);
+/// Kernels count the words of a buffer in 32 bits.
+const MOST_WORDS: u64 = u32::MAX as u64;
+
+/// The shared memory of a block that every CUDA device has, the bytes of a buffer, and the blocks across and down.
+const LIMITS: WebGpuLimits = WebGpuLimits::new(48 << 10, WORD * MOST_WORDS, 65_535);
 
 /// Bytes of a word.
 const WORD: u64 = 4;
@@ -52,14 +56,17 @@ pub struct CudaSmoother {
     submitted: u64,
     launched: u64,
     received: u64,
-    stream: Option<usize>,
+    /// The end of the last call's work.
+    last: Event,
     cuda: Arc<Cuda>,
 }
 
-/// Memory of a GPU for one result; freed at the end, when the GPU has done all that uses it.
+/// GPU memory for one result; freed at the end, when the GPU has done all that uses it.
 pub struct CudaMemory {
     memory: Memory,
     bytes: usize,
+    /// The end of the work that writes it.
+    written: Event,
     cuda: Arc<Cuda>,
 }
 
@@ -101,7 +108,8 @@ impl CudaSmoother {
         let outputs = settings.outputs.unwrap_or_default();
         check(settings, camera, outputs)?;
         let cuda = Arc::new(Cuda::open(settings.adapter.as_deref()).map_err(unavailable)?);
-        let nvrtc = Nvrtc::load(cuda.driver_major).map_err(unavailable)?;
+        let nvrtc = Nvrtc::load(cuda.driver_major, cuda.capability).map_err(unavailable)?;
+        let settings = &Settings { engine: Some(Engine::Gpu), ..settings.clone() };
 
         // The header and rays depend on the camera only, so an empty frame provides them.
         let pixels = camera.width * camera.height;
@@ -111,7 +119,7 @@ impl CudaSmoother {
         let Params::Frame(params) = settings.resolve(frame)?.params else {
             return Err(FrameError::MissingCamera { what: "depth in CUDA's memory" }.into());
         };
-        let mut plan = Plan::new(params, outputs, frame, &LIMITS)?;
+        let mut plan = Plan::new(params, outputs, frame, &LIMITS).map_err(|error| named(error, &cuda.name))?;
         let mut head = plan.upload(frame)?;
         let sizes = FrameSizes {
             width: camera.width,
@@ -129,7 +137,8 @@ impl CudaSmoother {
             Ok(Pass { kernel, bindings: source.bindings, blocks: planned.workgroups, threads: source.threads })
         };
         let passes = plan.passes().into_iter().map(pass).collect::<Result<_, _>>().map_err(unavailable)?;
-        let alone = Buffers::new(&cuda, &sizes, &head, 1, false).map_err(unavailable)?;
+        let alone = Buffers::new(&cuda, &sizes, &head, 1, false)?;
+        let last = cuda.event().map_err(unavailable)?;
         Ok(Self {
             passes,
             frame: sizes,
@@ -140,7 +149,7 @@ impl CudaSmoother {
             submitted: 0,
             launched: 0,
             received: 0,
-            stream: None,
+            last,
             cuda,
         })
     }
@@ -170,14 +179,12 @@ impl CudaSmoother {
         }
         self.check_depth(depth, row_stride)?;
         self.check_memory("the result", result)?;
-        self.change_to(stream)?;
         let samples = self.alone.input.address + self.head.len() as u64;
-        // SAFETY: as the caller promises; this buffer is used on this stream only.
-        let done = self.cuda.within(|| unsafe {
+        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        Ok(self.add_to(stream, || unsafe {
             self.copy_in((samples, depth), row_stride, stream)?;
             self.launch(self.alone.of_frame(0, &self.frame, result), 1, stream)
-        });
-        Ok(done.map_err(|reason| self.failed(reason))?)
+        })?)
     }
 
     /// Hands an image over, as [`smooth`](Self::smooth) does; its result is received later, in the same order. Frames
@@ -194,18 +201,15 @@ impl CudaSmoother {
         if self.in_flight() == self.max_in_flight() {
             return Err(EngineError::Full { in_flight: self.in_flight() }.into());
         }
-        self.change_to(stream)?;
         if self.ring.is_none() {
-            let ring = Buffers::new(&self.cuda, &self.frame, &self.head, FRAMES, true);
-            self.ring = Some(ring.map_err(|reason| self.failed(reason))?);
+            self.ring = Some(Buffers::new(&self.cuda, &self.frame, &self.head, FRAMES, true)?);
         }
         let Some(ring) = &self.ring else { return Ok(()) };
         let slot = self.submitted % FRAMES;
         let samples = ring.input.address + slot * self.frame.input + self.head.len() as u64;
-        // The result of the frame that was in this slot before has been copied out, in the order of the stream.
-        // SAFETY: as the caller promises; the buffers live as long as this.
-        let done = self.cuda.within(|| unsafe { self.copy_in((samples, depth), row_stride, stream) });
-        done.map_err(|reason| self.failed(reason))?;
+        // The result of the frame that was in this slot before has been copied out by earlier work.
+        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        self.add_to(stream, || unsafe { self.copy_in((samples, depth), row_stride, stream) })?;
         self.submitted += 1;
         Ok(())
     }
@@ -222,18 +226,18 @@ impl CudaSmoother {
             return Ok(false);
         }
         self.check_memory("the result", result)?;
-        self.change_to(stream)?;
         let Some((ring, output)) = self.ring.as_ref().and_then(|ring| Some((ring, ring.output.as_ref()?.address)))
         else {
             return Ok(false);
         };
         let (bytes, mut launched) = (self.frame.output, self.launched);
-        // SAFETY: as the caller promises; the buffers live as long as this.
-        let done = self.cuda.within(|| unsafe {
+        let most = self.frame.most_together();
+        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        let done = self.add_to(stream, || unsafe {
             while launched < self.submitted {
-                // Frames that lie side by side, up to the end of the ring.
+                // Frames whose buffers are adjacent, up to the end of the ring.
                 let slot = launched % FRAMES;
-                let frames = (self.submitted - launched).min(FRAMES - slot);
+                let frames = (self.submitted - launched).min(FRAMES - slot).min(most);
                 self.launch(ring.of_frame(slot, &self.frame, output + slot * bytes), frames as u32, stream)?;
                 launched += frames;
             }
@@ -241,9 +245,14 @@ impl CudaSmoother {
             self.cuda.copy_rows((result, from), bytes as usize, (bytes as usize, 1), stream)
         });
         self.launched = launched;
-        done.map_err(|reason| self.failed(reason))?;
+        done?;
         self.received += 1;
         Ok(true)
+    }
+
+    /// Forgets the frames in flight, whose results cannot be received any more.
+    pub fn forget(&mut self) {
+        (self.launched, self.received) = (self.submitted, self.submitted);
     }
 
     /// Allocates memory for a result.
@@ -252,8 +261,9 @@ impl CudaSmoother {
     /// If the GPU has too little.
     pub fn new_result(&self) -> Result<CudaMemory, Error> {
         let bytes = self.frame.output as usize;
-        let memory = self.cuda.allocate(bytes).map_err(|reason| self.failed(reason))?;
-        Ok(CudaMemory { memory, bytes, cuda: Arc::clone(&self.cuda) })
+        let memory = self.cuda.allocate(bytes, false)?;
+        let written = self.cuda.event().map_err(|reason| self.cuda.failed(reason))?;
+        Ok(CudaMemory { memory, bytes, written, cuda: Arc::clone(&self.cuda) })
     }
 
     /// Frames handed over and not yet received.
@@ -283,13 +293,15 @@ impl CudaSmoother {
         Err(FrameError::NotOnGpu { what, gpu, device: self.cuda.device }.into())
     }
 
-    /// Waits for what another stream does with the buffers.
-    fn change_to(&mut self, stream: usize) -> Result<(), EngineError> {
-        if let Some(before) = self.stream.filter(|before| *before != stream) {
-            self.cuda.synchronize(before).map_err(|reason| self.failed(reason))?;
-        }
-        self.stream = Some(stream);
-        Ok(())
+    /// Adds work to a stream, after that of the last call, which may have been added to another one.
+    fn add_to(&self, stream: usize, work: impl FnOnce() -> Result<(), String>) -> Result<(), EngineError> {
+        let added = self.cuda.within(|| {
+            self.last.wait_on(stream)?;
+            let added = work();
+            self.last.record(stream)?;
+            added
+        });
+        added.map_err(|reason| self.cuda.failed(reason))
     }
 
     /// Copies an image behind the header and rays of its frame.
@@ -320,9 +332,14 @@ impl CudaSmoother {
         }
         Ok(())
     }
+}
 
-    fn failed(&self, reason: String) -> EngineError {
-        EngineError::Device { device: self.cuda.name.clone(), reason }
+impl FrameSizes {
+    /// Returns the maximum number of frames whose words the kernels can count.
+    fn most_together(&self) -> u64 {
+        let [points, planes] = self.kept;
+        let most = self.input.max(self.output).max(points).max(planes);
+        (WORD * MOST_WORDS / most).max(1)
     }
 }
 
@@ -342,53 +359,54 @@ impl CudaMemory {
         self.cuda.device
     }
 
-    /// Waits until a stream has run everything that was added to it.
+    /// States that the work of a stream up to now writes it.
     ///
     /// # Errors
     /// If the GPU fails.
-    pub fn wait_for(&self, stream: usize) -> Result<(), Error> {
-        let failed = |reason| EngineError::Device { device: self.cuda.name.clone(), reason };
-        Ok(self.cuda.synchronize(stream).map_err(failed)?)
+    ///
+    /// # Safety
+    /// `stream` must be a stream of the GPU's primary context.
+    pub unsafe fn written_by(&self, stream: usize) -> Result<(), Error> {
+        Ok(self.written.record(stream).map_err(|reason| self.cuda.failed(reason))?)
     }
-}
 
-impl Drop for CudaMemory {
-    fn drop(&mut self) {
-        self.cuda.free(&self.memory);
+    /// Has a stream wait until it is written.
+    ///
+    /// # Errors
+    /// If the GPU fails.
+    ///
+    /// # Safety
+    /// Same as [`written_by`](Self::written_by).
+    pub unsafe fn wait_on(&self, stream: usize) -> Result<(), Error> {
+        Ok(self.written.wait_on(stream).map_err(|reason| self.cuda.failed(reason))?)
     }
 }
 
 impl Drop for CudaSmoother {
     fn drop(&mut self) {
-        // Nothing may use the buffers any more.
-        if let Some(stream) = self.stream {
-            let _ = self.cuda.synchronize(stream);
-        }
-        for Buffers { input, output, kept } in [Some(&self.alone), self.ring.as_ref()].into_iter().flatten() {
-            [input].into_iter().chain(output).chain(kept).for_each(|memory| self.cuda.free(memory));
-        }
-        self.passes.iter().for_each(|pass| self.cuda.unload(&pass.kernel));
+        // Kernels are unloaded when nothing runs them any more. Of a device that is lost, nothing does.
+        let _ = self.last.synchronize();
     }
 }
 
 impl Buffers {
     /// Allocates the buffers of some frames, with the head of each; with an output unless the caller has one.
-    fn new(cuda: &Cuda, sizes: &FrameSizes, head: &[u8], frames: u64, has_output: bool) -> Result<Self, String> {
-        let allocate = |bytes: u64| {
-            let bytes = (frames * bytes) as usize;
-            let memory = cuda.allocate(bytes)?;
-            cuda.clear(&memory, bytes)?;
-            Ok::<_, String>(memory)
-        };
+    fn new(
+        cuda: &Arc<Cuda>,
+        sizes: &FrameSizes,
+        head: &[u8],
+        frames: u64,
+        has_output: bool,
+    ) -> Result<Self, EngineError> {
+        let allocate = |bytes: u64| cuda.allocate((frames * bytes) as usize, true);
         let [points, planes] = sizes.kept;
         let buffers = Self {
             input: allocate(sizes.input)?,
             output: has_output.then(|| allocate(sizes.output)).transpose()?,
             kept: [allocate(points)?, allocate(planes)?],
         };
-        for frame in 0..frames {
-            cuda.upload(buffers.input.address + frame * sizes.input, head)?;
-        }
+        let heads = (0..frames).map(|frame| (buffers.input.address + frame * sizes.input, head));
+        cuda.upload(heads).map_err(|reason| cuda.failed(reason))?;
         Ok(buffers)
     }
 
@@ -397,6 +415,16 @@ impl Buffers {
         let [points, planes] = &self.kept;
         let kept = [points.address + slot * sizes.kept[0], planes.address + slot * sizes.kept[1]];
         [self.input.address + slot * sizes.input, output, kept[0], kept[1]]
+    }
+}
+
+/// Names the device in an error about its limits.
+fn named(error: Error, name: &str) -> Error {
+    match error {
+        Error::Engine(EngineError::Limit { what, allowed, needed, .. }) => {
+            EngineError::Limit { device: name.to_owned(), what, allowed, needed }.into()
+        }
+        error => error,
     }
 }
 
@@ -410,6 +438,9 @@ fn check(settings: &Settings, camera: &Camera, outputs: Outputs) -> Result<(), E
             numbers.names().join(", "),
             "points, normals, curvature and depth_m in CUDA's memory",
         );
+    }
+    if let Some(engine) = settings.engine.filter(|engine| !matches!(engine, Engine::Auto | Engine::Gpu)) {
+        return refuse("engine", engine.name().to_owned(), "gpu or auto in CUDA's memory");
     }
     if !settings.preparation().is_empty() {
         return refuse(

@@ -1,4 +1,4 @@
-//! NVRTC, CUDA's compiler as a library, loaded at run time. PyTorch, CuPy and JAX bring it, as does CUDA's toolkit.
+//! NVRTC, CUDA's compiler as a library, loaded at run time. CUDA's toolkit includes it, and so does PyTorch's package.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::PathBuf;
@@ -14,10 +14,16 @@ const LIBRARIES: [(i32, &str); 3] = [(13, "libnvrtc.so.13"), (12, "libnvrtc.so.1
 #[cfg(windows)]
 const LIBRARIES: [(i32, &str); 3] = [(13, "nvrtc64_130_0.dll"), (12, "nvrtc64_120_0.dll"), (11, "nvrtc64_112_0.dll")];
 
-/// Variables that hold CUDA's folder, by its own convention.
+/// Environment variables with the path of CUDA's toolkit, by its own convention.
 const FOLDERS: [&str; 2] = ["CUDA_PATH", "CUDA_HOME"];
 
-/// Divisions and roots may differ in the last bit, and denormals are zero, as in Vulkan.
+/// Folders of the library in the toolkit.
+#[cfg(not(windows))]
+const INSIDE: [&str; 2] = ["lib64", "lib"];
+#[cfg(windows)]
+const INSIDE: [&str; 2] = ["bin", "bin/x64"];
+
+/// Divisions and roots may differ in the last bits, and denormals are zero, as Vulkan's drivers have it.
 const OPTIONS: [&CStr; 6] = [
     c"--std=c++17",
     c"--device-as-default-execution-space",
@@ -31,7 +37,9 @@ const OPTIONS: [&CStr; 6] = [
 type Program = *mut c_void;
 
 functions! {
-    create = "nvrtcCreateProgram"(*mut Program, *const c_char, *const c_char, c_int, *const *const c_char, *const *const c_char);
+    create = "nvrtcCreateProgram"(
+        *mut Program, *const c_char, *const c_char, c_int, *const *const c_char, *const *const c_char
+    );
     compile = "nvrtcCompileProgram"(Program, c_int, *const *const c_char);
     log_size = "nvrtcGetProgramLogSize"(Program, *mut usize);
     log = "nvrtcGetProgramLog"(Program, *mut c_char);
@@ -50,35 +58,37 @@ pub(super) struct Nvrtc {
 }
 
 impl Nvrtc {
-    /// Loads the library: the driver's major version of it, or else an older one, or else a newer one.
-    pub(super) fn load(driver_major: i32) -> Result<Self, String> {
-        let (older, newer): (Vec<_>, Vec<_>) = LIBRARIES.into_iter().partition(|(major, _)| *major <= driver_major);
+    /// Loads the newest library whose code the driver runs, and which compiles for GPUs of this compute capability (90
+    /// for 9.0).
+    pub(super) fn load(driver_major: i32, capability: i32) -> Result<Self, String> {
         let folders = FOLDERS.iter().filter_map(std::env::var_os).map(PathBuf::from);
         let folders: Vec<PathBuf> = folders.chain([PathBuf::from("/usr/local/cuda")]).collect();
-        let inside = if cfg!(windows) { "bin" } else { "lib64" };
-        for (_, name) in older.into_iter().chain(newer) {
-            let places = folders.iter().map(|folder| folder.join(inside).join(name));
-            let tried = [PathBuf::from(name)].into_iter().chain(places);
-            // SAFETY: loading the library has no other effects.
-            if let Some(library) = tried.filter_map(|path| unsafe { Library::new(path) }.ok()).next() {
-                return Ok(Self { functions: Functions::load(library, name)? });
+        let mut unfit = String::new();
+        for (_, name) in LIBRARIES.into_iter().filter(|(major, _)| *major <= driver_major) {
+            let inside = |folder: &PathBuf| INSIDE.map(|inside| folder.join(inside).join(name));
+            for path in [PathBuf::from(name)].into_iter().chain(folders.iter().flat_map(inside)) {
+                // SAFETY: loading the library has no other effects.
+                let Ok(library) = (unsafe { Library::new(&path) }) else { continue };
+                match Functions::load(library, name).map(|functions| Self { functions }) {
+                    Ok(nvrtc) if nvrtc.target(capability).is_some() => return Ok(nvrtc),
+                    Ok(_) => unfit = format!("; {name} does not support GPUs of compute capability {capability}"),
+                    Err(reason) => unfit = format!("; {reason}"),
+                }
             }
         }
         let names = LIBRARIES.map(|(_, name)| name).join(", ");
         Err(format!(
-            "CUDA's compiler was not found ({names}): install nvidia-cuda-nvrtc by pip, or CUDA's toolkit, or set \
-             CUDA_PATH to its folder"
+            "CUDA's compiler was not found ({names}, not newer than the driver{unfit}): install CUDA's toolkit or set \
+             CUDA_PATH to its folder; in Python `pip install nvidia-cuda-nvrtc-cu12`"
         ))
     }
 
-    /// Compiles a source for a GPU of this compute capability (90 for 9.0): to its machine code, or to PTX if the
-    /// library does not know it.
+    /// Compiles a source for a GPU of this compute capability: to its machine code, or to PTX if the library does not
+    /// know the GPU.
     pub(super) fn compile(&self, source: &str, capability: i32) -> Result<Vec<u8>, String> {
-        let known = self.architectures();
-        let is_known = known.contains(&capability);
-        let target =
-            if is_known { Some(capability) } else { known.into_iter().filter(|known| *known < capability).max() };
+        let target = self.target(capability);
         let target = target.ok_or_else(|| format!("NVRTC does not support GPUs of compute capability {capability}"))?;
+        let is_known = target == capability;
         let kind = if is_known { "sm" } else { "compute" };
         let architecture = CString::new(format!("--gpu-architecture={kind}_{target}")).map_err(|e| e.to_string())?;
         let options: Vec<*const c_char> =
@@ -103,6 +113,11 @@ impl Nvrtc {
                 program.bytes(functions.ptx_size, functions.ptx)
             }
         }
+    }
+
+    /// Returns the compute capability to compile for: the GPU's, or else the next lower one that the library knows.
+    fn target(&self, capability: i32) -> Option<i32> {
+        self.architectures().into_iter().filter(|known| *known <= capability).max()
     }
 
     /// Returns the compute capabilities that it compiles for.

@@ -67,7 +67,7 @@ fn kernels_become_cuda_with_their_parameters() {
 /// Where CUDA's compiler is; the gate installs it and sets PLANISH_REQUIRE_NVRTC.
 #[test]
 fn kernels_compile_for_old_and_new_gpus() {
-    let nvrtc = match Nvrtc::load(12) {
+    let nvrtc = match Nvrtc::load(12, 90) {
         Ok(nvrtc) => nvrtc,
         Err(reason) if std::env::var_os("PLANISH_REQUIRE_NVRTC").is_none() => {
             assert!(reason.contains("nvidia-cuda-nvrtc") && reason.contains("CUDA_PATH"), "{reason}");
@@ -87,5 +87,6 @@ fn kernels_compile_for_old_and_new_gpus() {
     let ptx = nvrtc.compile(&first.text, 990).unwrap();
     assert!(String::from_utf8_lossy(&ptx).contains(".entry run") && ptx.ends_with(b"\0"));
     assert!(nvrtc.compile(&first.text, 10).unwrap_err().contains("capability 10"));
+    assert!(Nvrtc::load(12, 10).err().unwrap().contains("compute capability 10"));
     assert!(nvrtc.compile("no C", 90).unwrap_err().contains("error"));
 }
