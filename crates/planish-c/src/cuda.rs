@@ -165,8 +165,8 @@ mod with_cuda {
 
 /// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
 /// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-/// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
-/// CUDA's compiler, which is loaded at run time.
+/// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one.
+/// Needs NVRTC, CUDA's compiler, which is loaded at run time.
 ///
 /// # Safety
 /// `settings` is null or a text, `camera` null or as described, `cuda` null or writable.

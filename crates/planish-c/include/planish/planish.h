@@ -264,8 +264,8 @@ extern "C" {
 
 // Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
 // PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one. Needs NVRTC,
-// CUDA's compiler, which is loaded at run time.
+// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one.
+// Needs NVRTC, CUDA's compiler, which is loaded at run time.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
                               uint32_t kind,
