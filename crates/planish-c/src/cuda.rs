@@ -164,9 +164,9 @@ mod with_cuda {
 }
 
 /// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
-/// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-/// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one.
-/// Needs NVRTC, CUDA's compiler, which is loaded at run time.
+/// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
+/// and depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device; the default is the
+/// current one. Needs NVRTC, CUDA's compiler, which is loaded at run time.
 ///
 /// # Safety
 /// `settings` is null or a text, `camera` null or as described, `cuda` null or writable.
@@ -201,7 +201,8 @@ pub unsafe extern "C" fn planish_cuda_smooth(
 }
 
 /// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-/// flight. Images that are handed over before the first result is received are smoothed together, in less time for each.
+/// flight. Images that are handed over before the first result is received are smoothed together, in less time for
+/// each.
 ///
 /// # Safety
 /// As described.
