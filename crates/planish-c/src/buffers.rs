@@ -1,10 +1,10 @@
-//! Memory of the caller: where it begins and ends, and what of it must not be shared.
+//! The caller's memory: the extents of buffers, and checks that they do not overlap.
 
 use std::ffi::{CStr, c_char};
 
 use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
 
-/// A buffer of items with gaps between them: where it begins, bytes of an item, bytes from one item to the next, items.
+/// Memory of `count` items of `item` bytes each, `stride` bytes apart, from the address `begin`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extent {
     what: &'static str,
@@ -15,7 +15,7 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Checks that a buffer is not null, is aligned, has room between its items, and ends within the address space.
+    /// Checks that a buffer is not null, is aligned, has a sufficient stride, and ends within the address space.
     pub(crate) fn new<T>(
         what: &'static str,
         pointer: *const T,
@@ -46,19 +46,19 @@ impl Extent {
         Ok(extent)
     }
 
-    /// Bytes from the beginning of the first item to the end of the last.
+    /// Returns the number of bytes from the beginning of the first item to the end of the last; `None` on overflow.
     pub(crate) fn bytes(&self) -> Option<usize> {
         let Some(last) = self.count.checked_sub(1) else { return Some(0) };
         last.checked_mul(self.stride)?.checked_add(self.item)
     }
 
-    /// Returns true if a byte of an item belongs to an item of the other too.
+    /// Returns true if an item of this buffer shares a byte with an item of the other.
     fn overlaps(&self, other: &Self) -> bool {
         let (end, other_end) = (self.begin + self.bytes().unwrap_or(0), other.begin + other.bytes().unwrap_or(0));
         if self.begin >= other_end || other.begin >= end {
             return false;
         }
-        // Members of the same structs lie in each other's gaps.
+        // Members of one array of structs lie in each other's gaps.
         if self.stride != other.stride || self.item > self.stride || other.item > other.stride {
             return true;
         }
@@ -85,11 +85,11 @@ pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
     Ok(())
 }
 
-/// Reads a struct whose first member is its size. Members that the caller's version lacks become 0. `least` is the size
-/// in the first version.
+/// Reads a struct whose first member is its size. Members that the caller's version lacks become 0. `least` is the
+/// size in the first version.
 ///
 /// # Safety
-/// The pointer is null, or `size` bytes are readable at it.
+/// The pointer must be null, or point to a struct of which as many bytes are readable as its first member states.
 pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize) -> Done<T> {
     if pointer.is_null() {
         return failure(PLANISH_NULL, format!("{what} is null"));
@@ -104,7 +104,7 @@ pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize)
         return failure(PLANISH_ARGUMENT, text);
     }
     let mut value = std::mem::MaybeUninit::<T>::zeroed();
-    // SAFETY: as many bytes are readable, and there is room for them. All members may be 0.
+    // SAFETY: `size` bytes are readable, and `value` has room for the copied ones. All members may be 0.
     unsafe {
         let bytes = size.min(size_of::<T>());
         std::ptr::copy_nonoverlapping(pointer.cast::<u8>(), value.as_mut_ptr().cast::<u8>(), bytes);
@@ -112,10 +112,10 @@ pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize)
     }
 }
 
-/// Reads a text.
+/// Borrows a text in UTF-8.
 ///
 /// # Safety
-/// The pointer is null, or a text that ends with a zero.
+/// The pointer must be null or point to a text that ends with a zero.
 pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a str> {
     if pointer.is_null() {
         return failure(PLANISH_NULL, format!("{what} is null"));
@@ -125,10 +125,11 @@ pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a st
     text.to_str().or_else(|_| failure(PLANISH_ARGUMENT, format!("{what} is not UTF-8")))
 }
 
-/// Writes a text into the caller's buffer, cut off where that ends, and its length without the zero.
+/// Writes a text and a terminating zero to the caller's buffer, truncated if it is too small. `length` receives the
+/// length of the whole text in bytes, without the zero.
 ///
 /// # Safety
-/// The buffer is null or has room for `capacity` bytes; the length is null or writable.
+/// The buffer must be null or have room for `capacity` bytes; the length must be null or writable.
 pub(crate) unsafe fn write_text(text: &str, buffer: *mut c_char, capacity: usize, length: *mut usize) {
     if let Some(room) = capacity.checked_sub(1).filter(|_| !buffer.is_null()) {
         let mut end = text.len().min(room);

@@ -1,4 +1,4 @@
-//! Error codes, and their texts for each thread.
+//! Error codes, and the error messages of each thread.
 
 use std::cell::RefCell;
 use std::ffi::{CString, c_char};
@@ -6,26 +6,26 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use planish::{EngineError, Error, FrameError, ParamError};
 
-/// The result of a function: 0, or an error code.
+/// The return value of a function: 0, or an error code.
 pub type planish_code = i32;
 
 /// Success.
 pub const PLANISH_OK: planish_code = 0;
-/// A pointer is null that must not be.
+/// A required pointer is null.
 pub const PLANISH_NULL: planish_code = 1;
-/// Sizes, strides or buffers contradict each other, or a frame cannot be smoothed as it is.
+/// Sizes, strides or buffers contradict each other, or a frame cannot be smoothed.
 pub const PLANISH_ARGUMENT: planish_code = 2;
 /// A setting is unknown, out of range, or contradicts another one.
 pub const PLANISH_SETTING: planish_code = 3;
-/// The engine cannot be opened, or failed.
+/// The engine cannot be opened, or it failed.
 pub const PLANISH_ENGINE: planish_code = 4;
 /// Another thread is using the session.
 pub const PLANISH_BUSY: planish_code = 5;
-/// The session or result was freed, or was never one.
+/// The handle is not a session or result, or was freed.
 pub const PLANISH_HANDLE: planish_code = 6;
 /// planish_session_stop ended the call.
 pub const PLANISH_STOPPED: planish_code = 7;
-/// A fault of planish. Free the session, and report it.
+/// An internal error of planish. Free the session, and report the error.
 pub const PLANISH_INTERNAL: planish_code = 8;
 
 /// An error with its text.
@@ -70,7 +70,7 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::new(CString::default());
 }
 
-/// Runs a function's body; keeps its error's text for the thread.
+/// Runs the body of a C function. Keeps the message of an error for `planish_last_error`, and returns its code.
 pub(crate) fn guarded(body: impl FnOnce() -> Done<()>) -> planish_code {
     // A session that panicked refuses further calls: its lock is poisoned.
     let done = catch_unwind(AssertUnwindSafe(body))
@@ -82,8 +82,8 @@ pub(crate) fn guarded(body: impl FnOnce() -> Done<()>) -> planish_code {
     code
 }
 
-/// Returns the text of the last error of a function called on this thread, in UTF-8; empty if there was none. It is
-/// valid until the next error on this thread.
+/// Returns the message of this thread's last error in UTF-8; it is empty if there was none. The pointer is valid
+/// until the next error on this thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_last_error() -> *const c_char {
     LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())

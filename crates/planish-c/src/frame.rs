@@ -1,4 +1,4 @@
-//! Frames and cameras of the caller.
+//! The caller's frames and cameras.
 
 use std::ffi::{c_char, c_void};
 use std::slice;
@@ -14,13 +14,13 @@ use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
 pub const PLANISH_DEPTH_U16: u32 = 1;
 /// Depth in metres; values that are not finite or not positive are holes.
 pub const PLANISH_DEPTH_F32: u32 = 2;
-/// Interleaved points of float in metres; a point that is not finite is a hole.
+/// Interleaved points of float in metres; points that are not finite are holes.
 pub const PLANISH_POINTS_F32: u32 = 3;
-/// Interleaved points of double.
+/// Interleaved points of double in metres; points that are not finite are holes.
 pub const PLANISH_POINTS_F64: u32 = 4;
-/// Points as three arrays of float: x, y and z.
+/// Points as three arrays of float: x, y and z in metres; points that are not finite are holes.
 pub const PLANISH_PLANES_F32: u32 = 5;
-/// Points as three arrays of double.
+/// Points as three arrays of double: x, y and z in metres; points that are not finite are holes.
 pub const PLANISH_PLANES_F64: u32 = 6;
 
 /// A pinhole camera.
@@ -29,26 +29,26 @@ pub const PLANISH_PLANES_F64: u32 = 6;
 pub struct planish_camera {
     /// sizeof(planish_camera).
     pub size: usize,
-    /// Pixels of its images.
+    /// Width of the images in pixels.
     pub width: usize,
-    /// Rows of its images.
+    /// Height of the images in pixels.
     pub height: usize,
-    /// Focal length in pixels.
+    /// Horizontal focal length in pixels.
     pub fx: f64,
-    /// Focal length in pixels.
+    /// Vertical focal length in pixels.
     pub fy: f64,
-    /// Principal point in pixels from the centre of the first one.
+    /// Horizontal position of the principal point in pixels from the centre of the first pixel.
     pub cx: f64,
-    /// Principal point in pixels.
+    /// Vertical position of the principal point in pixels from the centre of the first pixel.
     pub cy: f64,
-    /// Depth units in a metre; 0 means 1000, for millimetres.
+    /// Depth units per metre; 0 means 1000 (millimetres).
     pub depth_units_per_metre: f64,
-    /// The name of the lens distortion in ROS, OpenCV or Kalibr, such as "plumb_bob" or "equidistant"; null for
-    /// OpenCV's.
+    /// The name of the distortion model in ROS, OpenCV or Kalibr, such as "plumb_bob" or "equidistant"; null means
+    /// OpenCV's model.
     pub distortion_model: *const c_char,
-    /// The coefficients of the distortion; null for none.
+    /// The distortion coefficients; null if there are none.
     pub distortion: *const f64,
-    /// How many there are.
+    /// The number of distortion coefficients.
     pub distortion_count: usize,
 }
 
@@ -58,46 +58,46 @@ pub struct planish_camera {
 pub struct planish_frame {
     /// sizeof(planish_frame).
     pub size: usize,
-    /// Its kind: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
+    /// The kind of data: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
     /// PLANISH_PLANES_F32 or PLANISH_PLANES_F64.
     pub kind: u32,
-    /// Columns, or the number of points without a grid.
+    /// Number of columns, or of points without a grid.
     pub width: usize,
-    /// Rows; 1 for points without a grid.
+    /// Number of rows; 1 for points without a grid.
     pub height: usize,
     /// The first depth value, or the first interleaved point.
     pub data: *const c_void,
-    /// Bytes from one row to the next; 0 if rows follow each other without a gap.
+    /// Bytes from one row to the next; 0 if there are no gaps between rows.
     pub row_stride: usize,
-    /// Bytes from one interleaved point to the next; 0 if they follow each other without a gap.
+    /// Bytes from one interleaved point to the next; 0 if there are no gaps between points.
     pub point_stride: usize,
     /// Bytes from the beginning of an interleaved point to its x, y and z; all 0 if they come first.
     pub offsets: [usize; 3],
-    /// x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
+    /// The arrays of x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
     pub planes: [*const c_void; 3],
-    /// The camera of a depth image. Points on a grid may have one: then depth can be had of them.
+    /// The camera of a depth image. Optional for points on a grid, whose depth outputs need it.
     pub camera: *const planish_camera,
-    /// The sensor pose in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if unknown;
-    /// ignored for depth images.
+    /// The sensor pose in the coordinate frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null
+    /// if unknown; ignored for depth images.
     pub pose: *const f64,
-    /// x, y, z of an origin near the points, to which results are relative; null for (0, 0, 0). Georeferenced points
-    /// need one.
+    /// x, y, z of an origin near the points in metres; results are relative to it. Null means (0, 0, 0).
+    /// Georeferenced points need an origin.
     pub origin_m: *const f64,
-    /// Colours of a depth image, red, green and blue of each pixel without gaps; null for none.
+    /// Colours of a depth image: red, green and blue of each pixel, without gaps. Null if there are none.
     pub rgb: *const u8,
 }
 
-/// The caller's frame, checked: its camera, and where it lies.
+/// The caller's frame, checked, with its camera and the extents of its memory.
 pub(crate) struct Given {
     frame: planish_frame,
     camera: Option<Camera>,
     pub(crate) extents: Vec<Extent>,
 }
 
-/// Reads an array of doubles.
+/// Reads an array of doubles; returns `None` if the pointer is null.
 ///
 /// # Safety
-/// The pointer is null, or has as many values.
+/// The pointer must be null or point to `N` values.
 pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const f64) -> Done<Option<[f64; N]>> {
     if pointer.is_null() {
         return Ok(None);
@@ -107,8 +107,10 @@ pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const
     Ok(Some(unsafe { pointer.cast::<[f64; N]>().read() }))
 }
 
+/// Converts the caller's camera.
+///
 /// # Safety
-/// As of [`planish_frame`].
+/// The pointer must be null, or point to a camera whose own pointers are null or valid as its members state.
 pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
     // SAFETY: as the caller promises.
     let given = unsafe { sized("the camera", pointer, size_of::<planish_camera>())? };
@@ -146,7 +148,7 @@ impl Given {
     /// Checks the caller's frame.
     ///
     /// # Safety
-    /// The pointer is null, or points to a frame whose own pointers are null or as its members state.
+    /// The pointer must be null, or point to a frame whose own pointers are null or valid as its members state.
     pub(crate) unsafe fn new(pointer: *const planish_frame) -> Done<Self> {
         // SAFETY: as the caller promises.
         let mut frame = unsafe { sized("the frame", pointer, size_of::<planish_frame>())? };
@@ -223,12 +225,12 @@ impl Given {
     /// Borrows the frame.
     ///
     /// # Safety
-    /// As of [`Given::new`], for as long as the result lives.
+    /// Same as [`Given::new`], for the lifetime of the result.
     pub(crate) unsafe fn frame(&self) -> Done<Frame<'_>> {
         let planish_frame { kind, width, height, data, row_stride, planes, .. } = self.frame;
         let bytes = self.extents.first().and_then(Extent::bytes).unwrap_or(0);
         if let (PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32, Some(camera)) = (kind, &self.camera) {
-            // SAFETY: the extents were checked, and the memory is the caller's promise.
+            // SAFETY: the extents were checked, and the caller guarantees the memory.
             let view = unsafe {
                 if kind == PLANISH_DEPTH_U16 {
                     DepthView::with_row_stride(slice::from_raw_parts(data.cast(), bytes / 2), row_stride / 2, camera)?
@@ -290,9 +292,9 @@ impl Given {
     }
 }
 
-/// Refuses coordinates whose digits float cannot hold: results would lose them.
+/// Refuses double coordinates that would lose precision as float.
 fn check_near(view: &PointsView<'_>) -> Done<()> {
-    /// Half a millimetre from one float to the next.
+    /// Largest coordinate accepted without an origin, in metres. Adjacent floats are half a millimetre apart there.
     const FAR_M: f64 = 4096.0;
     const SAMPLE: usize = 4096;
     let step = view.len().div_ceil(SAMPLE).max(1);
@@ -305,7 +307,8 @@ fn check_near(view: &PointsView<'_>) -> Done<()> {
     failure(PLANISH_ARGUMENT, text)
 }
 
-/// Fills in the layout of tight points; returns the bytes from the beginning of a point to the end of its coordinates.
+/// Fills in the default layout of interleaved points. Returns the number of bytes from the beginning of a point to
+/// the end of its coordinates.
 fn point_bytes(frame: &mut planish_frame, scalar: usize) -> Done<usize> {
     if frame.offsets == [0; 3] {
         frame.offsets = [0, scalar, 2 * scalar];

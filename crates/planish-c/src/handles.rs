@@ -8,10 +8,10 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use crate::error::{Done, PLANISH_HANDLE, PLANISH_NULL, failure};
 
-/// Counts up; a handle is never given out twice.
+/// The next handle. Handles are never reused.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 
-/// Handles are consecutive numbers: they need no hash.
+/// A hasher for handles: one multiplication, since they are consecutive numbers.
 #[derive(Default)]
 pub(crate) struct Number(u64);
 
@@ -29,7 +29,7 @@ impl Hasher for Number {
     }
 }
 
-/// Everything of a kind that has a handle.
+/// All values of one type that have a handle.
 pub(crate) struct Handles<T> {
     what: &'static str,
     all: RwLock<HashMap<usize, Arc<T>, BuildHasherDefault<Number>>>,
@@ -40,7 +40,7 @@ impl<T> Handles<T> {
         Self { what, all: RwLock::new(HashMap::with_hasher(BuildHasherDefault::new())) }
     }
 
-    /// Returns a new handle.
+    /// Stores a value and returns its new handle.
     pub(crate) fn add<H>(&self, value: T) -> *mut H {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         self.all.write().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::new(value));
@@ -56,10 +56,10 @@ impl<T> Handles<T> {
         }
     }
 
-    /// Takes it back.
+    /// Removes a handle.
     pub(crate) fn remove<H>(&self, handle: *mut H) -> Done<()> {
         let removed = self.all.write().unwrap_or_else(PoisonError::into_inner).remove(&handle.addr());
-        // It is dropped without the lock: closing a GPU takes time.
+        // The value is dropped after the lock is released, since closing a GPU takes time.
         removed.map_or_else(|| failure(PLANISH_HANDLE, format!("the {} was freed already", self.what)), |_| Ok(()))
     }
 }

@@ -1,7 +1,7 @@
 //! planish's C ABI. `include/planish/planish.h` is generated from these items, and states the rules.
 //!
-//! Handles are numbers in the guise of pointers: they are looked up and never dereferenced, so that a handle which was
-//! freed, or is in use by another thread, is an error.
+//! Handles are numbers cast to pointers. They are looked up and never dereferenced, so a call with a freed handle, or
+//! with one in use by another thread, returns an error.
 
 #![allow(non_camel_case_types)]
 #![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, clippy::print_stderr)]

@@ -27,41 +27,44 @@ pub const PLANISH_FRAMES: u32 = 128;
 /// Standard error of each point along its ray, in metres.
 pub const PLANISH_SIGMA: u32 = 256;
 
-/// No measurement came in, none goes out.
+/// A hole in the input, which stays a hole.
 pub const PLANISH_STATUS_HOLE: u8 = 0;
 /// Too few neighbours on a grid: the output is a hole.
 pub const PLANISH_STATUS_TOO_FEW: u8 = 1;
 /// The neighbours are on a line: the point is unchanged.
 pub const PLANISH_STATUS_DEGENERATE: u8 = 2;
-/// On a plane.
+/// The point is on the fitted plane.
 pub const PLANISH_STATUS_PLANE: u8 = 3;
-/// On a polynomial of degree 2.
+/// The point is on the fitted polynomial of degree 2.
 pub const PLANISH_STATUS_POLYNOMIAL2: u8 = 4;
-/// On a polynomial of degree 3.
+/// The point is on the fitted polynomial of degree 3.
 pub const PLANISH_STATUS_POLYNOMIAL3: u8 = 5;
 /// Too few neighbours in a cloud without a grid: the point is unchanged.
 pub const PLANISH_STATUS_ISOLATED: u8 = 6;
-/// Kept from the frame before.
+/// The point is kept from the previous frame.
 pub const PLANISH_STATUS_CARRIED: u8 = 7;
 /// A filled hole: nothing was measured here.
 pub const PLANISH_STATUS_FILLED: u8 = 8;
 
-/// The caller's buffers, each null if the result is not wanted. Holes are NaN, in integers 0.
+/// The caller's buffers, each null if its result is not wanted. Holes are NaN in float buffers and 0 in integer
+/// buffers.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct planish_output {
     /// sizeof(planish_output).
     pub size: usize,
-    /// Items that every buffer has room for: the pixels or points of the result (planish_output_shape).
+    /// Number of items in every buffer. Must equal the number of pixels or points of the result
+    /// (planish_output_shape).
     pub count: usize,
     /// x, y and z of the smoothed points in metres.
     pub points: *mut f32,
-    /// Bytes from one point to the next, a multiple of 4; 0 if they follow each other without a gap. Bytes between
-    /// points are left unchanged.
+    /// Bytes from one point to the next, a multiple of 4; 0 if there are no gaps. Bytes between points are left
+    /// unchanged.
     pub points_stride: usize,
     /// Unit normals towards the sensor.
     pub normals: *mut f32,
-    /// Bytes from one normal to the next, as of points. Points and normals may be members of the same structs.
+    /// Bytes from one normal to the next, with the same rules as points_stride. Points and normals may be members of
+    /// the same structs.
     pub normals_stride: usize,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3.
     pub curvature: *mut f32,
@@ -85,7 +88,7 @@ pub(crate) struct Wanted {
     pub(crate) extents: Vec<Extent>,
 }
 
-/// Returns the outputs of a mask.
+/// Returns the outputs that a mask selects.
 pub(crate) fn outputs_of(mask: u32) -> Done<Outputs> {
     const ALL: u32 = 2 * PLANISH_SIGMA - 1;
     if mask == 0 || mask & !ALL != 0 {
@@ -109,7 +112,7 @@ impl Wanted {
     /// Checks the caller's buffers.
     ///
     /// # Safety
-    /// The pointer is null, or points to an output whose own pointers are null or have room for `count` items.
+    /// The pointer must be null, or point to an output whose own pointers are null or have room for `count` items.
     pub(crate) unsafe fn new(pointer: *const planish_output) -> Done<Self> {
         // SAFETY: as the caller promises.
         let mut output = unsafe { sized("the output", pointer, size_of::<planish_output>())? };
@@ -144,7 +147,7 @@ impl Wanted {
         Ok(Self { output, extents })
     }
 
-    /// Refuses buffers for outputs that a frame was not submitted for.
+    /// Refuses buffers for outputs that were not requested when the frame was submitted.
     pub(crate) fn check_outputs(&self, submitted: Outputs) -> Done<()> {
         let submitted = submitted.names();
         match self.outputs().names().into_iter().find(|name| self.output.count > 0 && !submitted.contains(name)) {
@@ -159,7 +162,7 @@ impl Wanted {
         }
     }
 
-    /// Returns the outputs that have a buffer; points for an empty cloud without one.
+    /// Returns the outputs that have a buffer, or the points if no output has one (an empty cloud).
     pub(crate) fn outputs(&self) -> Outputs {
         let out = &self.output;
         Outputs::default()
@@ -174,7 +177,7 @@ impl Wanted {
             .with_sigma(!out.sigma.is_null())
     }
 
-    /// Refuses buffers for another number of items.
+    /// Refuses buffers whose number of items is not `expected`.
     pub(crate) fn check_count(&self, expected: usize, reason: &str) -> Done<()> {
         if self.output.count == expected {
             return Ok(());
@@ -187,17 +190,17 @@ impl Wanted {
     /// Borrows the buffers.
     ///
     /// # Safety
-    /// As of [`Wanted::new`], for as long as the result lives; nothing else accesses the buffers.
+    /// Same as [`Wanted::new`], for the lifetime of the result. Nothing else may access the buffers during it.
     pub(crate) unsafe fn buffers(&mut self) -> SmoothedMut<'_> {
         let planish_output { count, .. } = self.output;
         /// # Safety
-        /// The pointer is null, or has as many values.
+        /// The pointer must be null or have room for `count` values, for the lifetime of the result.
         unsafe fn slice<'a, T>(pointer: *mut T, count: usize) -> Option<&'a mut [T]> {
             // SAFETY: as the caller promises.
             (!pointer.is_null()).then(|| unsafe { slice::from_raw_parts_mut(pointer, count) })
         }
         let vectors = |pointer: *mut f32, stride: usize| {
-            // SAFETY: extents were checked, and the memory is the caller's promise.
+            // SAFETY: the extents were checked, and the caller guarantees the memory.
             NonNull::new(pointer).map(|first| unsafe { StridedMut::from_raw(first, stride / 4, count) })
         };
         let out = &self.output;

@@ -17,7 +17,7 @@ pub struct planish_result {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct planish_view {
-    /// Columns, or points.
+    /// Number of columns, or of points without a grid.
     pub width: usize,
     /// Rows; 1 for points without a grid.
     pub height: usize,
@@ -43,7 +43,7 @@ pub struct planish_view {
 
 static RESULTS: Handles<Smoothed> = Handles::new("result");
 
-/// Returns a handle of a result.
+/// Returns the new handle of a result.
 pub(crate) fn handle_of(smoothed: Smoothed) -> *mut planish_result {
     RESULTS.add(smoothed)
 }
@@ -68,10 +68,10 @@ fn view_of(smoothed: &Smoothed) -> planish_view {
     }
 }
 
-/// Returns the arrays of a result, which end with it.
+/// Writes the arrays of a result to `view`. They are valid until the result is freed.
 ///
 /// # Safety
-/// `view` is null or writable.
+/// `view` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_result_get(result: *const planish_result, view: *mut planish_view) -> planish_code {
     guarded(|| {

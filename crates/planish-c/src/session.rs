@@ -12,7 +12,7 @@ use crate::error::{
 };
 use crate::handles::Handles;
 
-/// An engine that is kept open for frames of any shape, and its settings.
+/// An engine that stays open for frames of any shape, and its settings.
 pub struct planish_session {
     _opaque: [u8; 0],
 }
@@ -21,11 +21,11 @@ pub(crate) struct State {
     pub(crate) session: Session,
     pub(crate) settings: Settings,
     events: VecDeque<String>,
-    /// The items and outputs of each frame in flight.
+    /// The number of items and the outputs of each frame in flight.
     pub(crate) flights: VecDeque<(usize, Outputs)>,
 }
 
-/// A session, and what may be done while a thread uses it.
+/// A session, and the watch that works while a thread uses the session.
 pub(crate) struct Held {
     state: Mutex<State>,
     watch: planish::ProgressWatch,
@@ -47,7 +47,7 @@ impl Held {
 
 impl State {
     pub(crate) fn take_events(&mut self) {
-        /// Nobody may ever ask for them.
+        /// Maximum number of unread events; the oldest are dropped.
         const MOST: usize = 100;
         self.events.extend(self.session.take_events().iter().map(ToString::to_string));
         while self.events.len() > MOST {
@@ -55,7 +55,7 @@ impl State {
         }
     }
 
-    /// Refuses what would mix with frames in flight.
+    /// Returns an error if frames are in flight.
     pub(crate) fn check_idle(&self) -> Done<()> {
         match self.session.in_flight() {
             0 => Ok(()),
@@ -64,7 +64,7 @@ impl State {
     }
 }
 
-/// Reads settings: JSON, or `name=value` words.
+/// Parses settings from JSON or from `name=value` words.
 fn settings_of(text: &str) -> Done<Settings> {
     if text.trim_start().starts_with('{') {
         return serde_json::from_str(text).or_else(|error| failure(PLANISH_SETTING, format!("settings: {error}")));
@@ -72,10 +72,10 @@ fn settings_of(text: &str) -> Done<Settings> {
     Ok(text.parse::<Settings>()?)
 }
 
-/// Reads the caller's settings; null is the default.
+/// Reads the caller's settings; null means the default.
 ///
 /// # Safety
-/// The pointer is null or a text that ends with a zero.
+/// The pointer must be null or point to a text that ends with a zero.
 pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
     match pointer.is_null() {
         true => Ok(Settings::default()),
@@ -84,11 +84,11 @@ pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
     }
 }
 
-/// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as
-/// {"preset": "strong"}, or null for the default.
+/// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
+/// "strong"}, or null for the default.
 ///
 /// # Safety
-/// `settings` is null or a text that ends with a zero; `session` is null or writable.
+/// `settings` must be null or point to a text that ends with a zero; `session` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_new(
     settings: *const c_char,
@@ -108,24 +108,25 @@ pub unsafe extern "C" fn planish_session_new(
     })
 }
 
-/// Returns the settings with a number of threads: shared ones do not survive a fork.
+/// Returns the settings with an explicit number of threads, since shared threads do not survive a fork.
 fn with_own_threads(settings: &Settings) -> Settings {
     let mut settings = settings.clone();
     settings.threads = settings.threads.or_else(|| std::thread::available_parallelism().ok().map(usize::from));
     settings
 }
 
-/// Returns a place for a result.
+/// Checks and borrows a location to write to.
 ///
 /// # Safety
-/// The pointer is null, or writable for as long as the result lives.
+/// The pointer must be null, or writable for the lifetime of the result.
 pub(crate) unsafe fn writable<'a, T>(what: &'static str, pointer: *mut T) -> Done<&'a mut T> {
     crate::buffers::Extent::new(what, pointer, align_of::<T>(), (size_of::<T>(), size_of::<T>(), 1))?;
-    // SAFETY: it is not null and aligned; the rest is the caller's promise.
+    // SAFETY: the pointer is not null and aligned; the caller guarantees the rest.
     Ok(unsafe { &mut *pointer })
 }
 
-/// Frees a session. Null is allowed. A call in another thread continues until it is done; stop it first.
+/// Frees a session. Null is allowed. A call that is running on another thread continues; call planish_session_stop
+/// first to end it.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_session_free(session: *mut planish_session) -> planish_code {
     guarded(|| if session.is_null() { Ok(()) } else { SESSIONS.remove(session) })
@@ -143,10 +144,10 @@ fn set(session: *mut planish_session, name: &str, value: SettingValue) -> Done<(
     Ok(())
 }
 
-/// Sets a setting by its name and value as text, such as "sensor" and "d435"; an empty value is the default.
+/// Sets a setting from text, such as "sensor" to "d435". An empty value restores the default.
 ///
 /// # Safety
-/// The texts are null or end with a zero.
+/// The texts must be null or end with a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set(
     session: *mut planish_session,
@@ -164,7 +165,7 @@ pub unsafe extern "C" fn planish_session_set(
 /// Sets a setting that is a number, such as "radius_m".
 ///
 /// # Safety
-/// The name is null or ends with a zero.
+/// The name must be null or end with a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set_number(
     session: *mut planish_session,
@@ -178,7 +179,7 @@ pub unsafe extern "C" fn planish_session_set_number(
 /// Sets a setting that is true or false, such as "remove_isolated".
 ///
 /// # Safety
-/// The name is null or ends with a zero.
+/// The name must be null or end with a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set_bool(
     session: *mut planish_session,
@@ -189,10 +190,11 @@ pub unsafe extern "C" fn planish_session_set_bool(
     guarded(|| set(session, unsafe { text("name", name)? }, SettingValue::from(value)))
 }
 
-/// Writes the settings as JSON, ended by a zero and cut off after `capacity` bytes; `length` is its whole length.
+/// Writes the settings as JSON with a terminating zero, truncated to `capacity` bytes. `length` receives the length
+/// of the whole text in bytes, without the zero.
 ///
 /// # Safety
-/// `buffer` is null or has room for `capacity` bytes; `length` is null or writable.
+/// `buffer` must be null or have room for `capacity` bytes; `length` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_settings(
     session: *const planish_session,
@@ -210,10 +212,11 @@ pub unsafe extern "C" fn planish_session_settings(
     })
 }
 
-/// Writes the name of the engine that is open, such as "cpu" or "gpu: NVIDIA H100"; empty before the first frame.
+/// Writes the name of the open engine, such as "cpu" or "gpu: NVIDIA H100"; it is empty before the first frame.
+/// `capacity` and `length` are as in planish_session_settings.
 ///
 /// # Safety
-/// As of planish_session_settings.
+/// Same as planish_session_settings.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_engine(
     session: *const planish_session,
@@ -235,11 +238,12 @@ pub unsafe extern "C" fn planish_session_engine(
     })
 }
 
-/// Takes the next thing that the session decided or found without being asked, as a sentence: a GPU that was lost, a
-/// camera that does not fit. Without one, `length` is 0. An event longer than the buffer is kept.
+/// Takes the next event, a sentence about something that the session decided or detected by itself, such as a lost
+/// GPU or a camera that does not fit. `length` becomes 0 if there is no event. An event that is longer than the
+/// buffer is truncated and remains the next one.
 ///
 /// # Safety
-/// As of planish_session_settings.
+/// Same as planish_session_settings.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_next_event(
     session: *mut planish_session,
@@ -260,8 +264,8 @@ pub unsafe extern "C" fn planish_next_event(
     })
 }
 
-/// Stops the cloud that another thread is smoothing with this session; its call returns PLANISH_STOPPED. Frames on a
-/// grid take too little time to be stopped.
+/// Stops another thread's smoothing of an unorganized cloud with this session; its call returns PLANISH_STOPPED.
+/// Frames on a grid take too little time to be stopped.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_session_stop(session: *const planish_session) -> planish_code {
     guarded(|| {
@@ -279,11 +283,11 @@ pub extern "C" fn planish_session_restart_video(session: *mut planish_session) -
     })
 }
 
-/// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y,
-/// z. Null means that it is not known.
+/// Sets the pose of the camera in the world for the next frame of a video: x, y, z in metres, then a quaternion w, x,
+/// y, z. Null means that the pose is unknown.
 ///
 /// # Safety
-/// `pose` is null or has 7 values.
+/// `pose` must be null or point to 7 values.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set_camera_pose(
     session: *mut planish_session,

@@ -1,4 +1,4 @@
-//! Frames through a session: smoothed at once, or handed over and received.
+//! Smoothing of a session's frames, either in one call or by submitting frames and receiving results.
 
 use planish::{DepthFrame, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, Session, Smoothed, Xyz};
 
@@ -9,11 +9,11 @@ use crate::output::{Wanted, outputs_of, planish_output};
 use crate::result::{handle_of, planish_result};
 use crate::session::{SESSIONS, State, planish_session, writable};
 
-/// Explains a result that is smaller than the frame.
+/// The explanation in errors of a result that is smaller than the frame.
 const DECIMATED: &str = "; the setting decimate makes it smaller (planish_output_shape)";
 
 impl State {
-    /// Runs a body with the frame that is smoothed: the caller's, or a copy with the steps before smoothing applied.
+    /// Calls `body` with the caller's frame, or with a copy to which the steps before smoothing were applied.
     fn with_prepared<T>(&mut self, frame: Frame<'_>, body: impl FnOnce(&mut Session, Frame<'_>) -> Done<T>) -> Done<T> {
         let steps = self.settings.preparation();
         if steps.is_empty() {
@@ -37,7 +37,7 @@ impl State {
     fn smooth_into(&mut self, given: &Given, wanted: &mut Wanted) -> Done<()> {
         self.check_idle()?;
         self.session.set_outputs(wanted.outputs());
-        // SAFETY: the caller of this module's functions promises that memory is as stated; check_apart was called.
+        // SAFETY: the callers of this module's C functions guarantee the memory, and check_apart was called.
         let (frame, out) = unsafe { (given.frame()?, wanted.buffers()) };
         let done = self.with_prepared(frame, |session, frame| Ok(session.smooth_into(frame, out)?));
         self.take_events();
@@ -50,7 +50,7 @@ impl State {
     }
 }
 
-/// Returns a depth image of the caller's as one that may be changed.
+/// Copies the caller's depth image.
 fn owned_depth(view: &planish::DepthView<'_>) -> Done<DepthFrame> {
     let ((width, height), camera) = (view.shape(), *view.camera());
     let raw = (0..width * height).map(|i| camera.raw_depth(view.depth_m(i % width, i / width))).collect();
@@ -61,7 +61,7 @@ fn owned_depth(view: &planish::DepthView<'_>) -> Done<DepthFrame> {
     })
 }
 
-/// Returns points of the caller's as a cloud that may be changed.
+/// Copies the caller's points, or computes them from its depth.
 fn owned_cloud(frame: Frame<'_>) -> Done<OrganizedCloud> {
     match frame {
         Frame::Depth(view) => Ok(view.deproject()?),
@@ -81,10 +81,11 @@ fn owned_cloud(frame: Frame<'_>) -> Done<OrganizedCloud> {
     }
 }
 
-/// Returns the columns and rows of the result for a frame of this size; they differ with the setting decimate.
+/// Writes the number of columns and rows of the result for a frame of this size. Only the setting decimate makes them
+/// smaller than the frame's.
 ///
 /// # Safety
-/// `output_width` and `output_height` are null or writable.
+/// `output_width` and `output_height` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_output_shape(
     session: *const planish_session,
@@ -105,7 +106,7 @@ pub unsafe extern "C" fn planish_output_shape(
 /// Smooths a frame into the caller's buffers.
 ///
 /// # Safety
-/// The structs are null or as described, and so is the memory that they point to.
+/// `frame` and `output` must be null, or point to structs whose pointers are null or valid as their members state.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_smooth(
     session: *mut planish_session,
@@ -129,7 +130,8 @@ pub unsafe extern "C" fn planish_smooth(
 /// on.
 ///
 /// # Safety
-/// `frame` is null or as described, and so is the memory that it points to; `result` is null or writable.
+/// `frame` must be null, or point to a struct whose pointers are null or valid as its members state. `result` must be
+/// null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_smooth_new(
     session: *mut planish_session,
@@ -156,11 +158,12 @@ pub unsafe extern "C" fn planish_smooth_new(
     })
 }
 
-/// Hands a frame over; its result is received later, in the same order. The frame is copied, or smoothed at once. A GPU
-/// works on several frames at a time.
+/// Submits a frame, whose result planish_receive returns; results come in the order of submission. The frame is
+/// copied, or smoothed during this call. A GPU works on several frames at a time. `outputs` is as in
+/// planish_smooth_new.
 ///
 /// # Safety
-/// As of planish_smooth_new.
+/// `frame` must be null, or point to a struct whose pointers are null or valid as its members state.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_submit(
     session: *mut planish_session,
@@ -189,10 +192,11 @@ pub unsafe extern "C" fn planish_submit(
     })
 }
 
-/// Waits for the oldest frame in flight, and writes its result. `received` is false if none is in flight.
+/// Waits for the oldest frame in flight and writes its result. `received` becomes false if no frame is in flight.
 ///
 /// # Safety
-/// `output` is null or as described, and so is the memory that it points to; `received` is null or writable.
+/// `output` must be null, or point to a struct whose pointers are null or valid as its members state. `received` must
+/// be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_receive(
     session: *mut planish_session,
@@ -225,10 +229,10 @@ pub unsafe extern "C" fn planish_receive(
     })
 }
 
-/// Returns how many frames are in flight, and how many may be.
+/// Writes the number of frames in flight and their maximum number.
 ///
 /// # Safety
-/// `in_flight` and `most` are null or writable.
+/// `in_flight` and `most` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_in_flight(
     session: *const planish_session,

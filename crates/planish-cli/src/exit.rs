@@ -6,10 +6,10 @@
 pub struct ExitCode(u8);
 
 impl ExitCode {
-    /// All is done.
+    /// Success.
     pub const SUCCESS: Self = Self(0);
 
-    /// Its number.
+    /// Returns the number.
     pub fn number(self) -> u8 {
         self.0
     }

@@ -79,15 +79,15 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
         if arguments.iter().all(is_plain) {
             error.exit();
         }
-        // Its message quotes them.
+        // The message quotes the arguments, in which `errln` escapes control characters.
         errln!("{}", error.render());
         std::process::exit(error.exit_code());
     });
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// Ends the process because the system refuses `bytes` more: prints an error, removes unfinished files, finishes
-/// recordings.
+/// Ends the process after an allocation of `bytes` bytes has failed: prints an error, finishes recordings and removes
+/// unfinished files.
 #[cold]
 pub fn end_without_memory(bytes: usize) -> ! {
     thread_local! {
@@ -95,7 +95,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     }
     static IS_CLAIMED: AtomicBool = AtomicBool::new(false);
     if IS_ENDING.replace(true) {
-        // The steps below had too little memory, too.
+        // The steps below ran out of memory themselves.
         std::process::abort();
     }
     if IS_CLAIMED.swap(true, Ordering::Relaxed) {
@@ -114,7 +114,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     std::process::exit(2);
 }
 
-/// Prints to standard error without its lock: a thread that waits for memory may never release it.
+/// Prints to standard error without its lock, which a thread that waits for memory may never release.
 fn print_unlocked(text: std::fmt::Arguments<'_>) {
     #[cfg(unix)]
     {
@@ -128,8 +128,8 @@ fn print_unlocked(text: std::fmt::Arguments<'_>) {
     eprint!("{text}");
 }
 
-/// Some decoders panic on damaged files. The library catches that and reports the damage; the messages would not help
-/// anyone.
+/// Suppresses the messages of panics that the library catches: some decoders panic on damaged files, which the
+/// library reports as errors.
 fn quiet_caught_panics() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

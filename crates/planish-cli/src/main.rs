@@ -3,10 +3,10 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::process::ExitCode;
 
-/// The system's allocator, but a failure ends the process with an error instead of an abort.
+/// The system allocator, except that a failed allocation ends the process with an error message instead of an abort.
 struct OrEnd;
 
-// SAFETY: all memory is the system allocator's, and nothing is returned when it returns null.
+// SAFETY: all memory comes from the system allocator, and a null pointer is never returned.
 unsafe impl GlobalAlloc for OrEnd {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the system's allocator has the same requirements as this function.

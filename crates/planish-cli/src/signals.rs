@@ -9,20 +9,20 @@ use anyhow::{Context, Result};
 /// Exit code of an interrupted process, as shells report it for SIGINT.
 pub const INTERRUPTED: u8 = 130;
 
-/// Set by the first signal, for commands that check it.
+/// Flag set by the first signal, for commands that check it.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Set by the signal that ends the process.
+/// Whether a signal is ending the process.
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
 
-/// SIGXFSZ, on Linux and macOS.
+/// Number of SIGXFSZ on Linux and macOS.
 #[cfg(unix)]
 const FILE_TOO_LARGE: i32 = 25;
 
-/// Handles the signals from here on.
+/// Installs the signal handlers.
 pub fn install() -> Result<()> {
     let handler = || match STOP.get() {
-        // At the first signal the command ends in an orderly way; a second one means that something hangs.
+        // After the first signal, the command stops at its next check. A second signal means that something hangs.
         Some(stop) if !stop.swap(true, Ordering::Relaxed) => {}
         _ => {
             IS_ENDING.store(true, Ordering::Relaxed);
@@ -35,13 +35,13 @@ pub fn install() -> Result<()> {
     let ignored = ignored_signals();
     ctrlc::set_handler(handler).context("cannot install the signal handlers")?;
     ignored.into_iter().for_each(ignore);
-    // Exceeding the limit on file sizes then becomes an error instead of killing the process.
+    // A write beyond the file size limit then fails instead of killing the process.
     #[cfg(unix)]
     ignore(FILE_TOO_LARGE);
     Ok(())
 }
 
-/// Waits forever if a signal is ending the process, so that errors that it causes are not printed.
+/// Waits forever if a signal is ending the process, so that errors caused by the shutdown are not printed.
 pub fn wait_if_ending() {
     while IS_ENDING.load(Ordering::Relaxed) {
         std::thread::park();
@@ -58,7 +58,7 @@ fn ignored_signals() -> Vec<i32> {
     HANGUP_AND_INTERRUPT.into_iter().filter(|signal| mask >> (signal - 1) & 1 == 1).collect()
 }
 
-/// Has a signal ignored again.
+/// Makes the process ignore a signal.
 fn ignore(number: i32) {
     #[cfg(unix)]
     {
@@ -73,13 +73,13 @@ fn ignore(number: i32) {
     let _ = number;
 }
 
-/// Returns the flag that the first signal sets. A command that asks for it looks at it often; any other is ended at
-/// once.
+/// Returns the flag that the first signal sets. A command that calls this function must check the flag often; the
+/// first signal ends any other command at once.
 pub fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Default::default))
 }
 
-/// Lets the first signal set `stop` from now on; before that a signal ends the command at once.
+/// Makes the first signal from now on set `stop`. Before this call, a signal ends the command at once.
 pub fn stop_by(stop: &Arc<AtomicBool>) {
     // Each command calls this once.
     let _ = STOP.set(Arc::clone(stop));

@@ -1,4 +1,5 @@
-//! The agreement that every engine owes the f64 reference (docs/method.md, section 9), each figure with its cause.
+//! Required agreement of every engine with the f64 reference (docs/method.md, section 9), with the cause of each
+//! figure.
 
 use std::ops::Range;
 
@@ -6,28 +7,30 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
 use crate::params::{EngineParams, Params, Radius};
 use crate::smoothed::Smoothed;
 
-/// Share of pixels whose status must be equal. The others lie within rounding of a threshold: the gate, the degenerate
-/// ratio, a point that moves by just the radius.
+/// Minimum share of pixels with equal status. The others are within rounding of a threshold: the gate, the degenerate
+/// ratio, a displacement of exactly the radius.
 pub const EQUAL_STATUS: f64 = 0.9999;
 
-/// Most positions: f32 rounding of coordinates up to 5 m (half an ulp is 2.4e-7 m) and of the sums over a window.
-/// Rounding is relative: both figures grow with a range over [`RANGE_M`] and a radius over [`RADIUS_M`].
+/// Tolerance for 99.9 % of positions in metres: f32 rounding of coordinates up to 5 m (half an ulp is 2.4e-7 m) and of
+/// the sums over a window. Rounding is relative, so both errors grow with ranges above [`RANGE_M`] and radii above
+/// [`RADIUS_M`].
 pub const POSITION_999_M: f64 = 1e-5;
 
-/// The range up to which the tolerances hold as they are.
+/// Maximum range in metres at which the tolerances apply without scaling.
 pub const RANGE_M: f64 = 5.0;
 
-/// The radius of a neighbourhood up to which the tolerances hold as they are.
+/// Maximum radius of a neighbourhood in metres at which the tolerances apply without scaling.
 pub const RADIUS_M: f64 = 0.25;
 
-/// Nearly all positions.
+/// Tolerance for 99.99 % of positions in metres.
 pub const POSITION_9999_M: f64 = 1e-4;
 
-/// Every position: the normal of few points that are nearly as far off a plane in two directions is badly determined.
+/// Tolerance for all positions in metres: the normal of a few points that deviate from a plane almost equally in two
+/// directions is badly determined.
 pub const POSITION_WORST_M: f64 = 6e-4;
 
-/// If edges are kept, windows of nine samples hardly determine the surfaces that pixels share: all tolerances on
-/// positions are this many times larger.
+/// Factor of all position tolerances if edges are kept and windows have nine samples, which hardly determine the
+/// surfaces that pixels share.
 pub const NINE_SAMPLES: f64 = 10.0;
 
 /// Differences between results and the reference, collected over one or more frames.
@@ -49,8 +52,8 @@ impl Agreement {
         Self { nine_samples: params.window == 1 && params.cell_px() > 1, ..Self::default() }
     }
 
-    /// Adds a frame; both results need points and status, or they agree on no pixel. Distances are scaled to a range of
-    /// [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger.
+    /// Adds a frame. If a result lacks points or status, all pixels count as disagreeing. Distances between points with
+    /// a larger range than [`RANGE_M`] or a larger radius than [`RADIUS_M`] are scaled down to these.
     pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(usize) -> f64) {
         let pixels = reference.width * reference.height;
         self.pixels += pixels;
@@ -68,8 +71,8 @@ impl Agreement {
     }
 
     /// Compares some pixels of a result that contains only points (x, y and z). Status counts as equal if both results
-    /// have a point or both have a hole. As many of the farthest points are left out as may differ in status. `pixels`
-    /// index the reference; pixels missing in the result count as disagreeing.
+    /// have a point or both have a hole. The points that differ most are left out, as many as may differ in status.
+    /// `pixels` are indices in the reference; pixels missing in the result count as disagreeing.
     pub fn add_points(
         &mut self,
         [x, y, z]: [&[f32]; 3],
@@ -96,12 +99,12 @@ impl Agreement {
         self.distances_m.append(&mut distances_m);
     }
 
-    /// Share of pixels with equal status.
+    /// Returns the share of pixels with equal status.
     pub fn equal_status(&self) -> f64 {
         self.equal as f64 / self.pixels as f64
     }
 
-    /// Returns the distance that this share of the positions with equal status keeps, in metres.
+    /// Returns the distance in metres within which this share of the positions with equal status agree.
     pub fn position_m(&mut self, share: f64) -> f64 {
         self.distances_m.sort_by(f64::total_cmp);
         let place = (self.distances_m.len() as f64 * share) as usize;
@@ -134,8 +137,8 @@ impl Agreement {
     }
 }
 
-/// The distance of two points, scaled to a range of [`RANGE_M`] and a radius of [`RADIUS_M`] where theirs are larger; a
-/// NaN is infinitely far.
+/// Returns the distance between two points in metres, scaled down to a range of [`RANGE_M`] and a radius of
+/// [`RADIUS_M`] if theirs are larger; infinity for NaN.
 fn distance_m(found: [f32; 3], expected: [f32; 3], radius_m: f64) -> f64 {
     let square: f64 = (0..3).map(|k| (f64::from(found[k]) - f64::from(expected[k])).powi(2)).sum();
     let coordinate_m = expected.map(|value| f64::from(value).abs()).into_iter().fold(0.0, f64::max);
@@ -149,7 +152,7 @@ pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
     frame.into_frame().map_or([0.0; 3], |frame| geometry(frame).sensor_position().to_array())
 }
 
-/// Returns the radius of every point of a frame in f64 (docs/method.md, sections 3 and 11), by its index.
+/// Returns the radius of each point of a frame in metres (docs/method.md, sections 3 and 11), in the frame's order.
 /// Windows are adapted to this frame's resolution.
 pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<f64> {
     let Ok(frame) = frame.into_frame() else { return Vec::new() };
@@ -165,7 +168,7 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<
     };
     let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // Unorganized clouds; within the radius up to which the tolerances hold.
+        // Unorganized clouds: a radius of 0 leaves the tolerances unscaled.
         Radius::Neighbours { .. } => 0.0,
         Radius::Sensor => {
             let spacing_m = match geometry.rule {

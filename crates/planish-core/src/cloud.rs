@@ -15,7 +15,7 @@ use crate::xyz::{Xyz, validate_shape};
 
 macro_rules! attribute_values {
     ($($variant:ident($scalar:ty), $doc:literal;)*) => {
-        /// The values of a field, in the type the file has them in.
+        /// The values of a field, in the type of the file.
         #[derive(Debug, Clone, PartialEq)]
         pub enum AttributeValues {
             $(#[doc = $doc] $variant(Vec<$scalar>),)*
@@ -27,17 +27,17 @@ macro_rules! attribute_values {
                 match self { $(Self::$variant(values) => values.len(),)* }
             }
 
-            /// Bytes of one value.
+            /// Returns the size of one value in bytes.
             pub fn scalar_size(&self) -> usize {
                 match self { $(Self::$variant(_) => size_of::<$scalar>(),)* }
             }
 
-            /// Value `i` as f64: 64-bit integers beyond 2^53 are rounded.
+            /// Returns value `i` as f64. 64-bit integers beyond 2^53 are rounded.
             pub fn get_f64(&self, i: usize) -> f64 {
                 match self { $(Self::$variant(values) => values[i] as f64,)* }
             }
 
-            /// Other values in the same type; integers are rounded and kept within their range.
+            /// Returns new values in the type of these; integers are rounded and clamped to their range.
             pub fn of_f64(&self, new: Vec<f64>) -> Self {
                 match self { $(Self::$variant(_) => {
                     let convert = |value: f64| if 0.5 as $scalar == 0 as $scalar { value.round() as $scalar } else { value as $scalar };
@@ -45,17 +45,18 @@ macro_rules! attribute_values {
                 })* }
             }
 
-            /// Adds so many zeros.
+            /// Appends `count` zeros.
             pub fn push_zeros(&mut self, count: usize) {
                 match self { $(Self::$variant(values) => values.resize(values.len() + count, 0 as $scalar),)* }
             }
 
-            /// No values, of the same type.
+            /// Returns an empty column of the same type.
             pub fn emptied(&self) -> Self {
                 match self { $(Self::$variant(_) => Self::$variant(Vec::new()),)* }
             }
 
-            /// Adds the values of some points of another cloud, `count` each; of another type they are converted.
+            /// Appends the values of some points of another cloud, `count` per point. Values of another type are
+            /// converted.
             pub fn extend_from(&mut self, other: &Self, points: &[usize], count: usize) {
                 match (self, other) {
                     $((Self::$variant(values), Self::$variant(other)) => {
@@ -112,9 +113,9 @@ impl AttributeValues {
 pub struct Attribute {
     /// The field's name in the file. Padding is called `_`, as in PCD.
     pub name: String,
-    /// Values a point; 1 for a scalar field.
+    /// Number of values per point; 1 for a scalar field.
     pub count: usize,
-    /// `count` values for each point, point after point.
+    /// The values, `count` per point, point by point.
     pub values: AttributeValues,
 }
 
@@ -125,22 +126,22 @@ impl Attribute {
     }
 }
 
-/// Beyond this, coordinates in 4 bytes lose more than 0.1 mm.
+/// Absolute coordinate in metres beyond which 4 bytes lose more than 0.1 mm.
 const FAR_M: f64 = 1000.0;
 
-/// The places and widths of columns x, y and z in a file, so it is written as it was read.
+/// Indices and precision of the columns x, y and z of a file, so that it is written as it was read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
     pub index: [usize; 3],
-    /// The precision in which they are written.
+    /// The precision of x, y and z when written.
     pub precision: Precision,
 }
 
-/// The precision in which x, y and z are written, where a format has both.
+/// The precision of x, y and z when written, in formats that support both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Precision {
-    /// 4 bytes, and 8 where those would lose more than 0.1 mm, beyond 1000 m.
+    /// 8 bytes if 4 would lose more than 0.1 mm (beyond 1000 m), otherwise 4 bytes.
     #[default]
     AsNeeded,
     /// 4 bytes.
@@ -155,10 +156,10 @@ impl Default for PositionColumns {
     }
 }
 
-/// The coordinates that a file of integers can hold: an offset plus multiples of a step.
+/// The coordinates that a file with integer coordinates can hold: an offset plus multiples of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoordinateSteps {
-    /// The distance between two of them, in metres.
+    /// The distance between adjacent coordinates, in metres.
     pub step_m: f64,
     /// The coordinate of step 0, in metres.
     pub offset_m: f64,
@@ -177,18 +178,19 @@ impl CoordinateSteps {
 pub struct PointCloud {
     /// Positions in metres, relative to `origin_m`. A non-finite one is a hole.
     pub positions: Xyz,
-    /// An offset added to every position, in f64, so georeferenced clouds lose no digits to f32. Zero for a camera.
+    /// Offset in metres that is added to every position, in f64 so that georeferenced clouds keep their digits. Zero
+    /// for a camera.
     pub origin_m: [f64; 3],
     /// All fields except x, y and z, in the order of the file.
     pub attributes: Vec<Attribute>,
-    /// The places of x, y and z among the fields of the file.
+    /// The columns of x, y and z in the file.
     pub position_columns: PositionColumns,
     /// The sensor's pose in the frame of the file (not relative to `origin_m`); the identity if unknown.
     pub pose: SensorPose,
-    /// The file's coordinates x, y and z if f32 would lose digits (empty for axes where it does not). Unmoved points
-    /// are written with these digits.
+    /// The file's coordinates x, y and z in metres, if f32 would lose digits (empty for axes without such a loss).
+    /// Unmoved points are written with these digits.
     pub exact_m: Option<[Vec<f64>; 3]>,
-    /// The steps between coordinates x, y and z that the file can hold. Unmoved points are written on them, without the
+    /// The steps of the coordinates x, y and z in the file. Unmoved points are written at the nearest step, without the
     /// rounding of f32.
     pub steps: Option<[CoordinateSteps; 3]>,
     /// Format-specific data of the cloud's file; written back to a file of the same format.
@@ -223,7 +225,7 @@ impl PointCloud {
         self.positions.len()
     }
 
-    /// Returns true if there are no points at all.
+    /// Returns true if there are no points, not even holes.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -233,14 +235,14 @@ impl PointCloud {
         (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
     }
 
-    /// Returns the bytes that the fields of a point take, and its coordinates in f64 if they are kept.
+    /// Returns the size of a point's fields in bytes, including its f64 coordinates if they are kept.
     pub fn field_bytes_per_point(&self) -> usize {
         let bytes = |field: &Attribute| field.values.scalar_size() * field.count;
         let exact = if self.exact_m.is_some() { 3 * size_of::<f64>() } else { 0 };
         exact + self.attributes.iter().map(bytes).sum::<usize>()
     }
 
-    /// Returns the field of that name.
+    /// Returns the field with this name.
     pub fn attribute(&self, name: &str) -> Option<&Attribute> {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
@@ -267,7 +269,7 @@ impl PointCloud {
         Ok(())
     }
 
-    /// Some of the points, with all their fields, in the order given.
+    /// Returns some of the points with all their fields, in the given order.
     ///
     /// # Panics
     /// If an index is not less than [`len`](Self::len).
@@ -287,7 +289,8 @@ impl PointCloud {
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
     }
 
-    /// Returns true if that coordinate is unchanged since the file was read.
+    /// Returns true if coordinate `axis` of point `i` is known to be unchanged since the file was read. Without
+    /// [`exact_m`](Self::exact_m) and [`steps`](Self::steps), it is not known.
     pub fn is_unmoved(&self, axis: usize, i: usize) -> bool {
         self.exact(axis, i).is_some()
     }
@@ -299,7 +302,7 @@ impl PointCloud {
         exact.or_else(on_step).filter(|exact| (exact - origin) as f32 == here)
     }
 
-    /// Returns true if its coordinates are written in 8 bytes, where a format allows it.
+    /// Returns true if coordinates are written in 8 bytes, in formats that support it.
     pub fn is_written_in_f64(&self) -> bool {
         match self.position_columns.precision {
             Precision::F32 => false,
@@ -312,7 +315,7 @@ impl PointCloud {
         }
     }
 
-    /// Keeps the coordinates of a file, if f32 loses digits of them.
+    /// Keeps the coordinates of a file if f32 loses digits of any.
     pub fn keep_exact(&mut self, coordinates_m: [Vec<f64>; 3]) {
         let loses = |axis: usize| {
             let values = self.positions.as_slices()[axis];
@@ -351,7 +354,7 @@ impl PointCloud {
         }
     }
 
-    /// Returns the sides of the box around all finite points, in metres; zeros without any.
+    /// Returns the sides of the box around all finite points, in metres; zeros without finite points.
     pub fn extent_m(&self) -> [f32; 3] {
         let finite = |values: &[f32]| {
             let finite = values.iter().filter(|value| value.is_finite());
@@ -360,7 +363,7 @@ impl PointCloud {
         self.positions.as_slices().map(finite).map(|[low, high]| (high - low).max(0.0))
     }
 
-    /// Estimates how many points lie within `radius_m` of a point, from every n-th of them.
+    /// Estimates the mean number of points within `radius_m` of a point, itself included, from a sample of points.
     pub fn mean_neighbours(&self, radius_m: f32) -> f64 {
         const QUERIES: usize = 32;
         let [x, y, z] = self.positions.as_slices();

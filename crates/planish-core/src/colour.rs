@@ -1,10 +1,10 @@
-//! Colour: PCL packs it into one 4-byte field (`rgb`, `rgba`), PLY has `red`, `green`, `blue` (and `alpha`).
+//! Colour fields: PCL packs colour into one 4-byte field (`rgb`, `rgba`); PLY has `red`, `green`, `blue` (and `alpha`).
 
 use crate::cloud::{Attribute, AttributeValues, PointCloud};
 
 const CHANNELS: [&str; 4] = ["red", "green", "blue", "alpha"];
 
-/// Returns the bits of a packed colour field: 0xAARRGGBB for each point.
+/// Returns the bits of a packed colour field, 0xAARRGGBB for each point; `None` for fields of other types.
 pub(crate) fn packed(attribute: &Attribute) -> Option<Vec<u32>> {
     if attribute.count != 1 {
         return None;
@@ -24,7 +24,7 @@ impl PointCloud {
         Some((index, packed(&self.attributes[index])?))
     }
 
-    /// Red, green and blue of each point, packed or apart, if the cloud has them as bytes.
+    /// Returns red, green and blue of each point from a packed field or separate ones; `None` without 8-bit colours.
     pub fn rgb(&self) -> Option<Vec<[u8; 3]>> {
         if let Some((_, packed)) = self.packed_colour() {
             return Some(packed.iter().map(|bits| [(bits >> 16) as u8, (bits >> 8) as u8, *bits as u8]).collect());
@@ -33,9 +33,9 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// Returns 8-bit colours in any representation of the field; `None` for a cloud without colours. 16-bit colours
-    /// (LAS) contribute their upper 8 bits, or the lower if the upper are all zero; fractions (Open3D) are multiplied
-    /// by 255.
+    /// Returns the colour of each point in 8 bits per channel; `None` for a cloud without colours. 16-bit colours (LAS)
+    /// contribute their upper 8 bits, or the lower if no colour of the cloud uses the upper. Fractions (Open3D) are
+    /// multiplied by 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }
@@ -53,7 +53,7 @@ impl PointCloud {
         } else {
             return None;
         };
-        // A cast cuts, and a NaN becomes 0.
+        // The cast truncates, and turns NaN into 0.
         Some((0..self.len()).map(|i| channels.map(|values| (scale * values.get_f64(i)) as u8)).collect())
     }
 
@@ -64,8 +64,8 @@ impl PointCloud {
         }
     }
 
-    /// Converts intensities that are fractions from 0 to 1 to 16-bit integers, the type of LAS; NaN becomes 0. Returns
-    /// whether any were converted.
+    /// Converts fractional intensities (0 to 1) to 16-bit integers, the type in LAS; NaN becomes 0. Returns true if the
+    /// field was converted.
     pub fn scale_intensity(&mut self) -> bool {
         let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
         let is_float = matches!(values, AttributeValues::F32(_) | AttributeValues::F64(_));
@@ -79,8 +79,8 @@ impl PointCloud {
         true
     }
 
-    /// Replaces a packed colour by the fields `red`, `green`, `blue`, the names of PLY files; `rgba` also gives
-    /// `alpha`.
+    /// Replaces a packed colour by the fields `red`, `green` and `blue` (the names in PLY files), and `alpha` from
+    /// `rgba`.
     pub fn unpack_colour(&mut self) {
         let Some((index, packed)) = self.packed_colour() else { return };
         let channels = if self.attributes[index].name == "rgba" { 4 } else { 3 };
@@ -93,10 +93,10 @@ impl PointCloud {
         self.attributes.splice(index..=index, (0..channels).map(channel));
     }
 
-    /// Replaces the fields `red`, `green`, `blue` by PCL's packed `rgb`, or with `alpha` by `rgba`.
+    /// Replaces the fields `red`, `green` and `blue` by PCL's packed `rgb`, or by `rgba` if there is an `alpha`.
     pub fn pack_colour(&mut self) {
         let Some(index) = self.attributes.iter().position(|a| a.name == "red") else { return };
-        // Another field may have the name.
+        // The packed name may already be taken by another field.
         if self.attribute("rgb").or(self.attribute("rgba")).is_some() {
             return;
         }

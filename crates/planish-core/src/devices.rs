@@ -15,7 +15,7 @@ pub enum AdapterKind {
     Virtual,
     /// A GPU emulated on the CPU, such as lavapipe, for tests. `Auto` never chooses it.
     Software,
-    /// The driver does not say.
+    /// A kind that the driver does not report.
     Other,
 }
 
@@ -24,57 +24,56 @@ pub enum AdapterKind {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct GpuAdapter {
-    /// Its index, for selection.
+    /// The adapter's index, which selects the adapter.
     pub index: usize,
-    /// Its name; any part of it selects it.
+    /// The adapter's name; any part of the name selects the adapter.
     pub name: String,
     /// The kind of device.
     pub kind: AdapterKind,
-    /// The interface it is reached by: vulkan, metal, dx12.
+    /// The graphics API: vulkan, metal or dx12.
     pub backend: String,
     /// The driver's name and version.
     pub driver: String,
 }
 
-/// How frames get to the GPU and results back.
+/// The transfer of frames to the GPU and of results back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Transfer {
     /// The faster transfer for this device, as far as is known.
     #[default]
     Auto,
-    /// Copied to the device's memory, computed there, and copied back.
+    /// Frames are copied to the device's memory, and results back.
     Staged,
     /// The kernel reads and writes the host's memory itself.
     Direct,
 }
 
-/// How to open the GPU engine. The default is right for everything but tests and measurements.
+/// Options of the GPU engine. The defaults suit everything except tests and measurements.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct GpuOptions {
-    /// The adapter by its index or any part of its name, case-insensitive; `None` is the first real GPU. This is the
-    /// only way to select a software adapter. `Engine::Auto` ignores it.
+    /// The adapter's index or any part of its name, case-insensitive; `None` is a real GPU, preferably a discrete one.
+    /// A software adapter can only be selected here. `Engine::Auto` ignores this option.
     pub adapter: Option<String>,
     /// Maximum number of frames in flight, submitted and not yet received; at least 1. To keep a GPU busy, 3 suffice if
-    /// results are read in place, 6 if they are copied out. Other engines obey it too.
+    /// results are read in place, 6 if they are copied out. The limit applies to the other engines too.
     pub slots: usize,
-    /// Whether to measure each frame's times on the device; see
-    /// [`SmoothedView::timings`](crate::SmoothedView::timings). Frames in flight may overlap, and each then takes
-    /// longer than alone. The CPU engine measures its times as well.
+    /// True to measure each frame's times on the device; see [`SmoothedView::timings`](crate::SmoothedView::timings).
+    /// Overlapping frames in flight each take longer than a single frame. The CPU engine measures its times as well.
     pub timestamps: bool,
-    /// Whether shaders check the bounds of every memory access.
+    /// True if shaders check the bounds of every memory access.
     pub bounds_checks: bool,
-    /// How frames get there and results back.
+    /// The transfer of frames to the device and of results back.
     pub transfer: Transfer,
     /// Maximum number of points of an unorganized cloud on the device at once; `None` for the device's limit. Larger
-    /// clouds are smoothed in overlapping parts, which takes longer. If neighbourhoods are too large for that,
+    /// clouds are smoothed in overlapping parts, which takes longer. If neighbourhoods are too large for parts,
     /// smoothing returns [`EngineError::Crowded`](crate::EngineError::Crowded).
     pub points_at_once: Option<usize>,
 }
 
 impl GpuOptions {
-    /// Sets the adapter by its index or a part of its name; `None` is the first real GPU.
+    /// Sets the adapter by its index or a part of its name; `None` is a real GPU, preferably a discrete one.
     pub fn with_adapter(self, adapter: impl Into<Option<String>>) -> Self {
         Self { adapter: adapter.into(), ..self }
     }
@@ -94,7 +93,7 @@ impl GpuOptions {
         Self { bounds_checks, ..self }
     }
 
-    /// Sets how data get to the device and back.
+    /// Sets the transfer of frames to the device and of results back.
     pub fn with_transfer(self, transfer: Transfer) -> Self {
         Self { transfer, ..self }
     }
@@ -106,7 +105,7 @@ impl GpuOptions {
 }
 
 impl Default for GpuOptions {
-    /// Returns the first real GPU, 6 slots, no time stamps; bounds are checked in debug builds.
+    /// Returns options for a real GPU, 6 slots and no timestamps. Debug builds check bounds.
     fn default() -> Self {
         Self {
             adapter: None,
@@ -119,13 +118,13 @@ impl Default for GpuOptions {
     }
 }
 
-/// Returns the real GPU to use by default.
+/// Returns the default GPU: the first discrete one, otherwise integrated, otherwise virtual.
 pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
     let of = |kind| adapters.iter().find(|adapter| adapter.kind == kind);
     of(AdapterKind::Discrete).or_else(|| of(AdapterKind::Integrated)).or_else(|| of(AdapterKind::Virtual))
 }
 
-/// Returns the adapter with this index or name, or the first real GPU.
+/// Returns the adapter with this index or part of its name; without one, the default GPU.
 pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Result<&'a GpuAdapter, EngineError> {
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {
@@ -149,8 +148,8 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     }
 }
 
-/// Returns the device with this index or part of its name, case-insensitive. A number is an index and nothing else:
-/// many names have numbers in them.
+/// Returns the place of the device with this index or part of its name, case-insensitive. A number is always an index,
+/// because many names contain numbers.
 pub(crate) fn find(names: &[impl AsRef<str>], wanted: &str) -> Option<usize> {
     let lower = wanted.to_lowercase();
     match wanted.parse::<usize>() {

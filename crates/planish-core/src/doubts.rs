@@ -1,4 +1,4 @@
-//! Questions inputs that make no sense: a wrong unit of depth, the camera of another image.
+//! Checks for implausible inputs: a wrong depth unit, the camera of another image.
 
 use std::fmt;
 
@@ -6,39 +6,40 @@ use crate::camera::Camera;
 use crate::frame::{Frame, PointsView, RangeRule};
 use crate::threads::ONE_THREAD;
 
-/// No depth camera has most of its points farther away, or nearer, in metres.
+/// Maximum plausible median depth of a depth camera's frame, in metres.
 const FARTHEST_M: f32 = 20.0;
+/// Minimum plausible median depth of a depth camera's frame, in metres.
 const NEAREST_M: f32 = 0.1;
 
-/// The principal point is within this part of the width and height of an image.
+/// Plausible coordinates of the principal point, as a share of the width or height of the image.
 const MIDDLE: std::ops::RangeInclusive<f64> = 0.3..=0.7;
 
-/// Half a pixel and rounding, relative to half the image.
+/// Tolerance for equal lengths, relative to half the image: half a pixel and rounding.
 const SAME: f64 = 0.02;
 
-/// Focal lengths in widths of the image: a field of view of 150 degrees, and of 3.
+/// Plausible focal lengths in image widths: fields of view from 150 to 3 degrees.
 const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 0.13..=20.0;
 
-/// Maximum number of points that are looked at.
+/// Maximum number of sampled points.
 const SAMPLE: usize = 4096;
 
-/// Something about a frame that no depth camera would measure. [`Display`](fmt::Display) gives one line for a user.
+/// An implausible property of a frame or its camera. [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Doubt {
     /// Less than one depth unit per metre: the inverse was meant.
     UnitsPerMetre {
-        /// The number stated.
+        /// The stated number of units per metre.
         units: f64,
     },
     /// Most points are nearer or farther than any depth camera measures.
     Range {
-        /// Their median in metres.
+        /// The median depth in metres.
         median_m: f32,
         /// Units per metre of raw depth; `None` for depth or points in metres.
         units: Option<f64>,
     },
-    /// The focal length is half the size of the image: the two were swapped.
+    /// The focal length is half the size of the image: focal length and principal point were swapped.
     Swapped {
         /// The camera.
         camera: Camera,
@@ -55,21 +56,21 @@ pub enum Doubt {
     },
     /// Coordinates of an unorganized cloud are too large for f32's precision.
     Coarse {
-        /// The difference of two neighbouring values of f32 there, in metres.
+        /// The difference between adjacent f32 values at such coordinates, in metres.
         step_m: f32,
-        /// The distance between neighbouring points there, in metres.
+        /// The distance between neighbouring points at such coordinates, in metres.
         spacing_m: f32,
-        /// The share of such points, 0 to 1.
+        /// The share of points with such coordinates, 0 to 1.
         share: f32,
     },
-    /// Pixels are lost, since the model of the lens shows nothing there.
+    /// Pixels are lost because the lens model has no ray for them.
     Lens {
-        /// The share of pixels, 0 to 1.
+        /// The share of lost pixels, 0 to 1.
         lost: f32,
     },
 }
 
-/// Returns doubts about a camera's lens; some microseconds of work.
+/// Returns a doubt about a camera's lens model, if it loses too many pixels.
 pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     /// Share of pixels that a lens may lose at the corners without a warning.
     const FEW: f32 = 0.01;
@@ -77,8 +78,8 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
-/// Returns doubts about a frame. Unorganized clouds may be anything that f32 can hold, since any scanner may have
-/// measured them.
+/// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since any scanner may
+/// have measured it.
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     if let (None, Frame::Points(points)) = (frame.grid(), frame) {
         // The web build omits this check.
@@ -100,18 +101,19 @@ pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     found
 }
 
-/// Compares the steps of f32 with the distances between neighbours, at a sample of points far from the origin.
+/// Compares the steps of f32 with the distances between neighbours, for a sample of points far from the origin.
 fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
-    /// Nobody measures finer than this from a kilometre away, in metres.
+    /// Step of f32 that is always fine enough, in metres: no sensor is more precise from a kilometre away.
     const FINE_M: f32 = 1e-4;
-    /// The share of a distance that rounding may take.
+    /// Ratio of a step of f32 to the distance between neighbours above which the step is too coarse.
     const SHARE_OF_DISTANCE: f64 = 0.1;
-    /// The share of points that may be too coarse without a warning.
+    /// Share of points that may be too coarse without a warning.
     const FEW: f32 = 0.01;
-    /// Which neighbour tells the spacing: points may be there twice.
+    /// Rank of the neighbour that determines the spacing; not the nearest, which may be a duplicate.
     const NEIGHBOUR: usize = 4;
-    /// How many points get neighbours, and among how many these are looked for.
+    /// Maximum number of points whose neighbours are searched.
     const LOOKED_AT: usize = 32;
+    /// Maximum number of points among which neighbours are searched.
     const AMONG: usize = 200_000;
     let step_of = |[x, y, z]: [f64; 3]| f32::EPSILON * x.abs().max(y.abs()).max(z.abs()) as f32;
     let is_valid = |point: &[f64; 3]| point.iter().all(|value| value.is_finite());
@@ -125,7 +127,7 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     }
     let looked_at: Vec<[f64; 3]> = far.iter().step_by(far.len().div_ceil(LOOKED_AT)).copied().collect();
     let stride = points.len().div_ceil(AMONG);
-    // On a surface, a part of the points is this much sparser.
+    // Every stride-th point of a surface is farther from its neighbours by this factor.
     let sparser = (stride as f64).sqrt();
     let spacing_m = |of: &[f64; 3]| {
         let squares = (0..points.len()).step_by(stride).map(|i| {
@@ -152,7 +154,7 @@ fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
 fn of_camera(camera: &Camera) -> Option<Doubt> {
     let Camera { fx, fy, cx, cy, .. } = *camera;
     let (width, height) = (camera.width as f64, camera.height as f64);
-    // A principal point is stated for the size of the camera's images, so it shows that they were of another size.
+    // A principal point far from the middle shows that the intrinsics are for another image size.
     if !MIDDLE.contains(&((cx + 0.5) / width)) || !MIDDLE.contains(&((cy + 0.5) / height)) {
         let is_half = |focal: f64, size: f64| (2.0 * focal / size - 1.0).abs() < SAME;
         let is_swapped = is_half(fx, width) && is_half(fy, height) && (cx / cy - 1.0).abs() < SAME;
@@ -162,7 +164,7 @@ fn of_camera(camera: &Camera) -> Option<Doubt> {
     (!FOCAL_LENGTHS.contains(&(fx / width))).then_some(Doubt::FocalLength { camera: *camera })
 }
 
-/// Returns the median depth of a camera's frame; `None` without points, and for frames of other scanners.
+/// Returns the median depth of a camera's frame in metres; `None` without points, and for frames of other scanners.
 fn median_m(frame: Frame<'_>) -> Option<f32> {
     let (width, height) = frame.shape();
     let step = (width * height).div_ceil(SAMPLE).max(1);
@@ -266,7 +268,7 @@ mod tests {
         };
         let of = |points: &[[f32; 3]]| doubts(PointsView::from_rows(points).unwrap().into_frame().unwrap());
         assert_eq!(of(&plane(0.0, 5000)), []);
-        // A step of 0.12 mm, with points 10 mm apart; of 8 mm.
+        // Points 10 mm apart, with f32 steps of 0.12 mm, then of 8 mm.
         assert_eq!(of(&plane(1e3, 5000)), []);
         let Some(Doubt::Coarse { step_m, spacing_m, share }) = of(&plane(65_600.0, 5000)).pop() else { panic!("fine") };
         assert!((0.007..0.009).contains(&step_m) && spacing_m < 0.02 && share > 0.9, "{step_m} {spacing_m} {share}");
@@ -277,7 +279,7 @@ mod tests {
         assert_eq!(of(&strays), []);
         let sparse: Vec<[f32; 3]> = (0..200).map(|i| [1e5 + 50.0 * i as f32, 7.0 * i as f32, 0.0]).collect();
         assert_eq!(of(&sparse), []);
-        // All of a second plane would become one point of f32.
+        // In f32, all points of the second plane have the same position.
         let mut two = PointCloud::new(Xyz::from([plane(0.0, 2500), vec![[1e7; 3]; 2500]].concat()));
         assert_eq!(doubts(PointsView::from_cloud(&two).unwrap().into_frame().unwrap()), []);
         let exact = |axis: usize| {

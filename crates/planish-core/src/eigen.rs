@@ -10,7 +10,7 @@ pub fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
     (order.map(|i| values[i]), order.map(|i| DVec3::from_array(vectors[i]).normalize()))
 }
 
-/// Returns the eigenvalues of a matrix with their unit eigenvectors, in no order.
+/// Returns the eigenvalues of a symmetric matrix with their unit eigenvectors, in no particular order.
 pub fn symmetric_eigen_of<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     const SWEEPS: usize = 32;
     // Row k is the k-th eigenvector.

@@ -12,11 +12,12 @@ use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
 use crate::smoothing_engine::{Immediate, SmoothingEngine};
 
-/// The implementation that computes the result. All agree within docs/method.md, section 9.
+/// The implementation that computes the result. All implementations agree within the limits of docs/method.md, section
+/// 9.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
-    /// A real GPU if there is one, otherwise the CPU. For a single frame it is the CPU, unless the frame is large: see
+    /// A real GPU if one is available, otherwise the CPU. A single frame is smoothed on the CPU unless it is large; see
     /// [`Session::with_single_frame`]. [`Smoother::engine`] returns the choice.
     ///
     /// [`Session::with_single_frame`]: crate::Session::with_single_frame
@@ -27,14 +28,14 @@ pub enum Engine {
     Cpu,
     /// f32 on a GPU through wgpu, in builds with the feature `gpu`.
     Gpu,
-    /// f64, written to be read: the oracle of the others.
+    /// f64, written for readability: the oracle for the other engines.
     Reference,
 }
 
 impl std::str::FromStr for Engine {
     type Err = ParamError;
 
-    /// Reads a name of [`Engine::NAMED`].
+    /// Parses a name from [`Engine::NAMED`].
     fn from_str(name: &str) -> Result<Self, ParamError> {
         let named = Self::NAMED.iter().find(|(known, _)| *known == name).map(|&(_, engine)| engine);
         let allowed = "auto, cpu, gpu or reference";
@@ -46,23 +47,23 @@ impl std::str::FromStr for Engine {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Capabilities {
-    /// Frames on a grid: depth images and organized clouds.
+    /// Support for frames on a grid: depth images and organized clouds.
     pub grids: bool,
-    /// Unorganized clouds.
+    /// Support for unorganized clouds.
     pub general: bool,
-    /// Keeping edges.
+    /// Support for keeping edges.
     pub edges: bool,
-    /// Depth as an output.
+    /// Support for depth as an output.
     pub depth_out: bool,
-    /// Whether submitted frames are computed in the background, which makes several in flight useful.
+    /// True if submitted frames are computed in the background, so that several frames in flight are useful.
     pub pipelined: bool,
 }
 
 impl Engine {
-    /// The engines that compute, `Auto` left out.
+    /// All engines; `Auto` is not one.
     pub const ALL: [Self; 3] = [Self::Cpu, Self::Gpu, Self::Reference];
 
-    /// All choices by their names in settings.
+    /// All choices with their names in settings.
     pub const NAMED: [(&'static str, Self); 4] =
         [("auto", Self::Auto), ("cpu", Self::Cpu), ("gpu", Self::Gpu), ("reference", Self::Reference)];
 
@@ -76,7 +77,7 @@ impl Engine {
         }
     }
 
-    /// Returns the features of this engine. `Auto` has every feature that some engine has, except frames in flight.
+    /// Returns the capabilities of this engine. `Auto` has every capability of any engine, except `pipelined`.
     pub fn capabilities(self) -> Capabilities {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {
@@ -95,15 +96,15 @@ pub enum ChoiceReason {
     RealGpu(GpuAdapter),
     /// This build lacks the GPU engine.
     NoGpuInBuild,
-    /// There is no adapter.
+    /// No adapter was found.
     NoAdapter,
     /// Only software adapters were found.
     NoRealGpu(Vec<GpuAdapter>),
-    /// There is a GPU, but it did not open.
+    /// A GPU was found but could not be opened.
     GpuFailed(GpuAdapter, String),
-    /// A single frame or cloud of this many points is smoothed before a GPU would be open.
+    /// The CPU smooths the single frame or cloud in less time than opening a GPU takes.
     SingleFrame {
-        /// Pixels of the frame, or points of the cloud.
+        /// Number of pixels of the frame, or points of the cloud.
         points: usize,
     },
 }
@@ -131,15 +132,15 @@ impl std::fmt::Display for ChoiceReason {
 pub struct SmootherOptions {
     /// The engine. An engine chosen by name is not replaced by another, except in a stream that loses its GPU twice.
     pub engine: Engine,
-    /// Which results to compute.
+    /// The results to compute.
     pub outputs: Outputs,
-    /// Threads of the CPU engines; `None` is one per core.
+    /// Number of threads of the CPU engines; `None` is one per core.
     pub threads: Option<usize>,
     /// Instruction set of the CPU engine; `None` is the widest of this machine.
     pub simd: Option<SimdLevel>,
-    /// How to open the GPU engine.
+    /// Options of the GPU engine.
     pub gpu: GpuOptions,
-    /// Points of the only frame or cloud to be smoothed; `None` if there may be more.
+    /// Number of points of the only frame or cloud to be smoothed; `None` if more may follow.
     pub(crate) only_points: Option<usize>,
 }
 
@@ -175,15 +176,15 @@ impl SmootherOptions {
     }
 }
 
-/// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without it, Mesa's Vulkan drivers print an error
-/// for each query. They look for a desktop's socket there, which another user could plant in a shared folder, so it
-/// becomes a path that cannot exist.
+/// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without this variable, Mesa's Vulkan drivers print
+/// an error for each query. The drivers look there for a desktop's socket, which another user could plant in a shared
+/// folder; the variable is therefore set to a path that cannot exist.
 ///
 /// # Safety
-/// No other thread may run: it changes the environment.
+/// No other thread may be running, because the function changes the environment.
 pub unsafe fn silence_vulkan_drivers() {
     if cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: no other thread reads the environment.
+        // SAFETY: the caller guarantees that no other thread reads the environment.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", "/dev/null/none") };
     }
 }
@@ -197,7 +198,7 @@ pub fn gpu_adapters() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
-/// Returns the choice of [`Engine::Auto`] among these adapters, with the reason: a real GPU if there is one, otherwise
+/// Returns the choice of [`Engine::Auto`] among these adapters with its reason: a real GPU if one is listed, otherwise
 /// the CPU.
 pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     match real_gpu(adapters) {
@@ -208,7 +209,7 @@ pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     }
 }
 
-/// Returns true if two cores smooth a frame or cloud in less than about 0.3 s, which opening a GPU takes.
+/// Returns true if two cores smooth a frame or cloud of this size faster than a GPU opens, which takes about 0.3 s.
 fn is_few(points: usize, is_grid: bool) -> bool {
     points <= if is_grid { 6_000_000 } else { 500_000 }
 }
@@ -226,7 +227,7 @@ pub(crate) fn open(
         return Ok((open_named(options.engine, params, options, grid)?, options.engine, None));
     }
     let (mut engine, mut reason) = match options.only_points {
-        // Not even the adapters are listed, which takes a tenth of a second.
+        // Adapters are not listed either, which would take 0.1 s.
         Some(points) if is_few(points, grid.is_some()) => (Engine::Cpu, ChoiceReason::SingleFrame { points }),
         _ => auto_choice(&gpu_adapters()),
     };

@@ -1,4 +1,4 @@
-//! The errors, by whose fault they are: the caller's parameters, the frame's shape, the machine's engine, or a file.
+//! The error types, by cause: the caller's parameters, the frame, the engine, a device, or a file.
 //!
 //! A pixel that cannot be smoothed is never an error: it has a [`Status`](crate::Status).
 
@@ -13,11 +13,11 @@ pub struct ParamError {
     pub field: &'static str,
     /// The refused value.
     pub value: String,
-    /// What it may be.
+    /// The allowed values.
     pub allowed: &'static str,
 }
 
-/// Returns a number with very many digits in exponent form.
+/// Converts a number of more than 40 characters to exponent form.
 fn shortened(value: &str) -> String {
     const LONGEST: usize = 40;
     match value.parse::<f64>() {
@@ -29,7 +29,7 @@ fn shortened(value: &str) -> String {
 /// Bytes in a KiB.
 pub const KIB: u64 = 1 << 10;
 
-/// Formats bytes in whole KiB, or large numbers in MiB with one digit.
+/// Formats a number of bytes in whole KiB, or from 10 MiB on in MiB with one decimal place.
 pub fn memory(bytes: u64) -> String {
     let kib = bytes / KIB;
     if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
@@ -39,7 +39,7 @@ pub fn memory(bytes: u64) -> String {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// A frame has other dimensions than the smoother was opened for.
+    /// A frame whose dimensions differ from the smoother's.
     #[error(
         "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}; open another one"
     )]
@@ -60,10 +60,10 @@ pub enum FrameError {
         width: usize,
         /// Height in pixels.
         height: usize,
-        /// What is allowed.
+        /// The allowed sizes.
         allowed: &'static str,
     },
-    /// A camera of another shape than the frame.
+    /// A camera whose image size differs from the frame's.
     #[error(
         "the camera is {width}x{height}, but the frame {frame_width}x{frame_height}; give the camera of this frame"
     )]
@@ -77,42 +77,42 @@ pub enum FrameError {
         /// Height of the camera's images in pixels.
         height: usize,
     },
-    /// A frame with a grid for a smoother of unorganized clouds, or an unorganized cloud for one of frames.
+    /// A frame on a grid for a smoother of unorganized clouds, or an unorganized cloud for a smoother of frames.
     #[error(
         "the frame {found}, but the smoother was opened for {expected}; open another one, or give the view its grid"
     )]
     GridMismatch {
-        /// What the frame is.
+        /// Description of the frame.
         found: String,
-        /// What the smoother takes.
+        /// Description of the expected input.
         expected: String,
     },
     /// Strides that would make rows or points overlap.
     #[error("a {what} of {stride} is not allowed; at least {least} is needed")]
     BadStride {
-        /// Which stride.
+        /// The name of the stride.
         what: &'static str,
         /// The stride.
         stride: usize,
-        /// The smallest that is allowed.
+        /// The smallest allowed stride.
         least: usize,
     },
-    /// An address that is not in the memory of the GPU that the smoother was opened for.
+    /// An address outside the memory of the GPU that the smoother was opened for.
     #[error(
         "{what} is not in the memory of CUDA device {device} ({gpu}): copy it there, or open the smoother for its GPU"
     )]
     NotOnGpu {
-        /// What the address is for.
+        /// The data at the address.
         what: &'static str,
-        /// The GPU.
+        /// The name of the GPU.
         gpu: String,
-        /// CUDA's number of it.
+        /// The CUDA device number of the GPU.
         device: i32,
     },
     /// A buffer for an output that the smoother was not opened for.
     #[error("the smoother was opened without {output}; request it in the outputs")]
     OutputNotOpened {
-        /// Which output.
+        /// The name of the output.
         output: &'static str,
     },
     /// A cloud without any finite point, where at least one is required.
@@ -124,29 +124,29 @@ pub enum FrameError {
     /// An invalid sensor pose.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
-    /// A grid of points whose sensor could be anywhere.
+    /// A grid of points whose sensor position is unknown.
     #[error("the sensor's position is unknown, and so are ranges; give the sensor's pose")]
     UnknownSensor,
-    /// Voxels of a size that a cloud cannot have.
+    /// An invalid voxel size.
     #[error(transparent)]
     BadVoxel(ParamError),
-    /// A buffer whose length does not follow from the shape.
+    /// A buffer whose length does not match the shape.
     #[error("{what} has {len} values where {expected} are needed")]
     LengthMismatch {
-        /// Which buffer.
+        /// The name of the buffer.
         what: String,
-        /// The length it has.
+        /// The actual length.
         len: usize,
-        /// The length it should have.
+        /// The expected length.
         expected: usize,
     },
-    /// A camera is required.
+    /// A frame without the required camera.
     #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), which are unknown")]
     MissingCamera {
-        /// What needs it.
+        /// The feature that needs the camera.
         what: &'static str,
     },
-    /// Camera intrinsics that describe no camera.
+    /// Invalid camera intrinsics.
     #[error("camera: {0}")]
     BadCamera(ParamError),
 }
@@ -160,7 +160,7 @@ pub enum EngineError {
     Unavailable {
         /// The name of the requested engine.
         engine: &'static str,
-        /// Why it is not there, and what would help.
+        /// The reason and the remedy.
         reason: String,
     },
     /// A frame, or a batch of frames, that exceeds the device's limits.
@@ -171,11 +171,11 @@ pub enum EngineError {
     Limit {
         /// The device's name.
         device: String,
-        /// Which limit.
+        /// The exceeded limit.
         what: &'static str,
-        /// What the device allows.
+        /// The value that the device allows.
         allowed: u64,
-        /// What is needed.
+        /// The required value.
         needed: u64,
     },
     /// The neighbourhoods of an unorganized cloud exceed the memory of the device, or smoothing it in parts would take
@@ -197,15 +197,15 @@ pub enum EngineError {
         device: String,
         /// The requested number of bytes.
         bytes: u64,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
-    /// The device is gone: reset, unplugged or hung. Frames in flight are lost; open another smoother.
+    /// The device was reset, unplugged or hung. Frames in flight are lost; open another smoother.
     #[error("the GPU {device} was lost: {reason}; open the smoother again")]
     Lost {
         /// The device's name.
         device: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// The driver reported an error.
@@ -213,7 +213,7 @@ pub enum EngineError {
     Device {
         /// The device's name.
         device: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// The maximum number of frames is in flight: receive one first.
@@ -222,21 +222,21 @@ pub enum EngineError {
         /// Number of frames in flight.
         in_flight: usize,
     },
-    /// The frame was stopped by [`Progress::stop`](crate::Progress::stop); its result is not there.
+    /// The frame was stopped by [`Progress::stop`](crate::Progress::stop) and has no result.
     #[error("smoothing was stopped")]
     Stopped,
-    /// The pool of threads could not be started.
+    /// Threads could not be started.
     #[error("cannot start {threads} thread{}: {reason}", if *threads == 1 { "" } else { "s" })]
     Threads {
-        /// The requested number.
+        /// The requested number of threads.
         threads: usize,
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
 }
 
 impl EngineError {
-    /// Returns whether the frame was too large for the device, and not for every engine.
+    /// Returns true if the frame was too large for the device; another engine may still smooth it.
     pub fn is_too_large(&self) -> bool {
         matches!(self, Self::Limit { .. } | Self::Crowded { .. } | Self::OutOfMemory { .. })
     }
@@ -246,41 +246,41 @@ impl EngineError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
-    /// The camera is not there; it may come.
+    /// The device was not found; it may be connected later.
     #[error("{what}; {help}")]
     NotFound {
-        /// Which camera.
+        /// Description of the missing device.
         what: String,
-        /// What would help.
+        /// The remedy.
         help: &'static str,
     },
-    /// Its driver is missing, or cannot use it.
+    /// The device's driver is missing, or cannot use the device.
     #[error("{what}; {help}")]
     Driver {
-        /// What is missing.
+        /// Description of the fault.
         what: String,
-        /// What would help.
+        /// The remedy.
         help: &'static str,
     },
-    /// It misbehaves.
+    /// The device failed.
     #[error("{what}")]
     Failed {
-        /// What failed.
+        /// Description of the failure.
         what: String,
     },
-    /// It worked and was disconnected: unplugged or hung. It may return.
+    /// The device worked and was disconnected (unplugged or hung); it may return.
     #[error("{what}: unplugged?")]
     Gone {
-        /// What happened.
+        /// Description of the event.
         what: String,
     },
 }
 
-/// A fault of a file, without its name.
+/// A fault in a file, without the file's name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormatError {
-    /// The operating system could not read or write it.
+    /// The operating system could not read or write the file.
     #[error(transparent)]
     Os(#[from] std::io::Error),
     /// The contents contradict the format. The text names the fault and the remedy.
@@ -289,15 +289,15 @@ pub enum FormatError {
     /// A legitimate file that planish cannot use. The text gives the reason and the alternative.
     #[error("{0}")]
     Unsupported(String),
-    /// The contents make no frame.
+    /// The contents are not a valid frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// Reading it needs more memory than allowed.
+    /// Reading the file needs more memory than allowed.
     #[error("needs {} of memory, but only {} are allowed; raise the limit if the file is correct", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
     TooLarge {
-        /// Bytes that would be needed.
+        /// Number of bytes needed.
         needed: u64,
-        /// Bytes that are allowed.
+        /// Number of bytes allowed.
         allowed: u64,
     },
 }
@@ -313,7 +313,7 @@ pub struct IoError {
 }
 
 impl IoError {
-    /// Returns what makes an error about this file of a problem.
+    /// Returns a function that turns a problem into an error about this file.
     pub fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
         move |problem| Self { path: path.to_path_buf(), problem }
     }

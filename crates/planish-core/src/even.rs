@@ -1,8 +1,9 @@
 //! Even spacing of a smoothed cloud (docs/method.md, section 8).
 //!
 //! Smoothing removes the noise across the surface. The noise along it remains, and leaves clumps and gaps. Here each
-//! point repels its neighbours within its tangent plane; a spring, whose strength follows from the noise, ties it to
-//! where it was. Results depend on the nearest points only, in a fixed order, so the number of threads changes no bit.
+//! point is repelled by its neighbours within its tangent plane. A spring, whose strength depends on the noise, ties
+//! the point to its smoothed position. Results depend only on the nearest points, in a fixed order, so they are
+//! bit-identical for any number of threads.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -12,32 +13,34 @@ use crate::frame::PointsView;
 use crate::neighbours::PointIndex;
 use crate::smoothed::Smoothed;
 
-/// The nearest positions that a point may repel.
+/// Number of nearest positions that may repel a point.
 const NEIGHBOURS: usize = 16;
-/// Spacing is measured by the distance of this one.
+/// Rank of the neighbour whose distance determines the spacing.
 const SPACING_BY: usize = 12;
 const STEPS: usize = 6;
 /// Share of the repulsion that each step follows.
 const STEP: f32 = 0.5;
-/// Points repel within this many spacings.
+/// Distance within which points repel each other, in spacings.
 const REACH: f32 = 1.6;
-/// Strength of the spring where the noise equals the spacing.
+/// Strength of the spring if the noise equals the spacing.
 const SPRING: f32 = 0.5;
-/// Largest ratio of the squares of spacing and noise.
+/// Maximum ratio of squared spacing to squared noise in the strength of the spring.
 const STIFFEST: f32 = 100.0;
-/// How far points may move, in standard deviations of the noise.
+/// Maximum offset of a point, in standard deviations of the noise.
 const FARTHEST: f32 = 1.5;
-/// Points whose normals differ by more than the angle of this cosine are on different surfaces,
+/// Cosine between the normals of two points up to which the points are on different surfaces.
 const ONE_SURFACE: f32 = 0.7;
-/// and so are points whose distance is steeper than this against the plane between their tangent planes.
+/// Sine of the angle between the line through two points and the plane halfway between their tangent planes, above
+/// which the points are on different surfaces.
 const STEEPEST: f32 = 0.5;
-/// The farthest that a point moves back onto the surface, as a share of its offset; curvature asks for less.
+/// Maximum distance that a point moves along its normal back onto the surface, as a share of its offset. Curvature
+/// requires less.
 const MOST_CURVED: f32 = 0.25;
-/// Planes of neighbours have weights that grow from 0 at this cosine of the angle between normals.
+/// Cosine between normals from which the weight of a neighbour's plane grows linearly from 0.
 const ONE_PLANE: f32 = 0.5;
 
-/// Moves the points of a smoothed cloud along their surface so that they are spaced evenly. Points without a normal
-/// stay.
+/// Moves the points of a smoothed cloud along their surface so that they are spaced evenly. Points without a normal are
+/// left unchanged.
 pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
     let Some(normals) = &smoothed.normals else { return };
     let mut index = PointIndex::default();
@@ -80,13 +83,13 @@ type Neighbours = [u32; NEIGHBOURS];
 #[derive(Debug, Clone, Copy)]
 struct Point {
     at: Vec3,
-    /// Its unit normal, or zero.
+    /// The unit normal, or zero.
     normal: Vec3,
     /// Variance of the noise in m².
     variance: f32,
     /// Distance between evenly spaced points of this density.
     spacing_m: f32,
-    /// How far it has moved along its tangent plane.
+    /// The displacement along the tangent plane so far.
     offset: Vec3,
 }
 
@@ -95,8 +98,8 @@ impl Point {
         Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
     }
 
-    /// Returns the point with the means of noise and spacing around it. `most` limits the noise: motions exceed it
-    /// where smoothing distorts a surface.
+    /// Returns the point with the means of noise and spacing around it. `most` limits the variance of the noise, which
+    /// is measured by the motions: where smoothing distorts a surface, motions are larger than the noise.
     fn averaged(&self, neighbours: &[u32], points: &[Self], most: f32) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
@@ -107,8 +110,8 @@ impl Point {
         Self { variance: (variance / count).min(most), spacing_m: spacing_m / count, ..*self }
     }
 
-    /// Returns the normal between this point's and another's, and the cosine of the angle between these, if both are on
-    /// one surface. Points on the two sides of a thin wall are not.
+    /// Returns half the sum of the normals of this point and another, and the absolute cosine between the normals;
+    /// `None` if the points are on different surfaces, such as the two sides of a thin wall.
     fn between(&self, other: &Self) -> Option<(Vec3, f32)> {
         let cosine = self.normal.dot(other.normal);
         let between = 0.5 * (self.normal + cosine.signum() * other.normal);
@@ -117,7 +120,7 @@ impl Point {
         is_beside.then_some((between, cosine.abs()))
     }
 
-    /// Returns the point after a step along its tangent plane: away from its neighbours, and back to where it was.
+    /// Returns the point after a step along its tangent plane: neighbours push it away, the spring pulls it back.
     fn pushed(&self, neighbours: &[u32], points: &[Self]) -> Self {
         let reach_m = REACH * self.spacing_m;
         let mut push = Vec3::ZERO;
@@ -133,8 +136,8 @@ impl Point {
         Self { offset, ..*self }
     }
 
-    /// Returns the moved point, projected onto planes halfway between its tangent plane and each neighbour's: they cut
-    /// a surface of constant curvature.
+    /// Returns the moved point, put back onto the surface: it moves along its normal by minus its mean height above the
+    /// planes halfway between its tangent plane and each neighbour's. Such planes cut a surface of constant curvature.
     fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
         let place = self.at + self.offset;
         let (mut height, mut weights) = (0.0, 0.0);
@@ -162,13 +165,13 @@ fn noise_of(points: &[Point]) -> f32 {
     }
 }
 
-/// Returns the places of the nearest other points; if there are fewer, the point itself fills up.
+/// Returns the places of the nearest other points, padded with the point's own place if there are fewer than 16.
 fn nearest_of(index: &PointIndex, place: usize, point: &Point) -> Neighbours {
     let mut nearest = index.nearest(point.at.to_array()).map(|(_, other)| other).filter(|&other| other != place as u32);
     std::array::from_fn(|_| nearest.next().unwrap_or(place as u32))
 }
 
-/// Computes a value for each point, on all threads.
+/// Computes a value for each point in parallel.
 fn map<T: Send>(points: &[Point], value: impl Fn(usize, &Point) -> T + Sync) -> Vec<T> {
     points.par_iter().enumerate().map(|(place, point)| value(place, point)).collect()
 }

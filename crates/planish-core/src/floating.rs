@@ -1,4 +1,5 @@
-//! Pixels that float between two surfaces, a sensor artefact at depth steps: an optional stage before the engines.
+//! Removes pixels that float between two surfaces, a sensor artefact at depth steps. This stage before the engines is
+//! optional.
 
 use rayon::prelude::*;
 
@@ -6,28 +7,31 @@ use crate::cloud::OrganizedCloud;
 use crate::frame::{DepthFrame, PointsView};
 use crate::sensor::SensorModel;
 
-/// A neighbour supports a pixel if their depths differ by at most this many standard deviations of the noise.
+/// Maximum difference of range between a pixel and a neighbour that supports it, in standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
-/// And by at least this share of the depth, since surfaces slope: 69° at a focal length of 170 pixels, 83° at one of
-/// 525.
+/// Difference of range up to which a neighbour always supports a pixel, as a share of the range, since surfaces slope:
+/// 69° at a focal length of 170 pixels, 83° at 525 pixels.
 const SUPPORT_SHARE: f64 = 0.015;
-/// A pixel supported by fewer of its eight neighbours may float. A straight edge has four, a wire two, and its end one.
+/// Number of supporting neighbours, of eight, below which a pixel may float. A straight edge has four, a wire two, and
+/// its end one.
 const MIN_SUPPORT: u8 = 2;
-/// Pixels supported by as many are a surface.
+/// Number of supporting neighbours from which a pixel is part of a surface.
 const SURFACE_SUPPORT: u8 = 3;
-/// Both surfaces that a pixel is between are within this distance in pixels.
+/// Maximum distance in pixels of the two surfaces that a pixel floats between.
 const NEAR_PX: usize = 2;
-/// Two or more adjacent holes often separate the surfaces; the other one may then be this far away in pixels.
+/// Maximum distance in pixels of one of the two surfaces if the pixel is next to [`HOLES`] holes or more, which often
+/// separate surfaces.
 const BEHIND_HOLES_PX: usize = 12;
+/// Number of adjacent holes from which a surface may be [`BEHIND_HOLES_PX`] away.
 const HOLES: usize = 2;
-/// A single pixel is a speck, even if it is between no surfaces, if none of its depth is within this distance. Others
-/// are on a frayed edge.
+/// Distance in pixels within which a surface of the same range shows that a single pixel is on a frayed edge. Otherwise
+/// the pixel is a speck, even if it is not between two surfaces.
 const SPECK_PX: usize = 4;
-/// A pixel with more adjacent holes than this is not a speck.
+/// Maximum number of holes adjacent to a speck.
 const SPECK_HOLES: usize = 3;
 
-/// Finds floating pixels by their ranges. They are supported by fewer than two of their eight neighbours, and are
-/// either between a nearer and a farther surface, or specks.
+/// Finds floating pixels by their ranges: fewer than two of their eight neighbours support them, and they are either
+/// between a nearer and a farther surface, or specks.
 fn floating(width: usize, ranges_m: &[f64], sensor: &SensorModel) -> Vec<bool> {
     let width = width.max(1);
     let image = Image { width, height: ranges_m.len() / width, ranges_m, sensor };
@@ -44,7 +48,7 @@ struct Image<'a> {
 }
 
 impl Image<'_> {
-    /// Returns the largest difference between ranges of one surface.
+    /// Returns the largest difference in metres between ranges of one surface.
     fn same_m(&self, range_m: f64) -> f64 {
         (SUPPORT_DEVIATIONS * self.sensor.sigma_m(range_m)).max(SUPPORT_SHARE * range_m)
     }
@@ -75,7 +79,7 @@ impl Image<'_> {
         let surfaces = |distance_px: usize| {
             self.around(i, distance_px).filter(|&j| support[j] >= SURFACE_SUPPORT).map(|j| self.ranges_m[j])
         };
-        // Whether surfaces are nearer and farther than the pixel.
+        // True for a surface nearer than the pixel, and for one farther away.
         let sides = |distance_px: usize| {
             surfaces(distance_px).fold([false; 2], |[nearer, farther], other_m| {
                 [nearer || other_m < range_m - same_m, farther || other_m > range_m + same_m]
@@ -86,7 +90,7 @@ impl Image<'_> {
         let is_between = match near {
             [true, true] => true,
             [false, false] => false,
-            // One is near, the other beyond the holes.
+            // One surface is near; the other may be beyond the holes.
             _ => is_beside_holes && sides(BEHIND_HOLES_PX) == [true, true],
         };
         let is_speck = || {
@@ -98,7 +102,7 @@ impl Image<'_> {
 }
 
 impl DepthFrame {
-    /// Turns pixels that float between two surfaces into holes; returns how many.
+    /// Turns floating pixels into holes and returns their number.
     pub fn remove_floating(&mut self, sensor: &SensorModel) -> usize {
         let ranges_m: Vec<f64> = self.raw.iter().map(|&raw| f64::from(self.camera.depth_m(raw))).collect();
         let floating = floating(self.camera.width, &ranges_m, sensor);
@@ -110,7 +114,7 @@ impl DepthFrame {
 }
 
 impl OrganizedCloud {
-    /// Turns pixels that float between two surfaces into holes; returns how many.
+    /// Turns floating pixels into holes and returns their number.
     pub fn remove_floating(&mut self, sensor: &SensorModel) -> usize {
         // A malformed cloud is refused by the smoother.
         let Ok(ranges_m) = PointsView::from_organized(self).map(|view| view.ranges_m()) else { return 0 };
@@ -161,7 +165,7 @@ mod tests {
     #[test]
     fn beside_a_shadow_the_far_surface_may_be_beyond_the_holes() {
         let camera = Camera::new((40, 30), [525.0; 2], [20.0, 15.0]);
-        // A box, two columns that float, a shadow, and a wall.
+        // A box, a column that floats, a shadow, and a wall.
         let row = |u: usize| match u {
             0..15 => 1000,
             15 => 1300,

@@ -107,7 +107,7 @@ pub use view::{Rows, SmoothedView};
 pub use wgpu;
 pub use xyz::{MAX_PIXELS, Xyz, validate_shape};
 
-/// For planish's other crates, not for users; it may change with every version.
+/// Items for planish's other crates, not for users. They may change with every version.
 #[doc(hidden)]
 pub mod internal {
     pub use crate::camera::Rays;

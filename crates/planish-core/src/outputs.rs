@@ -78,7 +78,7 @@ impl Outputs {
         Self { depth_m, ..self }
     }
 
-    /// Returns true if a camera must be known.
+    /// Returns true if an output requires a known camera.
     pub fn needs_camera(self) -> bool {
         self.depth || self.depth_m
     }
@@ -124,7 +124,7 @@ impl Outputs {
             "status" => self.with_status(true),
             "neighbours" => self.with_neighbours(true),
             "frames" if !ONE_THREAD => self.with_frames(true),
-            // WebAssembly leaves it out.
+            // WebAssembly builds omit sigma.
             "sigma" if !ONE_THREAD => self.with_sigma(true),
             _ => return None,
         })
@@ -172,7 +172,7 @@ pub enum VectorsMut<'a> {
     Rows(&'a mut [[f32; 3]]),
     /// x, y, z and a fourth value that is left unchanged.
     Rows4(&'a mut [[f32; 4]]),
-    /// x, y and z of larger structs.
+    /// x, y and z within larger structs.
     Strided(StridedMut<'a>),
 }
 
@@ -186,7 +186,7 @@ impl<'a> VectorsMut<'a> {
         }
     }
 
-    /// Splits off the first vectors.
+    /// Splits into the first `at` vectors and the rest.
     pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
         match self {
             Self::Planes([x, y, z]) => {
@@ -293,8 +293,8 @@ impl<'a> From<&'a mut Vec<[f32; 4]>> for VectorsMut<'a> {
     }
 }
 
-/// The caller's buffers for a result, written once, in the order of the input. Each has one entry for
-/// each pixel or point, and must be among the outputs that the smoother was opened for.
+/// The caller's buffers for a result, written once, in the order of the input. Each buffer has one entry per pixel or
+/// point, and must be for an output that the smoother was opened for.
 ///
 /// [`Smoothed`](crate::Smoothed) has the same values and owns its buffers.
 #[derive(Debug, Default)]
@@ -322,7 +322,7 @@ pub struct SmoothedMut<'a> {
 }
 
 impl<'a> SmoothedMut<'a> {
-    /// Leaves points with too few neighbours where they are, as isolated ones, instead of making them holes.
+    /// Restores points with too few neighbours from `view` as isolated points, instead of leaving holes.
     pub(crate) fn keep_isolated(&mut self, view: &PointsView<'_>) {
         if let Some(points) = &mut self.points {
             for i in (0..view.len()).filter(|&i| view.point(i).is_finite()) {
@@ -338,8 +338,8 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Fills the first `len` entries of each buffer: entry `i` from entry `place(i)` of another result, or with a hole
-    /// if that is `None`. Skips depth, which unorganized clouds do not have.
+    /// Fills the first `len` entries of each buffer: entry `i` with entry `place(i)` of another result, or with a hole
+    /// if `place(i)` is `None`. Skips depth and sigma, which unorganized clouds do not have.
     pub(crate) fn take_from(&mut self, len: usize, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
         for i in 0..len {
             let place = place(i);
@@ -364,7 +364,7 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Copies all results that it has buffers for, from one of the same length.
+    /// Fills all buffers from a result of the same length.
     pub(crate) fn copy_from(&mut self, from: &Smoothed) {
         fn copy<T: Copy>(to: &mut Option<&mut [T]>, from: Option<&[T]>) {
             if let (Some(to), Some(from)) = (to, from) {
@@ -388,7 +388,7 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Without buffers.
+    /// Creates a set without buffers.
     pub fn new() -> Self {
         Self::default()
     }
@@ -453,7 +453,7 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Refuses buffers of other lengths, and such that the smoother was not opened for.
+    /// Refuses buffers with another length than `len`, and buffers for outputs that the smoother was not opened for.
     pub(crate) fn check(&self, len: usize, outputs: Outputs) -> Result<(), FrameError> {
         let opened = [
             ("points", self.points.is_some(), outputs.points),
@@ -465,7 +465,7 @@ impl<'a> SmoothedMut<'a> {
             ("depth in metres", self.depth_m.is_some(), outputs.depth_m),
             ("frames", self.frames.is_some(), outputs.frames),
         ];
-        // WebAssembly leaves it out.
+        // WebAssembly builds omit sigma.
         let sigma = (!ONE_THREAD).then_some(("sigma", self.sigma.is_some(), outputs.sigma));
         if let Some((output, ..)) = opened.into_iter().chain(sigma).find(|(_, given, opened)| *given && !opened) {
             return Err(FrameError::OutputNotOpened { output });

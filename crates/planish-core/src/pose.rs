@@ -7,32 +7,32 @@ use crate::error::{FrameError, ParamError};
 /// Maximum deviation of a quaternion's length from 1: files round to a few digits.
 const LENGTH_TOLERANCE: f64 = 0.01;
 
-/// Maximum distance of a sensor from the origin of its coordinates.
+/// Maximum absolute coordinate of a sensor's position in metres.
 const MAX_POSITION_M: f64 = 1e9;
 
 /// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
 ///
 /// The sensor looks along its z axis, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the
-/// origin that looks along +z. Files also state it if the pose is unknown, so clouds with this pose are checked
-/// (docs/method.md, section 11).
+/// origin that looks along +z. Files also state this pose if the true one is unknown, so the grids of clouds with this
+/// pose are checked (docs/method.md, section 11).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorPose {
     /// Position of the sensor in metres.
     pub position_m: [f64; 3],
-    /// Orientation as a unit quaternion (w, x, y, z): turns directions in the sensor's frame into the cloud's.
+    /// Orientation as a unit quaternion (w, x, y, z), which rotates directions from the sensor's frame to the cloud's.
     pub orientation: [f64; 4],
 }
 
 impl SensorPose {
-    /// A sensor at the origin that is not turned.
+    /// A sensor at the origin, without rotation.
     pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation: [1.0, 0.0, 0.0, 0.0] };
 
-    /// The pose of a PCD VIEWPOINT: x, y, z, then the quaternion w, x, y, z.
+    /// Creates the pose of a PCD VIEWPOINT: x, y, z, then the quaternion w, x, y, z.
     pub fn from_viewpoint([x, y, z, qw, qx, qy, qz]: [f64; 7]) -> Self {
         Self { position_m: [x, y, z], orientation: [qw, qx, qy, qz] }
     }
 
-    /// The pose of a position and a quaternion in the order x, y, z, w, as ROS and Eigen store it.
+    /// Creates a pose from a position in metres and a quaternion in the order x, y, z, w, as in ROS and Eigen.
     pub fn from_xyzw(position_m: [f64; 3], [x, y, z, w]: [f64; 4]) -> Self {
         Self { position_m, orientation: [w, x, y, z] }
     }
@@ -67,7 +67,7 @@ impl SensorPose {
         self.position_m == [0.0; 3] && (self.orientation == [1.0, 0.0, 0.0, 0.0] || self.orientation == [0.0; 4])
     }
 
-    /// Refuses positions that are not finite and quaternions that are not of unit length.
+    /// Refuses positions with a coordinate that is not finite or above 1e9 m, and quaternions without unit length.
     pub fn validate(&self) -> Result<(), FrameError> {
         self.transform().map(drop)
     }
@@ -119,37 +119,37 @@ pub struct RigidTransform {
 }
 
 impl RigidTransform {
-    /// The transform that changes nothing.
+    /// The identity.
     pub const IDENTITY: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
 
-    /// Returns whether it changes nothing.
+    /// Returns true for the identity.
     pub fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
     }
 
-    /// Returns a point of the sensor's frame in the cloud's.
+    /// Transforms a point from the sensor's frame to the cloud's.
     pub fn to_cloud(self, point_in_sensor: DVec3) -> DVec3 {
         self.rotation * point_in_sensor + self.translation
     }
 
-    /// The transform that adds an origin.
+    /// Returns the translation by an origin in metres.
     pub fn shift(origin_m: [f64; 3]) -> Self {
         Self { rotation: DMat3::IDENTITY, translation: DVec3::from_array(origin_m) }
     }
 
-    /// Returns the transform that does first `other`, then this one.
+    /// Returns the transform that applies `other` first, then this one.
     pub fn after(self, other: Self) -> Self {
         let translation = self.rotation * other.translation + self.translation;
         Self { rotation: self.rotation * other.rotation, translation }
     }
 
-    /// Returns the transform the other way.
+    /// Returns the inverse transform.
     pub fn inverse(self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Returns a point of the cloud in the sensor's frame.
+    /// Transforms a point from the cloud's frame to the sensor's.
     pub fn to_sensor(self, point_in_cloud: DVec3) -> DVec3 {
         self.rotation.transpose() * (point_in_cloud - self.translation)
     }

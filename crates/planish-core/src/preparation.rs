@@ -8,37 +8,38 @@ use crate::error::{FrameError, ParamError};
 use crate::frame::{DepthFrame, PointsView};
 use crate::sensor::SensorModel;
 
-/// Ranges within this many standard deviations of a block's median are of the same surface.
+/// Maximum deviation of a surface's ranges from the median of their block, in standard deviations of the noise.
 const SAME_SURFACE_DEVIATIONS: f64 = 4.0;
 
-/// And within this share of it, since surfaces slope.
+/// Deviation from the median of a block up to which ranges always belong to the same surface, as a share of the median,
+/// since surfaces slope.
 const SAME_SURFACE_SHARE: f64 = 0.01;
 
-/// The largest blocks.
+/// Maximum side of a block in pixels.
 const MAX_DECIMATE: u32 = 8;
 
 /// Steps before smoothing, applied in this order. By default, none is applied.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Preparation {
-    /// Nearer pixels become holes, in metres: depth of depth images, and of clouds the range that the smoothing uses
-    /// (docs/method.md, section 11).
+    /// Minimum range in metres; nearer pixels become holes. In depth images this is the depth, in clouds the range that
+    /// smoothing uses (docs/method.md, section 11).
     pub min_range_m: Option<f32>,
-    /// Farther pixels become holes, in metres.
+    /// Maximum range in metres, measured like the minimum; farther pixels become holes.
     pub max_range_m: Option<f32>,
-    /// Whether pixels that float between two surfaces become holes.
+    /// True if pixels that float between two surfaces become holes.
     pub remove_floating: bool,
-    /// Side of the blocks of pixels that become one pixel each, 2 to 8.
+    /// Side in pixels, 2 to 8, of the blocks that become one pixel each.
     pub decimate: Option<u32>,
 }
 
-/// What was prepared.
+/// The numbers of pixels that preparation turned into holes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Prepared {
-    /// Pixels outside the ranges.
+    /// Number of pixels nearer than the minimum or farther than the maximum range.
     pub out_of_range: usize,
-    /// Floating pixels.
+    /// Number of floating pixels.
     pub floating: usize,
 }
 
@@ -48,7 +49,7 @@ impl Preparation {
         *self == Self::default()
     }
 
-    /// Refuses ranges that contain nothing, and blocks of another size.
+    /// Refuses invalid ranges, a maximum that does not exceed the minimum, and blocks of other sizes than 2 to 8.
     pub fn validate(&self) -> Result<(), ParamError> {
         for (field, range_m) in [("min_range_m", self.min_range_m), ("max_range_m", self.max_range_m)] {
             if let Some(range_m) = range_m.filter(|range_m| !(range_m.is_finite() && *range_m >= 0.0)) {
@@ -73,7 +74,7 @@ impl Preparation {
             || max_range_m.is_some_and(|max_m| range_m > f64::from(max_m))
     }
 
-    /// Prepares a depth image. Scales its camera too. Each block gets the colour of one of its pixels.
+    /// Prepares a depth image. Blocks get the colour of one of their pixels, and the camera is scaled to match.
     ///
     /// # Errors
     /// If the image is smaller than a block.
@@ -135,7 +136,7 @@ impl Preparation {
             let medians = of_blocks.iter().enumerate();
             let medians = medians.map(|(i, block)| block.map_or_else(|| blocks.middle(i), |(median, _)| median));
             let mut points: PointCloud = cloud.points.select(&medians.collect::<Vec<_>>());
-            // The mean of the points on the surface of the median.
+            // Each block gets the mean of its points on the surface of the median.
             for (i, block) in of_blocks.iter().enumerate() {
                 let point = block.map_or([f32::NAN; 3], |(median, _)| {
                     let is_same = |j: &usize| same_surface(ranges_m[*j], ranges_m[median], sensor);
@@ -157,7 +158,7 @@ impl Preparation {
     }
 }
 
-/// Blocks of k by k pixels; the rest at the right and lower border is left out.
+/// Blocks of k by k pixels; incomplete blocks at the right and lower border are left out.
 struct Blocks {
     width: usize,
     k: usize,
@@ -188,8 +189,8 @@ impl Blocks {
         (v + self.k / 2) * self.width + u + self.k / 2
     }
 
-    /// Returns the pixel of the median range of each block, and the mean of the ranges on its surface; `None` for a
-    /// block of which more than half are holes.
+    /// Returns the pixel with the median range of each block, and the mean of the ranges on the same surface; `None`
+    /// for a block with more than half of its pixels holes.
     fn means(&self, range_m: &(impl Fn(usize) -> f64 + Sync), sensor: &SensorModel) -> Vec<Option<(usize, f64)>> {
         let of_block = |block: usize| {
             let mut found: Vec<(f64, usize)> =

@@ -1,10 +1,10 @@
-//! Progress of smoothing a large cloud, for another thread to show, and a way for that thread to cancel it.
+//! Progress of smoothing a large cloud. Another thread can display it, or cancel smoothing.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use crate::error::EngineError;
 
-/// The share of a frame that is done, read while another thread smooths. That thread can be stopped.
+/// The progress of a frame that another thread smooths, and a way to stop that thread.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,
@@ -25,7 +25,7 @@ impl Progress {
         self.stopped.store(true, Ordering::Relaxed);
     }
 
-    /// Returns whether the frame was stopped.
+    /// Returns true if the frame was stopped.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
@@ -35,7 +35,7 @@ impl Progress {
         if self.is_stopped() { Err(EngineError::Stopped) } else { Ok(()) }
     }
 
-    /// Forgets that the frame before was stopped.
+    /// Clears the progress and the stop request of the previous frame.
     pub fn reset(&self) {
         self.stopped.store(false, Ordering::Relaxed);
         self.begin(0);

@@ -33,7 +33,7 @@ impl Provenance {
         self.0.as_ref()?.as_any().downcast_ref()
     }
 
-    /// Returns whether no format stored anything.
+    /// Returns true if no format stored data.
     pub fn is_empty(&self) -> bool {
         self.0.is_none()
     }

@@ -1,24 +1,24 @@
-//! Quantities that grow with range: radius, the gate of blocks, and noise, as the f32 engines compute them
+//! Quantities that grow with range, as computed by the f32 engines: radius, gate of the blocks, and noise
 //! (docs/method.md, sections 2, 3, 10).
 
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{EngineParams, Radius};
 
-/// The radius of a sensor's window in half widths of it, for surfaces seen obliquely.
+/// Ratio of the sensor radius to the half-width of a window; more than 1 for surfaces seen obliquely.
 const REACHES: f64 = 2.0;
 
-/// Upper bound of a radius, larger than any scene; its square fits f32 easily. A coordinate of 1e30 would give an
-/// infinite radius, and values computed from the radius must stay finite.
+/// Maximum radius in metres, larger than any scene; its square fits f32. A coordinate of 1e30 would give an infinite
+/// radius, but values computed from the radius must be finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 
-/// Minimum width of a gate, so that a point that is its own sample is its neighbour, and squares fit f32.
+/// Minimum width of a gate in metres: every point must be its own neighbour, and squares must fit f32.
 pub(crate) const MIN_GATE_M: f32 = 1e-12;
 
-/// The squares of larger ranges and coordinates would leave f32. The radius of a larger range is at its limit or fixed.
+/// Maximum range and coordinate in metres whose squares fit f32. At larger ranges, the radius is fixed or at its limit.
 pub(crate) const MAX_RANGE_M: f32 = 1e18;
 
-/// The rules of one frame: with the range z, r = max(linear z, step polynomial), sigma = sigma polynomial, and the gate
-/// of a block like r.
+/// The rules of one frame at range z: the radius is max(linear z, polynomial), the gate of a block likewise, and the
+/// noise a polynomial.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RangeRules {
     /// Coefficient of z in the radius, from the pixel spacing.
@@ -27,11 +27,11 @@ pub(crate) struct RangeRules {
     pub(crate) radius: [f32; 3],
     /// Coefficient of z in the gate of blocks, from the pixel spacing.
     pub(crate) block_linear: f32,
-    /// Coefficients of 1, z and z² in the gate of the blocks: two and a half depth steps.
+    /// Coefficients of 1, z and z² in the gate of blocks: two and a half depth steps.
     pub(crate) block: [f32; 3],
     /// Coefficients of 1, z and z² in the noise.
     pub(crate) sigma: [f32; 3],
-    /// Whether the range is the distance from the sensor rather than the depth along its axis.
+    /// True if the range is the distance from the sensor instead of the depth along its axis.
     pub(crate) by_distance: bool,
 }
 
@@ -47,7 +47,7 @@ impl RangeRules {
         };
         match params.radius {
             Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
-            // For unorganized clouds, which have different rules.
+            // Radii by density are for unorganized clouds, which have different rules.
             Radius::Neighbours { .. } => {}
             Radius::Sensor => {
                 rules.linear = (REACHES * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;

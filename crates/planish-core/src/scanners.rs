@@ -7,16 +7,16 @@ const SCAN: &str = "scan";
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
 impl PointCloud {
-    /// Returns the position of each scanner, in metres in the cloud's frame, indexed by the field `scan`.
+    /// Returns the position of each scanner in metres, in the frame of the file, indexed by the field `scan`.
     ///
-    /// Returns the scanner positions in metres. `None` if they are unknown, if the cloud lacks the field `scan`, or if
-    /// it states one pose. An entry is `None` if the file does not state the pose of that scan.
+    /// Returns `None` if the positions are unknown, the cloud lacks the field `scan`, or the cloud has a single pose.
+    /// An entry is `None` if the file does not state the pose of that scan.
     pub fn scanners_m(&self) -> Option<&[Option<[f64; 3]>]> {
         self.attribute(SCAN).filter(|_| self.pose.is_identity())?;
         self.scanners_m.as_deref()
     }
 
-    /// Turns normals towards the scanner of each point, if it is known.
+    /// Turns the normal of each point towards the point's scanner, if the scanner's position is known.
     pub(crate) fn face_scanners(&mut self) {
         let Some(scanners) = self.scanners_m() else { return };
         let Some(AttributeValues::U16(scan_of)) = self.attribute(SCAN).map(|scan| &scan.values) else { return };

@@ -1,7 +1,7 @@
 //! Sensor models: how depth steps and noise grow with range. Metres throughout.
 //!
-//! Both are polynomials c0 + c1 z + c2 z² in the range z. Triangulating sensors (structured light, stereo) grow with
-//! z², time-of-flight sensors and lidars nearly linearly from a floor.
+//! Both are polynomials c0 + c1 z + c2 z² in the range z. In triangulating sensors (structured light, stereo) they grow
+//! with z²; in time-of-flight sensors and lidars they grow nearly linearly from an offset.
 
 mod estimate;
 
@@ -9,8 +9,8 @@ use std::str::FromStr;
 
 use crate::error::ParamError;
 
-/// Noise of a Kinect v1 in units of its depth step. The radius must cover the noise; sensor models without depth steps
-/// use the step of a Kinect v1 with their noise.
+/// Noise of a Kinect v1 in units of its depth step. The radius must cover the noise, so for sensor models without depth
+/// steps, the step is derived from the noise by this ratio.
 const NOISE_IN_STEPS: f64 = 0.63;
 
 /// The properties of a depth sensor that the smoother uses.
@@ -43,32 +43,32 @@ impl SensorModel {
     pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
-    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: standard deviations of 0.61 mm at 0.8
-    /// m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413; of the paper only the bound of
-    /// 17 mm for all modes and ranges is verified here, not these three figures), the polynomial through them.
+    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: the polynomial through standard
+    /// deviations of 0.61 mm at 0.8 m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413).
+    /// These three figures are not verified here, only the paper's bound of 17 mm for all modes and ranges.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
-    /// RealSense L515: standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity (Intel's product
-    /// page, quoted in librealsense issue 5808), the line through them.
+    /// RealSense L515: the line through standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity
+    /// (Intel's product page, quoted in librealsense issue 5808).
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
     /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific
     /// Reports 11:22221) found for small objects, at any range. The figure is not verified here.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
-    /// Depth without noise: rendered, or averaged for long.
+    /// Depth without noise: rendered, or averaged over many frames.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
 
-    /// A model of these coefficients.
+    /// Creates a model from its coefficients.
     pub const fn new(step: [f32; 3], sigma: [f32; 3]) -> Self {
         Self { step, sigma }
     }
 
-    /// Returns a stereo camera of the RealSense D400 family: the noise is 0.08 pixels of disparity, Intel's figure for
-    /// well textured targets ("Best known methods for tuning Intel RealSense D400"), sigma = 0.08 z²/(focal length x
-    /// baseline).
+    /// Creates the model of a stereo camera of the RealSense D400 family: sigma = 0.08 z²/(focal length x baseline).
+    /// The noise of 0.08 pixels of disparity is Intel's figure for well textured targets ("Best known methods for
+    /// tuning Intel RealSense D400").
     pub const fn realsense_d400(baseline_m: f32, focal_length_px: f32) -> Self {
         Self::from_noise([0.0, 0.0, 0.08 / (baseline_m * focal_length_px)])
     }
 
-    /// A sensor without steps to speak of and this noise.
+    /// Creates the model of a sensor with this noise and no noticeable depth steps.
     pub const fn from_noise(sigma: [f32; 3]) -> Self {
         let [c0, c1, c2] = sigma;
         let noise = NOISE_IN_STEPS as f32;
@@ -85,9 +85,9 @@ impl SensorModel {
         evaluate(self.sigma, range_m)
     }
 
-    /// Returns the distance in metres from the camera to the projector or the second camera of a named sensor that
-    /// measures by triangulation. Near objects cast shadows for it. Sources: 75 mm for a Kinect v1 (Khoshelham &
-    /// Elberink 2012); Intel's data sheets for the RealSense D400 family.
+    /// Returns the baseline of a named triangulating sensor in metres: the distance from the camera to the projector or
+    /// second camera, because of which near objects cast shadows. `None` for other sensors. Sources: 75 mm for a Kinect
+    /// v1 (Khoshelham & Elberink 2012); Intel's data sheets for the RealSense D400 family.
     pub fn baseline_m(&self) -> Option<f64> {
         let known = [
             (Self::KINECT_V1, 0.075),
@@ -112,7 +112,7 @@ impl SensorModel {
 }
 
 impl SensorModel {
-    /// The sensors by the names that files, options and parameters have for them.
+    /// The named sensors, with their names in files, options and parameters.
     pub const NAMED: [(&'static str, Self); 8] = [
         ("kinect1", Self::KINECT_V1),
         ("d415", Self::REALSENSE_D415),
@@ -133,7 +133,7 @@ impl SensorModel {
 impl FromStr for SensorModel {
     type Err = ParamError;
 
-    /// Returns the sensor of a name of [`SensorModel::NAMED`].
+    /// Returns the sensor with a name from [`SensorModel::NAMED`].
     fn from_str(name: &str) -> Result<Self, ParamError> {
         let named = Self::NAMED.iter().find(|(known, _)| *known == name).map(|(_, sensor)| *sensor);
         let allowed = "kinect1, d415, d435, d455, azure-kinect, l515, iphone or exact";

@@ -6,7 +6,7 @@ use fearless_simd::Level;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SimdLevel {
-    /// Plain scalar code, where nothing better is compiled in.
+    /// Scalar code, if no vector instructions are compiled in.
     Scalar,
     /// x86-64's baseline, 4 lanes.
     Sse2,
@@ -14,16 +14,16 @@ pub enum SimdLevel {
     Sse4_2,
     /// x86-64-v3 with fused multiply-add, 8 lanes.
     Avx2,
-    /// AVX-512 as of Ice Lake and Zen 4, 16 lanes.
+    /// AVX-512 of Ice Lake, Zen 4 and later, 16 lanes.
     Avx512,
     /// 64-bit Arm, 4 lanes.
     Neon,
-    /// WebAssembly with vectors, 4 lanes.
+    /// WebAssembly SIMD, 4 lanes.
     Simd128,
 }
 
 impl SimdLevel {
-    /// Every level there is, narrowest first.
+    /// All levels, in ascending order within each architecture.
     pub const ALL: [Self; 7] =
         [Self::Scalar, Self::Sse2, Self::Sse4_2, Self::Avx2, Self::Avx512, Self::Neon, Self::Simd128];
 
@@ -40,19 +40,19 @@ impl SimdLevel {
         }
     }
 
-    /// Returns the widest level that this machine has.
+    /// Returns the widest level that this machine supports.
     pub fn best() -> Self {
         let level = Level::new();
         Self::ALL.into_iter().rev().find(|candidate| candidate.token(level).is_some()).unwrap_or(Self::Scalar)
     }
 
-    /// Returns the levels that this machine has and the library is compiled for.
+    /// Returns the levels that this machine supports and the library is compiled for.
     pub fn available() -> impl Iterator<Item = Self> {
         let level = Level::new();
         Self::ALL.into_iter().filter(move |candidate| candidate.token(level).is_some())
     }
 
-    /// Returns the proof that the machine has this level.
+    /// Returns the token that proves that the machine supports this level; `None` if it does not.
     pub(crate) fn token(self, machine: Level) -> Option<Level> {
         match self {
             Self::Scalar => machine.is_fallback().then_some(machine),

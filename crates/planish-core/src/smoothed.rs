@@ -1,4 +1,4 @@
-//! The result of smoothing: one entry for each pixel or point of the input, in its order.
+//! The result of smoothing: one entry for each pixel or point of the input, in the same order.
 
 use crate::camera::{Camera, Rays};
 use crate::cloud::{AttributeValues, PointCloud};
@@ -38,11 +38,11 @@ pub struct Smoothed {
     pub sigma: Option<Vec<f32>>,
 }
 
-/// A frame that loses a larger share of its points than this is reported.
+/// Share of lost points above which a frame is reported.
 const LOST_SHARE_TOLD: f64 = 0.01;
 
 impl Smoothed {
-    /// Returns a warning for a frame that lost more than a hundredth of its points.
+    /// Returns a warning if the frame lost more than 1 % of its points.
     pub fn lost_points_warning(&self, frame: Frame<'_>) -> Option<String> {
         let (lost, valid) = (self.lost_points(frame), frame.valid_points());
         (lost as f64 > LOST_SHARE_TOLD * valid as f64).then(|| {
@@ -53,7 +53,7 @@ impl Smoothed {
         })
     }
 
-    /// Gives every buffer its length, allocating only if the shape or the outputs changed.
+    /// Resizes all buffers, allocating only if the shape or the outputs changed.
     pub fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
         let len = width * height;
         (self.width, self.height) = (width, height);
@@ -70,7 +70,7 @@ impl Smoothed {
         }
     }
 
-    /// Bytes of its buffers.
+    /// Returns the allocated size of the buffers in bytes.
     pub fn bytes(&self) -> usize {
         self.points.bytes()
             + self.normals.as_ref().map_or(0, Xyz::bytes)
@@ -83,7 +83,7 @@ impl Smoothed {
             + 4 * self.sigma.as_ref().map_or(0, Vec::capacity)
     }
 
-    /// Returns the buffers, to be written into.
+    /// Returns the buffers as outputs to write into.
     pub(crate) fn as_mut(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
             points: (!self.points.is_empty()).then(|| (&mut self.points).into()),
@@ -98,7 +98,7 @@ impl Smoothed {
         }
     }
 
-    /// How many valid points of its frame became holes, as far as the outputs tell.
+    /// Returns the number of valid points of its frame that became holes; 0 if the outputs do not show it.
     pub fn lost_points(&self, frame: Frame<'_>) -> usize {
         if let Some(counts) = self.status_counts() {
             return counts[Status::TooFew as usize];
@@ -129,7 +129,7 @@ impl Smoothed {
         self.status.as_ref().is_some_and(|status| status.contains(&Status::Filled))
     }
 
-    /// Returns a mask of where each pixel's value comes from, of [`Origin::mask_value`](crate::Origin::mask_value)s;
+    /// Returns a mask with the origin of each pixel's value, as [`Origin::mask_value`](crate::Origin::mask_value);
     /// `None` if the status was not requested.
     pub fn origin_mask(&self) -> Option<Vec<u8>> {
         Some(self.status.as_ref()?.iter().map(|status| status.origin().mask_value()).collect())
@@ -137,18 +137,19 @@ impl Smoothed {
 
     /// Returns the smoothed surface as a depth image, as the camera would have measured it (docs/method.md, section 7).
     ///
-    /// Ask for normals: without them the depths are the points' own, which are off on slanted surfaces. The result must
-    /// be in the camera's frame: of a cloud with another pose, ask the smoother for depth instead.
+    /// Request normals from the smoother: without them, the depths are the points' own, which are off on slanted
+    /// surfaces. The result must be in the camera's frame. For a cloud with another pose, request depth from the
+    /// smoother instead.
     pub fn to_depth(&self, camera: &Camera) -> Result<DepthImage, FrameError> {
         let raw = self.to_depth_m(camera)?.into_iter().map(|depth_m| camera.raw_depth(depth_m)).collect();
         Ok(DepthImage { width: self.width, height: self.height, raw })
     }
 
-    /// [`Smoothed::to_depth`] in metres, NaN for holes.
+    /// Same as [`Smoothed::to_depth`], but in metres, with NaN for holes.
     ///
-    /// With [`Project::Normal`](crate::Project::Normal) a smoothed point leaves the ray of its pixel. The depth is
-    /// taken where that ray meets the tangent plane of the point; where the ray grazes the plane, or the normal is
-    /// missing, it is the point's own z.
+    /// With [`Project::Normal`](crate::Project::Normal), a smoothed point leaves the ray of its pixel. The depth is
+    /// that at which the ray meets the tangent plane of the point. If the ray grazes the plane, or the normal is
+    /// missing, the depth is the point's z.
     pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
         camera.check_shape((self.width, self.height))?;
         self.points.check_len("the smoothed points", self.width * self.height)?;
@@ -221,11 +222,11 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
     if along.abs() > GRAZING_COSINE * ray_length { (x * nx + y * ny + z * nz) / along } else { z }
 }
 
-/// Fields that do not fit points that have moved: PCL's names of normals and curvature.
+/// Fields that become stale when points move: PCL's names for normals and curvature.
 const OF_SURFACE: [&str; 4] = ["normal_x", "normal_y", "normal_z", "curvature"];
 
 impl Outputs {
-    /// Adds the outputs that replace a cloud's own normals and curvature, which do not fit smoothed points.
+    /// Adds normals and curvature if the cloud has them, since its own do not fit smoothed points.
     pub fn renewing(self, cloud: &PointCloud) -> Self {
         let has = |name: &str| cloud.attribute(name).is_some();
         let [x, y, z, curvature] = OF_SURFACE.map(has);
@@ -236,7 +237,7 @@ impl Outputs {
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
     /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
-    /// except for normals and curvature that are not among `fields`: those of the measured points do not fit the result
+    /// except normals and curvature of the measured points: they do not fit the result, and are removed unless replaced
     /// ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of several scans, normals face
     /// the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {

@@ -1,4 +1,4 @@
-//! The front door: open an engine once for a grid or for unorganized clouds, then smooth any number of frames.
+//! The smoother: opens an engine once for a grid or for unorganized clouds, then smooths any number of frames.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -34,8 +34,8 @@ use crate::xyz::validate_shape;
 /// # }
 /// ```
 ///
-/// Frames in flight, so that a GPU computes one while the next goes up and the last comes back; results are received in
-/// the order of submission:
+/// Several frames in flight: a GPU computes one frame while the next is uploaded and the previous one is read back.
+/// Results are received in the order of submission:
 ///
 /// ```
 /// # use planish::{Engine, FrameParams, OrganizedCloud, Smoothed, Smoother, Xyz};
@@ -63,7 +63,7 @@ use crate::xyz::validate_shape;
 /// ```
 pub struct Smoother {
     params: EngineParams,
-    /// The window as long as no frame has shown its resolution.
+    /// The automatic window, until a frame shows its resolution.
     undecided: Option<Window>,
     grid: Option<(usize, usize)>,
     outputs: Outputs,
@@ -77,7 +77,7 @@ pub struct Smoother {
     is_prepared: bool,
 }
 
-/// How the engine is opened again for another window.
+/// The means to open the engine again for another window.
 enum Opener {
     Options(SmootherOptions),
     #[cfg(feature = "wgpu-interop")]
@@ -121,17 +121,17 @@ impl Smoother {
     /// Opens an engine for frames of one shape (width, height), with points as its only output.
     ///
     /// # Errors
-    /// As [`open_with`](Self::open_with).
+    /// Same as [`open_with`](Self::open_with).
     pub fn open(params: FrameParams, engine: Engine, shape: (usize, usize)) -> Result<Self, Error> {
         Self::open_with(params, &SmootherOptions::new(engine, Outputs::POINTS), shape)
     }
 
     /// Opens an engine for frames of one shape (width, height).
     ///
-    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here and never later; a GPU
-    /// that cannot be opened for these frames leaves it with the CPU. A window that follows the resolution
-    /// ([`Window::Auto`]) is decided by the first frame that shows it; for pixels coarser than a Kinect v1's the engine
-    /// is then opened once more.
+    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here, and uses the CPU if
+    /// the GPU cannot be opened for these frames. An automatic window ([`Window::Auto`]) is decided by the first frame
+    /// that shows its resolution. If its pixels are coarser than a Kinect v1's, the engine is then opened again, and
+    /// `Auto` chooses again.
     ///
     /// # Errors
     /// If a parameter is outside its range, or the engine is not available.
@@ -169,13 +169,13 @@ impl Smoother {
 
     /// Opens the GPU engine on a device that the host program owns, with its queue.
     ///
-    /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are left
-    /// alone: errors of validation reach the host's. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`] frames need no
-    /// copies, with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS` they can be timed. This
-    /// function follows the versions of wgpu, and so breaks with them.
+    /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are not
+    /// replaced, so validation errors reach the host program. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`], frames
+    /// need no copies; with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS`, they can be
+    /// timed. This function follows the versions of wgpu, so a new version of wgpu is a breaking change.
     ///
     /// # Errors
-    /// As [`open_with`](Self::open_with).
+    /// Same as [`open_with`](Self::open_with).
     #[cfg(feature = "wgpu-interop")]
     pub fn open_on(
         device: &wgpu::Device,
@@ -237,7 +237,7 @@ impl Smoother {
         Ok(())
     }
 
-    /// Returns the engine that is open: what `Auto` chose.
+    /// Returns the open engine; after [`Engine::Auto`], the chosen one.
     pub fn engine(&self) -> Engine {
         self.engine
     }
@@ -252,12 +252,12 @@ impl Smoother {
         self.opened.device_name()
     }
 
-    /// Why `Auto` chose as it did; `None` if the engine was chosen by name.
+    /// Returns the reason for the choice of `Auto`; `None` if the engine was chosen by name.
     pub fn chosen_because(&self) -> Option<&ChoiceReason> {
         self.chosen_because.as_ref()
     }
 
-    /// Smooths one frame into `out`, whose buffers are reused. Refuses a frame of another grid than the one opened for.
+    /// Smooths one frame into `out`, whose buffers are reused. Refuses a frame whose grid differs from the smoother's.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         let (width, height) = frame.frame.shape();
@@ -265,8 +265,8 @@ impl Smoother {
         self.opened.smooth(&frame, out.as_mut())
     }
 
-    /// Smooths one frame into buffers of the caller's. Refuses buffers of another length than the frame, and for
-    /// outputs that the smoother was not opened for.
+    /// Smooths one frame into the caller's buffers. Refuses buffers whose length differs from the frame's, and buffers
+    /// for outputs that the smoother was not opened for.
     pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         let (width, height) = frame.frame.shape();
@@ -279,14 +279,14 @@ impl Smoother {
         self.opened.smooth(frame, out)
     }
 
-    /// Smooths all frames over time too, if the engine can; returns whether it does. Only for a session, which tells
-    /// where a video begins, and checks buffers.
+    /// Also smooths all further frames over time, if the engine supports this; returns true if it does. Only for
+    /// sessions, which mark the first frame of a video and check buffers.
     pub(crate) fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
         self.opened.smooth_over_time(video)
     }
 
-    /// Adds standard errors to all results, if the engine can; returns whether it does. Only for a session, which
-    /// checks buffers.
+    /// Adds standard errors to all further results, if the engine supports this; returns true if it does. Only for
+    /// sessions, which check buffers.
     pub(crate) fn enable_sigma(&mut self) -> Result<bool, Error> {
         self.opened.enable_sigma()
     }
@@ -296,9 +296,9 @@ impl Smoother {
         self.opened.submit(frame, buffer)
     }
 
-    /// Smooths several frames, of one camera or of several with the same shape: on a GPU up to 64 in one submission.
+    /// Smooths several frames of the same shape, from one camera or several. A GPU gets up to 64 in one submission.
     ///
-    /// `out` has a result for each frame, whose buffers are reused.
+    /// `out` must have one result per frame; the buffers of the results are reused.
     pub fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
         if frames.len() != out.len() {
             let (len, expected) = (out.len(), frames.len());
@@ -315,32 +315,34 @@ impl Smoother {
         self.opened.timings()
     }
 
-    /// How far the frame has come that another thread smooths, of an engine that may take long: those for general
-    /// clouds, and the reference.
+    /// Returns the progress of the frame being smoothed on another thread; `None` for engines that are always fast.
+    /// Those for unorganized clouds and the reference may take long.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.opened.progress()
     }
 
-    /// Keeps the radii by density of the next clouds, for [`own_radius_m`](Self::own_radius_m).
+    /// Keeps the radii by density of further clouds, for [`own_radius_m`](Self::own_radius_m).
     pub fn keep_radii(&mut self) {
         self.opened.keep_radii();
     }
 
-    /// Returns the radius by density that point `i` of the last cloud had before its limit, if radii are kept.
+    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
+    /// none, or radii were not kept.
     pub fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)
     }
 
-    /// Returns the size in bytes of buffers kept between frames, without frames and results: padded frames of the CPU
-    /// engine; slots of the GPU engine, in device memory and in shared memory. The reference keeps none.
+    /// Returns the size in bytes of the buffers kept between frames, without the caller's frames and results. The CPU
+    /// engine keeps padded frames; the GPU engine keeps slots, in device memory and in shared memory; the reference
+    /// keeps nothing.
     pub fn buffer_bytes(&self) -> u64 {
         self.opened.buffer_bytes()
     }
 
-    /// Submits a frame, and a buffer for its result; [`receive`](Self::receive) returns the buffer filled.
+    /// Submits a frame and a buffer for its result; [`receive`](Self::receive) returns the filled buffer.
     ///
-    /// On a GPU the frame has been copied when this returns, and the result is copied out by another thread. The
-    /// engines of the CPU compute the frame here.
+    /// A GPU has copied the frame when this returns, and another thread copies the result out. The CPU engines, and all
+    /// engines for unorganized clouds, compute the frame during this call.
     pub fn submit<'a>(&mut self, frame: impl IntoFrame<'a>, buffer: Smoothed) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         self.opened.submit(&frame, Some(buffer))
@@ -360,24 +362,25 @@ impl Smoother {
         }
     }
 
-    /// Prepares for several frames in flight, which the second of them waits for otherwise: some 0.1 s on a GPU with
-    /// several queues, on which frames overlap. Not needed when smoothing one frame at a time.
+    /// Prepares for several frames in flight. Without this call, the second frame in flight waits for the preparation:
+    /// about 0.1 s on a GPU with several queues, where frames overlap. Not needed when smoothing one frame at a time.
     pub fn prepare_in_flight(&mut self) {
         self.is_prepared = true;
         self.opened.prepare_in_flight();
     }
 
-    /// How many frames were submitted and not received.
+    /// Returns the number of frames that were submitted and not yet received.
     pub fn in_flight(&self) -> usize {
         self.ready.len() + self.opened.in_flight()
     }
 
-    /// How many frames can be; one more is an [`EngineError::Full`](crate::EngineError::Full).
+    /// Returns the maximum number of frames in flight. Submitting one more fails with
+    /// [`EngineError::Full`](crate::EngineError::Full).
     pub fn max_in_flight(&self) -> usize {
         self.opened.max_in_flight()
     }
 
-    /// Refuses a frame of another grid, and finds out how its ranges are measured.
+    /// Refuses a frame with another grid, and determines how its ranges are measured.
     fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         check_frame(frame, self.outputs, self.grid)?;
         let needs_range = needs_range(&self.params) || self.undecided.is_some();
@@ -385,7 +388,7 @@ impl Smoother {
         self.admit_with(frame, geometry)
     }
 
-    /// Takes a frame that was checked, with its geometry; decides the window if that is still open.
+    /// Admits a checked frame with its geometry; decides the window if it is still undecided.
     fn admit_with<'a>(&mut self, frame: Frame<'a>, geometry: FrameGeometry) -> Result<AdmittedFrame<'a>, Error> {
         if let (Some(window), Some(pitch_at_1m)) = (self.undecided, geometry.rule.known_pitch_at_1m()) {
             self.set_size(window.at_pitch(pitch_at_1m))?;
@@ -402,12 +405,12 @@ pub(crate) fn for_engine(params: Params) -> (EngineParams, Option<Window>) {
     }
 }
 
-/// Returns whether engines ask for the ranges of a frame's points.
+/// Returns true if engines need the ranges of a frame's points.
 pub(crate) fn needs_range(params: &EngineParams) -> bool {
     params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks()
 }
 
-/// Refuses a frame of another grid, or without the camera that outputs need.
+/// Refuses a frame with another grid, or without the camera that an output requires.
 pub(crate) fn check_frame(frame: Frame<'_>, outputs: Outputs, grid: Option<(usize, usize)>) -> Result<(), FrameError> {
     check_grid(frame.grid(), grid)?;
     if outputs.needs_camera() && frame.camera().is_none() {
@@ -416,7 +419,7 @@ pub(crate) fn check_frame(frame: Frame<'_>, outputs: Outputs, grid: Option<(usiz
     Ok(())
 }
 
-/// Refuses a frame of another grid than that which was opened for.
+/// Refuses a grid other than the expected one.
 pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize, usize)>) -> Result<(), FrameError> {
     match (found, expected) {
         (found, expected) if found == expected => Ok(()),

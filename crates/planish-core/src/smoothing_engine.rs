@@ -18,41 +18,41 @@ use crate::view::SmoothedView;
 pub(crate) struct AdmittedFrame<'a> {
     pub(crate) frame: Frame<'a>,
     pub(crate) geometry: FrameGeometry,
-    /// For an engine that also smooths over time.
+    /// The frame's place in a video, for an engine that also smooths over time.
     #[cfg_attr(not(feature = "gpu"), allow(dead_code))]
     pub(crate) step: VideoStep,
 }
 
-/// A video that an engine may smooth over time by itself (docs/method.md, section 16): ranges are depths of a sensor at
-/// the origin.
+/// A video that an engine may smooth over time by itself (docs/method.md, section 16). Its ranges are depths of a
+/// sensor at the origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Video {
     pub(crate) params: TemporalParams,
     pub(crate) sensor: SensorModel,
-    /// The results over time.
+    /// The outputs of smoothing over time.
     pub(crate) outputs: Outputs,
-    /// Whether frames may come with a motion of the camera.
+    /// True if the camera may move between frames.
     pub(crate) moves: bool,
 }
 
 /// A frame's place in a video.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct VideoStep {
-    /// Whether it is the first frame.
+    /// True for the first frame of a video.
     pub(crate) starts: bool,
-    /// How the camera has moved since the frame before, if known.
+    /// The camera's motion since the previous frame, if known.
     pub(crate) motion: Option<CameraMotion>,
 }
 
 impl<'a> AdmittedFrame<'a> {
-    /// A frame that is not part of a video.
+    /// Creates a frame that is not part of a video.
     pub(crate) fn new(frame: Frame<'a>, geometry: FrameGeometry) -> Self {
         Self { frame, geometry, step: VideoStep::default() }
     }
 }
 
-/// An open engine with its buffers. Frames have the shape that it was opened for; buffers have the lengths of the
-/// frame, and are among the outputs.
+/// An open engine with its buffers. Callers guarantee that frames have the shape that the engine was opened for, and
+/// that buffers have the length of the frame and are for opened outputs.
 pub(crate) trait SmoothingEngine: Send {
     /// Smooths one frame.
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
@@ -60,24 +60,25 @@ pub(crate) trait SmoothingEngine: Send {
     /// Smooths several frames.
     fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error>;
 
-    /// Takes a frame; its result is received in the order of submission, in the buffer if there is one.
+    /// Submits a frame. Results are received in the order of submission, in `buffer` if one is given.
     fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error>;
 
     /// Waits for the result of the oldest frame in flight.
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
 
-    /// Smooths all frames from now on over time too, if the engine can; returns whether it does. Results then have the
-    /// outputs of the video, and [`AdmittedFrame::step`] is used.
+    /// Also smooths all further frames over time, if the engine supports this; returns true if it does. Results then
+    /// have the outputs of the video, and [`AdmittedFrame::step`] is used.
     fn smooth_over_time(&mut self, _: &Video) -> Result<bool, Error> {
         Ok(false)
     }
 
-    /// Adds the standard errors of section 17 to all results from now on, if the engine can; returns whether it does.
+    /// Adds the standard errors of section 17 to all further results, if the engine supports this; returns true if it
+    /// does.
     fn enable_sigma(&mut self) -> Result<bool, Error> {
         Ok(false)
     }
 
-    /// Prepares everything else that the second frame in flight would wait for.
+    /// Prepares everything that the second frame in flight would otherwise wait for.
     fn prepare_in_flight(&mut self) {}
 
     fn in_flight(&self) -> usize;
@@ -87,30 +88,30 @@ pub(crate) trait SmoothingEngine: Send {
     /// Returns the time spent in each stage of the last call of `smooth` or `smooth_batch`, if requested.
     fn timings(&self) -> Option<FrameTimings>;
 
-    /// Bytes that it keeps from frame to frame.
+    /// Returns the size in bytes of the buffers kept between frames.
     fn buffer_bytes(&self) -> u64;
 
-    /// Returns the device it computes on, where that has a name.
+    /// Returns the name of the device that the engine computes on, if it has one.
     fn device_name(&self) -> Option<&str> {
         None
     }
 
-    /// How far a frame has come, of an engine that may take long.
+    /// Returns the progress of the current frame; `None` for engines that are always fast.
     fn progress(&self) -> Option<Arc<Progress>> {
         None
     }
 
-    /// Keeps the radii by density of the next clouds, where the engine would not.
+    /// Keeps the radii by density of further clouds, if the engine does not keep them anyway.
     fn keep_radii(&mut self) {}
 
-    /// Returns the radius by density that point `i` of the last cloud had before its limit, where there was one and it
-    /// was kept.
+    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
+    /// none, or radii were not kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
 }
 
-/// An engine that computes a frame where it is called.
+/// An engine that computes a frame during the call.
 pub(crate) trait ImmediateEngine: Send {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
 
@@ -123,27 +124,27 @@ pub(crate) trait ImmediateEngine: Send {
         0
     }
 
-    /// How far a frame has come, where that may take long.
+    /// Returns the progress of the current frame; `None` for engines that are always fast.
     fn progress(&self) -> Option<Arc<Progress>> {
         None
     }
 
-    /// Returns the device it computes on, where that has a name.
+    /// Returns the name of the device that the engine computes on, if it has one.
     fn device_name(&self) -> Option<&str> {
         None
     }
 
-    /// Keeps the radii by density of the next clouds, where the engine would not.
+    /// Keeps the radii by density of further clouds, if the engine does not keep them anyway.
     fn keep_radii(&mut self) {}
 
-    /// Returns the radius by density that point `i` of the last cloud had before its limit, where there was one and it
-    /// was kept.
+    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
+    /// none, or radii were not kept.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
 }
 
-/// Makes an [`SmoothingEngine`] of an immediate one: frames in flight are results that wait.
+/// Adapts an [`ImmediateEngine`] to [`SmoothingEngine`]: frames in flight are results waiting to be received.
 pub(crate) struct Immediate<E> {
     engine: E,
     outputs: Outputs,
@@ -159,7 +160,7 @@ impl<E: ImmediateEngine> Immediate<E> {
         Self { engine, outputs, submitted: VecDeque::new(), slots, timings: None, wants_timings }
     }
 
-    /// Gives the times of the frame, where they are wanted.
+    /// Smooths a frame; returns its times if they were requested.
     fn smooth_to(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<Option<FrameTimings>, Error> {
         self.engine.smooth(frame, out)?;
         Ok(self.engine.timings().filter(|_| self.wants_timings))

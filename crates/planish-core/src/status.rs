@@ -5,27 +5,27 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Status {
-    /// No measurement came in, none goes out.
+    /// Nothing was measured: the input and the output are holes.
     #[default]
     Hole = 0,
-    /// Fewer than 3 neighbours, none of the surfaces around the point near it, or an isolated point that was to be
-    /// removed: the output is a hole.
+    /// The point has fewer than 3 neighbours, is on none of the surfaces around it, or was isolated and removed on
+    /// request: the output is a hole.
     TooFew = 1,
     /// The neighbours are collinear: the point is unchanged, without a normal.
     Degenerate = 2,
-    /// The foot of the point on the plane.
+    /// The point was moved to a plane.
     Plane = 3,
-    /// On a polynomial of degree 2.
+    /// The point was moved to a polynomial of degree 2.
     Polynomial2 = 4,
-    /// On a polynomial of degree 3.
+    /// The point was moved to a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In an unorganized cloud, fewer than 3 neighbours, or fewer than about a quarter of the number that its radius
-    /// was chosen for (section 8): the point is unchanged, without a normal.
+    /// In an unorganized cloud, the point has fewer than 3 neighbours, or fewer than about a quarter of the number that
+    /// its radius was chosen for (section 8): it is unchanged, without a normal.
     Isolated = 6,
-    /// With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame
+    /// With smoothing over time, this pixel alone jumped, so for one frame it keeps the value of the previous frame
     /// (section 16). The normal is this frame's.
     Carried = 7,
-    /// A hole that was filled with the surface around it (section 18): nothing was measured here.
+    /// A hole, without a measurement, that was filled with the surface around it (section 18).
     Filled = 8,
 }
 
@@ -63,14 +63,14 @@ impl Status {
         }
     }
 
-    /// Returns the status with a code that an engine wrote. Engines fill no holes.
+    /// Returns the status with a code that an engine wrote. Engines never write [`Status::Filled`].
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
-        // Every 3-bit index has a status: no code needs a check.
+        // Every 3-bit index has a status, so the code needs no check.
         Self::ALL[usize::from(code & 7)]
     }
 
-    /// Returns the status of a point that was put on a polynomial of that degree.
+    /// Returns the status of a point that was moved to a polynomial of this degree.
     pub fn of_degree(degree: u32) -> Self {
         match degree {
             3 => Self::Polynomial3,
@@ -85,7 +85,7 @@ impl Status {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Origin {
-    /// There is no value.
+    /// No value.
     None = 0,
     /// Filled with the surface around the hole.
     Filled = 1,

@@ -1,4 +1,4 @@
-//! The caller's vectors with gaps between them, as in structs of other libraries.
+//! Vectors in the caller's memory with gaps between them, as in structs of other libraries.
 
 use std::marker::PhantomData;
 use std::ptr::NonNull;
@@ -10,20 +10,20 @@ pub struct StridedMut<'a> {
     stride: usize,
     len: usize,
     lifetime: PhantomData<&'a mut [f32]>,
-    /// WebAssembly has none, and no code for them.
+    /// Makes the type uninhabited on WebAssembly, so that no code is generated for it.
     #[cfg(target_family = "wasm")]
     #[allow(dead_code)]
     never: std::convert::Infallible,
 }
 
-// SAFETY: it is an exclusive borrow of the values of its vectors, like a slice of them.
+// SAFETY: the type is an exclusive borrow of the values of its vectors, like a mutable slice.
 unsafe impl Send for StridedMut<'_> {}
 // SAFETY: a shared reference allows only reading.
 unsafe impl Sync for StridedMut<'_> {}
 
 impl<'a> StridedMut<'a> {
-    /// Borrows a buffer whose vectors begin at 0, `stride`, 2 `stride` and so on; the last one may end it. `None` if
-    /// the stride is less than 3, or the buffer ends within a vector.
+    /// Borrows a buffer whose vectors begin at 0, `stride`, 2 `stride` and so on. The buffer may end with the last
+    /// vector's values. `None` if the stride is less than 3, or the buffer ends within a vector.
     #[cfg(not(target_family = "wasm"))]
     pub fn new(values: &'a mut [f32], stride: usize) -> Option<Self> {
         let len = if stride < 3 { return None } else { values.len().div_ceil(stride) };
@@ -32,7 +32,7 @@ impl<'a> StridedMut<'a> {
         (rest == 0 || rest >= 3).then_some(Self { first, stride, len, lifetime: PhantomData })
     }
 
-    /// Borrows `len` vectors that begin at `first` and every `stride` values, at least 3, from there.
+    /// Borrows `len` vectors that begin at `first` and every `stride` values (at least 3) after it.
     ///
     /// # Safety
     /// The three values of each vector must be valid for reads and writes, and accessed by nothing else, for `'a`.
@@ -47,7 +47,7 @@ impl<'a> StridedMut<'a> {
         self.len
     }
 
-    /// Returns true if there are none.
+    /// Returns true if there are no vectors.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
@@ -62,7 +62,7 @@ impl<'a> StridedMut<'a> {
     /// Returns vector `i`.
     ///
     /// # Panics
-    /// If there are not as many.
+    /// If `i` is not less than [`len`](Self::len).
     #[inline(always)]
     pub fn get(&self, i: usize) -> [f32; 3] {
         // SAFETY: the vector is valid for reads, and nothing else writes it.
@@ -72,7 +72,7 @@ impl<'a> StridedMut<'a> {
     /// Sets vector `i`.
     ///
     /// # Panics
-    /// If there are not as many.
+    /// If `i` is not less than [`len`](Self::len).
     #[inline(always)]
     pub fn set(&mut self, i: usize, value: [f32; 3]) {
         // SAFETY: the vector is valid for writes, and nothing else accesses it.
@@ -83,10 +83,10 @@ impl<'a> StridedMut<'a> {
         StridedMut { lifetime: PhantomData, ..*self }
     }
 
-    /// Splits off the first vectors.
+    /// Splits into the first `at` vectors and the rest.
     pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
         assert!(at <= self.len, "{at} of {}", self.len);
-        // An empty rest begins nowhere.
+        // An empty rest may keep the address of the first vector.
         let rest = if at == self.len { self.first } else { self.at(at).cast() };
         (Self { len: at, ..self }, Self { first: rest, len: self.len - at, ..self })
     }

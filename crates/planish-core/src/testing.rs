@@ -1,6 +1,7 @@
 //! Simulated frames for the unit tests of this crate.
 //!
-//! The simulator depends on this crate as its users see it, so its cameras and frames are converted.
+//! The simulator depends on a build of this crate without tests, whose types are different, so its cameras and frames
+//! are converted.
 
 use planish_eval::simulate;
 pub(crate) use planish_eval::simulate::{DepthNoise, Pose, Random, Scene};

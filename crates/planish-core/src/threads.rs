@@ -1,4 +1,4 @@
-//! The thread pool of parallel work: the process-wide pool, or one of a given size.
+//! The thread pool for parallel work: the process-wide pool, or one of a given size.
 
 use std::sync::Arc;
 use std::thread;
@@ -7,34 +7,34 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::EngineError;
 
-/// WebAssembly has the calling thread alone, and a page should not have to load what divides work among several.
+/// True on WebAssembly, which has only the calling thread. Web pages should not have to load code for several threads.
 pub(crate) const ONE_THREAD: bool = cfg!(target_family = "wasm");
 
-/// More threads than any machine has cores take minutes to start.
+/// Maximum number of threads in a pool. More threads than any machine has cores would take minutes to start.
 const MAX_THREADS: usize = 1024;
 
-/// Starts the threads that all parallel work of this process shares, unless they run already: one for each core, or as
-/// many as the environment variable `RAYON_NUM_THREADS` says.
+/// Starts the threads shared by all parallel work of this process, unless they are running: one per core, or the number
+/// in the environment variable `RAYON_NUM_THREADS`.
 ///
-/// Otherwise the first parallel work starts them, and panics if the system allows no more threads.
+/// Without this call, the first parallel work starts the threads, and panics if the system allows no more threads.
 ///
 /// # Errors
 /// If the system allows no more threads.
 pub fn start_shared_threads() -> Result<(), EngineError> {
-    // Not even compiled there, so that a page need not load it.
+    // Not compiled for WebAssembly, so that a page need not load it.
     #[cfg(not(target_family = "wasm"))]
     if let Err(error) = ThreadPoolBuilder::new().build_global()
         && let Some(reason) = std::error::Error::source(&error)
     {
-        // Otherwise they run already.
+        // An error without a source means that the threads are running.
         let threads = thread::available_parallelism().map_or(1, usize::from);
         return Err(EngineError::Threads { threads, reason: reason.to_string() });
     }
     Ok(())
 }
 
-/// Works on each item on a new thread, or on the calling one where the system allows no more. A panic is the error of
-/// its item.
+/// Works on each item on a new thread, or on the calling thread if the system allows no more threads. A panic on a new
+/// thread becomes the error of its item.
 pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
     items: impl IntoIterator<Item = I>,
     work: impl Fn(I) -> T + Sync,
@@ -55,10 +55,10 @@ pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
 pub struct Threads(Option<Arc<ThreadPool>>);
 
 impl Threads {
-    /// `None` is one thread for each core, shared by the whole process.
+    /// Opens a pool with this number of threads. `None` is the shared pool of the process ([`start_shared_threads`]).
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return start_shared_threads().map(|()| Self(None)) };
-        // On which rayon's global pool then works.
+        // Rayon's global pool then works on the calling thread.
         if ONE_THREAD {
             return Ok(Self(None));
         }

@@ -9,13 +9,12 @@ use std::time::Instant;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct FrameTimings {
-    /// Copying the input to the device's memory, next to nothing where the kernel reads the host's; on the CPU copying
-    /// or deprojecting it into the padded frame that the kernel reads.
+    /// Time to copy the input to the device's memory, close to zero if the kernel reads host memory; on the CPU, time
+    /// to copy or deproject the input into the kernel's padded frame.
     pub upload: Duration,
-    /// The kernel; where edges are kept, with the pass before it.
+    /// Time of the kernel, including the pass before it if edges are kept.
     pub kernel: Duration,
-    /// Copying the result to the host's memory; next to nothing where the kernel writes it there, as the CPU engine
-    /// does.
+    /// Time to copy the result to host memory; close to zero if the kernel writes it there, as in the CPU engine.
     pub readback: Duration,
 }
 

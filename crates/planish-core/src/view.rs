@@ -7,8 +7,8 @@ use crate::status::Status;
 use crate::timings::FrameTimings;
 use crate::xyz::Xyz;
 
-/// The result of a frame that was [submitted](crate::Smoother::submit). Read it in place, or copy it out; either from
-/// any thread. One that a GPU wrote gives its memory back to the smoother when it is dropped.
+/// The result of a frame that was [submitted](crate::Smoother::submit). Any thread can read it in place or copy it out.
+/// A result written by a GPU returns its memory to the smoother when it is dropped.
 pub struct SmoothedView {
     result: Storage,
     timings: Option<FrameTimings>,
@@ -19,7 +19,7 @@ enum Storage {
     InPlace(Box<dyn ResultInPlace>),
 }
 
-/// A result in memory that an engine wrote, and takes back when this is dropped.
+/// A result in an engine's memory, which is returned to the engine when this value is dropped.
 pub(crate) trait ResultInPlace: Send + Sync {
     fn shape(&self) -> (usize, usize);
     fn points(&self) -> Option<[&[f32]; 3]>;
@@ -35,7 +35,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn copy_to(&self, out: &mut Smoothed);
 }
 
-/// The rows of an image in the memory that an engine wrote, where there may be a gap after each.
+/// The rows of an image in an engine's memory, possibly with a gap after each row.
 #[derive(Debug, Clone)]
 pub struct Rows<'a, T> {
     rows: std::slice::ChunksExact<'a, T>,
@@ -43,7 +43,7 @@ pub struct Rows<'a, T> {
 }
 
 impl<'a, T> Rows<'a, T> {
-    /// Rows of `width` values, each of which begins `stride` values after the one before it.
+    /// Creates rows of `width` values that begin `stride` values apart.
     pub(crate) fn new(values: &'a [T], width: usize, stride: usize) -> Self {
         Self { rows: values.chunks_exact(stride.max(1)), width }
     }
@@ -86,7 +86,7 @@ impl SmoothedView {
         Self { result: Storage::InPlace(result), timings }
     }
 
-    /// Width and height in pixels.
+    /// Returns the width and height in pixels.
     pub fn shape(&self) -> (usize, usize) {
         match &self.result {
             Storage::Owned(smoothed) => (smoothed.width, smoothed.height),
@@ -94,7 +94,7 @@ impl SmoothedView {
         }
     }
 
-    /// x, y and z of the points in metres, row by row, NaN for holes; `None` if they were not requested.
+    /// Returns x, y and z of the points in metres, row by row, NaN for holes; `None` if they were not requested.
     pub fn points(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) if smoothed.points.is_empty() => None,
@@ -103,7 +103,8 @@ impl SmoothedView {
         }
     }
 
-    /// x, y and z of the unit normals, NaN for pixels without one; `None` if they were not requested.
+    /// Returns x, y and z of the unit normals, row by row, NaN for pixels without a normal; `None` if they were not
+    /// requested.
     pub fn normals(&self) -> Option<[&[f32]; 3]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.normals.as_ref().map(Xyz::as_slices),
@@ -111,7 +112,7 @@ impl SmoothedView {
         }
     }
 
-    /// Surface variation, NaN for pixels without a plane; `None` if it was not requested.
+    /// Returns the surface variation, row by row, NaN for pixels without a plane; `None` if it was not requested.
     pub fn curvature(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.curvature.as_deref(),
@@ -127,7 +128,7 @@ impl SmoothedView {
         }
     }
 
-    /// Depth in metres, row by row, NaN for holes; `None` if it was not requested.
+    /// Returns the depth in metres, row by row, NaN for holes; `None` if it was not requested.
     pub fn depth_m(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.depth_m.as_deref(),
@@ -135,8 +136,8 @@ impl SmoothedView {
         }
     }
 
-    /// Standard error of each position along its ray in metres, row by row, NaN for holes; `None` if it was not
-    /// requested.
+    /// Returns the standard error of each position along its ray in metres, row by row, NaN for holes; `None` if it was
+    /// not requested.
     pub fn sigma(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.sigma.as_deref(),
@@ -144,8 +145,8 @@ impl SmoothedView {
         }
     }
 
-    /// Effective number of frames of a video averaged into each pixel, row by row, 0 for holes; `None` if it was not
-    /// requested.
+    /// Returns the effective number of frames of a video averaged into each pixel, row by row, 0 for holes; `None` if
+    /// it was not requested.
     pub fn frames(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.frames.as_deref(),
@@ -162,7 +163,7 @@ impl SmoothedView {
         Some(values.iter().copied().chain(codes.flatten().map(|&code| Status::of_code(code))))
     }
 
-    /// How many points each fit used, row by row; `None` if it was not requested.
+    /// Returns the number of neighbours of each pixel, row by row; `None` if it was not requested.
     pub fn neighbours(&self) -> Option<impl Iterator<Item = u32> + '_> {
         let (values, counts) = match &self.result {
             Storage::Owned(smoothed) => (smoothed.neighbours.as_deref()?, Rows::new(&[], 0, 1)),
@@ -171,7 +172,8 @@ impl SmoothedView {
         Some(values.iter().copied().chain(counts.flatten().map(|&count| u32::from(count))))
     }
 
-    /// Time spent in each stage of this frame, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) is set.
+    /// Returns the time spent in each stage of this frame, if [`GpuOptions::timestamps`](crate::GpuOptions::timestamps)
+    /// is set.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.timings
     }
@@ -179,7 +181,7 @@ impl SmoothedView {
     /// Copies the result into the caller's buffers.
     ///
     /// # Errors
-    /// If a buffer has another length, or is for an output that the result lacks.
+    /// If a buffer has the wrong length, or is for an output that the result lacks.
     pub fn copy_into(&self, mut out: SmoothedMut<'_>) -> Result<(), FrameError> {
         fn copy<T: Copy>(to: Option<&mut [T]>, from: Option<impl IntoIterator<Item = T>>) {
             if let (Some(to), Some(from)) = (to, from) {
@@ -217,7 +219,7 @@ impl SmoothedView {
             .with_sigma(self.sigma().is_some())
     }
 
-    /// Copies the whole result; on a GPU into the buffers that `out` has.
+    /// Copies the whole result into `out`. A result in a GPU's memory reuses the buffers of `out`.
     pub fn copy_to(&self, out: &mut Smoothed) {
         match &self.result {
             Storage::Owned(smoothed) => out.clone_from(smoothed),

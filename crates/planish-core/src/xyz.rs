@@ -1,11 +1,11 @@
-//! Vectors as a structure of arrays, and how many of them a frame may have.
+//! Vectors as a structure of arrays, and the size limit of a frame.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::error::FrameError;
 
-/// Largest number of pixels of a frame; an index fits u32 with room for the window's halo.
+/// Maximum number of pixels of a frame. Indices fit u32, with room for the window's halo.
 pub const MAX_PIXELS: usize = 1 << 28;
 
 /// Refuses a width or height of zero, and more pixels than can be addressed.
@@ -17,7 +17,7 @@ pub fn validate_shape(width: usize, height: usize) -> Result<(), FrameError> {
     Ok(())
 }
 
-/// Vectors as three arrays of f32 of one length: positions in metres or unit normals.
+/// Vectors as three f32 arrays of equal length: positions in metres or unit normals.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Xyz {
     x: Vec<f32>,
@@ -26,11 +26,11 @@ pub struct Xyz {
 }
 
 impl Xyz {
-    /// Takes the arrays of x, y and z.
+    /// Creates vectors from the arrays of x, y and z.
     ///
     /// # Errors
     ///
-    /// If they differ in length.
+    /// If the arrays differ in length.
     pub fn from_arrays([x, y, z]: [Vec<f32>; 3]) -> Result<Self, FrameError> {
         for (axis, values) in [("y", &y), ("z", &z)] {
             if values.len() != x.len() {
@@ -50,7 +50,7 @@ impl Xyz {
         Self { x: vec![value; len], y: vec![value; len], z: vec![value; len] }
     }
 
-    /// Computes the vectors in parallel.
+    /// Computes `len` vectors in parallel; vector `i` is `vector(i)`.
     pub fn par_from_fn(len: usize, vector: impl Fn(usize) -> [f32; 3] + Sync) -> Self {
         let mut xyz = Self::filled(len, 0.0);
         let components = xyz.x.par_iter_mut().zip(&mut xyz.y).zip(&mut xyz.z).enumerate();
@@ -96,24 +96,24 @@ impl Xyz {
         [&mut self.x, &mut self.y, &mut self.z].into_iter().for_each(Vec::clear);
     }
 
-    /// Adds a vector.
+    /// Appends a vector.
     pub fn push(&mut self, [x, y, z]: [f32; 3]) {
         self.x.push(x);
         self.y.push(y);
         self.z.push(z);
     }
 
-    /// How many vectors fit into the memory it has.
+    /// Returns the number of vectors that fit without reallocation.
     pub fn capacity(&self) -> usize {
         self.x.capacity().min(self.y.capacity()).min(self.z.capacity())
     }
 
-    /// Bytes of its buffers.
+    /// Returns the allocated size in bytes.
     pub fn bytes(&self) -> usize {
         4 * (self.x.capacity() + self.y.capacity() + self.z.capacity())
     }
 
-    /// Appends `len` vectors whose component `axis` of vector `i` is `value(axis, i)`.
+    /// Appends `len` vectors; component `axis` of the `i`-th of them is `value(axis, i)`.
     #[cfg(feature = "gpu")]
     pub(crate) fn par_extend(&mut self, len: usize, value: impl Fn(usize, usize) -> f32 + Sync) {
         let extend = |to: &mut Vec<f32>, axis: usize| to.par_extend((0..len).into_par_iter().map(|i| value(axis, i)));
@@ -121,29 +121,29 @@ impl Xyz {
         rayon::join(|| extend(x, 0), || rayon::join(|| extend(y, 1), || extend(z, 2)));
     }
 
-    /// Chunks of `len` points, in parallel.
+    /// Iterates over chunks of `len` vectors in parallel.
     pub(crate) fn par_chunks(&self, len: usize) -> impl IndexedParallelIterator<Item = [&[f32]; 3]> {
         let [x, y, z] = self.as_slices().map(|axis| axis.par_chunks(len));
         x.zip(y).zip(z).map(|((x, y), z)| [x, y, z])
     }
 
-    /// How many vectors there are.
+    /// Returns the number of vectors.
     pub fn len(&self) -> usize {
         self.x.len()
     }
 
-    /// Returns true if there are none.
+    /// Returns true if there are no vectors.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
 
-    /// Vector `i`.
+    /// Returns vector `i`.
     #[inline]
     pub fn get(&self, i: usize) -> [f32; 3] {
         [self.x[i], self.y[i], self.z[i]]
     }
 
-    /// Vector `i` in f64. Written out, since builds for tests do not inline `map` of arrays.
+    /// Returns vector `i` in f64. Its components are written out because test builds do not inline `map` of arrays.
     #[inline]
     pub fn vector(&self, i: usize) -> DVec3 {
         DVec3::new(self.x[i].into(), self.y[i].into(), self.z[i].into())
@@ -161,12 +161,12 @@ impl Xyz {
         self.x[i].is_finite() && self.y[i].is_finite() && self.z[i].is_finite()
     }
 
-    /// All vectors in order.
+    /// Iterates over all vectors in order.
     pub fn iter(&self) -> XyzIter<'_> {
         XyzIter { x: self.x.iter(), y: self.y.iter(), z: self.z.iter() }
     }
 
-    /// Refuses another number of vectors than expected.
+    /// Refuses a number of vectors other than `expected`.
     pub fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
         match self.len() {
             len if len == expected => Ok(()),

@@ -7,8 +7,8 @@ use super::Format;
 /// Converts colours, intensities and the precision of coordinates for readers of the format `to`. The cloud was read
 /// from the format `read`. Returns notes for users, one clause each.
 ///
-/// PCD files get coordinates of 4 bytes unless they are beyond 1000 m, since PCL reads 8 bytes as zeros without an
-/// error. PCD files read with 8 bytes keep them. `precision` overrides this.
+/// Coordinates in PCD files have 4 bytes unless they are beyond 1000 m, since PCL reads 8-byte coordinates as zeros
+/// without an error. Coordinates that were read from PCD with 8 bytes keep them. `precision` overrides this.
 pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision: Option<Precision>) -> Vec<String> {
     let mut notes = Vec::new();
     match to {

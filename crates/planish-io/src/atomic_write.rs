@@ -19,20 +19,20 @@ const SUFFIX: &str = ".tmp";
 /// Maximum number of links to follow, as in Linux.
 const MOST_LINKS: usize = 40;
 
-/// How long to wait for other threads when the process ends.
+/// Maximum time to wait for other threads when the process ends.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// The temporaries being written, and the folders whose stale ones have been removed.
+/// The temporary files being written, and the folders whose stale temporary files have been removed.
 struct Known {
     temporaries: Option<HashSet<PathBuf>>,
     swept: Option<HashSet<PathBuf>>,
-    /// The process is about to end.
+    /// True once the process is about to end.
     is_over: bool,
 }
 
 static REPLACES_READ_ONLY: AtomicBool = AtomicBool::new(false);
 
-/// From now on, this process may replace files that are read-only, which it refuses otherwise.
+/// Allows this process to replace read-only files, which it refuses by default.
 pub fn replace_read_only_files() {
     REPLACES_READ_ONLY.store(true, Ordering::Relaxed);
 }
@@ -48,7 +48,7 @@ fn known() -> MutexGuard<'static, Known> {
     KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the temporary files of this process, which is about to end; from now on it can write none.
+/// Removes the temporary files of this process, which is about to end. From then on, it cannot create new ones.
 pub fn remove_temporaries() {
     // If the process ends for lack of memory, this thread may already hold the lock.
     let deadline = Instant::now() + PATIENCE;
@@ -66,9 +66,9 @@ pub fn remove_temporaries() {
     }
 }
 
-/// Writes a file atomically: under a temporary name in the same folder, then renamed. A link is followed, and a file
-/// that is replaced keeps its permissions, its owner where this process may set it, and its place until the new one is
-/// on the disk. Read-only files are refused.
+/// Writes a file atomically: under a temporary name in the same folder, then renamed. Links are followed. A replaced
+/// file keeps its permissions and, if this process may set it, its owner; it stays in place until the new file is on
+/// the disk. Read-only files are refused, except after [`replace_read_only_files`].
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
@@ -76,7 +76,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     whole.finish()
 }
 
-/// A file that is being written under a temporary name, as [`write_whole`] does; removed if it is not finished.
+/// A file that is being written under a temporary name, as by [`write_whole`], and removed unless it is finished.
 pub struct AtomicFile {
     temporary: Temporary,
     path: PathBuf,
@@ -101,10 +101,10 @@ impl AtomicFile {
         self.temporary.file()
     }
 
-    /// Puts it in its place.
+    /// Moves the file to its target path.
     pub fn finish(self) -> FormatResult<()> {
         if self.replaced {
-            // Or a crash of the machine could leave an empty file in the place of one that was whole.
+            // Otherwise a crash of the machine could leave an empty file in place of the old one.
             self.file().sync_all()?;
         }
         Ok(self.temporary.persist(&self.path)?)
@@ -114,11 +114,11 @@ impl AtomicFile {
 /// A file under a temporary name, removed when it is dropped and when the process is about to end.
 pub(crate) struct Temporary {
     file: tempfile::NamedTempFile,
-    /// Dropped after the file: until then a signal has to remove it.
+    /// Dropped after the file, which a signal must remove until then.
     _noted: Noted,
 }
 
-/// Registers the name of a temporary file while it is being written.
+/// The registration of a temporary file's name while the file is being written.
 struct Noted(PathBuf);
 
 impl Temporary {
@@ -133,7 +133,7 @@ impl Temporary {
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(fs::Permissions::from_mode(0o666));
         }
-        // Created and registered at once, since a signal in between would leave it behind.
+        // Created and registered under one lock, since a signal in between would leave the file behind.
         let mut known = known();
         if known.is_over {
             return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
@@ -189,7 +189,8 @@ pub fn check_target(path: &Path) -> FormatResult<()> {
     Temporary::new(folder_of(&path)).map(drop)
 }
 
-/// Gives a new file the owner and the group of the one that it replaces: root may set both, others a group of theirs.
+/// Gives a new file the owner and group of the file that it replaces. Root may set both, other users only a group of
+/// theirs.
 fn keep_owner(file: &fs::File, replaced: &fs::Metadata) {
     #[cfg(unix)]
     {
@@ -202,7 +203,7 @@ fn keep_owner(file: &fs::File, replaced: &fs::Metadata) {
     let _ = (file, replaced);
 }
 
-/// Returns the folder that a file is in.
+/// Returns the folder of a file.
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -237,15 +238,14 @@ fn sweep(folder: &Path) {
     }
 }
 
-/// Returns the process of this machine that a temporary's name holds.
+/// Returns the number of the process that wrote a temporary file; `None` for other files and other machines.
 fn process_of(name: &str) -> Option<u32> {
     let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
     (of == machine()).then_some(())?;
     rest.split_once('-')?.0.parse().ok()
 }
 
-/// Returns a short text that tells apart where process numbers mean something: the machine, and on Linux the container
-/// on it.
+/// Returns a short identifier of the machine and, on Linux, the container, within which process numbers are unique.
 fn machine() -> String {
     let host = fs::read("/proc/sys/kernel/hostname").unwrap_or_default();
     let container = fs::read_link("/proc/self/ns/pid").unwrap_or_default();
@@ -255,7 +255,7 @@ fn machine() -> String {
     format!("{hash:08x}")
 }
 
-/// Returns true if a file belongs to the user of this process: the processes of others may be invisible.
+/// Returns true if a file belongs to the user of this process. Processes of other users may be invisible.
 fn is_own(metadata: &fs::Metadata) -> bool {
     #[cfg(unix)]
     {

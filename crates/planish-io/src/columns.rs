@@ -4,7 +4,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Position
 
 use super::quoted;
 
-/// Runs the same code on the vector inside, for every type.
+/// Evaluates an expression on the vector inside `AttributeValues`, for every type.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! with_values {
@@ -26,10 +26,11 @@ macro_rules! with_values {
 }
 pub use with_values;
 
-/// Every integer up to this is an f64.
+/// Integer up to which f64 represents every integer exactly.
 pub(crate) const EXACT_INTEGERS: u64 = 1 << 53;
 
-/// Beyond this, f64 coordinates lose more than 0.1 mm as f32; such a cloud is stored relative to its first point.
+/// Coordinate in metres beyond which f32 resolves no better than 0.1 mm. Clouds farther away get an origin near their
+/// points.
 const FAR_M: f64 = 1000.0;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -51,7 +52,7 @@ pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> 
     Ok(index)
 }
 
-/// Extracts x, y and z from the columns of a file.
+/// Returns the cloud of a file's columns, which must include x, y and z.
 pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let index = axes_of(&columns)?;
     // From the last to the first, so that the remaining indices stay valid.
@@ -107,7 +108,8 @@ fn to_f64(values: AttributeValues) -> Vec<f64> {
     }
 }
 
-/// Returns 0, or for far coordinates the middle one of a sample, in whole metres: no stray point moves it.
+/// Returns the origin of coordinates along an axis: 0, or for far coordinates the median of a sample in whole metres,
+/// which stray points do not move.
 fn origin_of(values: &[f64]) -> f64 {
     const SAMPLE: usize = 1000;
     let step = values.len().div_ceil(SAMPLE).max(1);
@@ -118,12 +120,13 @@ fn origin_of(values: &[f64]) -> f64 {
         .or(values.iter().find(|value| value.is_finite()))
         .copied()
         .unwrap_or(0.0);
-    // Differences of larger ones exceed f32's range.
+    // Differences between larger coordinates exceed f32's range.
     let is_huge = || values.iter().any(|value| value.is_finite() && value.abs() > f64::from(f32::MAX / 2.0));
     if middle.abs() > FAR_M && !is_huge() { middle.trunc() } else { 0.0 }
 }
 
-/// Returns all columns of a cloud in the order of its file; x, y and z in the type they had there.
+/// Returns all columns of a cloud in the order of its file. x, y and z are f64 or f32, depending on the cloud's
+/// precision.
 pub fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
     let PositionColumns { index, .. } = cloud.position_columns;

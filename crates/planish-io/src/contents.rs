@@ -26,7 +26,7 @@ pub enum Contents {
 }
 
 impl Contents {
-    /// Width and height in pixels; the number of points and 1 for an unorganized cloud.
+    /// Returns the width and height in pixels; the number of points and 1 for an unorganized cloud.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(image) => (image.width, image.height),
@@ -45,13 +45,13 @@ impl Contents {
         }
     }
 
-    /// Returns true if it is depth and needs a camera.
+    /// Returns true for depth, which needs a camera to become points.
     pub fn is_depth(&self) -> bool {
         matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
     }
 }
 
-/// Returns a depth image of integers that 16 bits can hold; negative ones become holes.
+/// Returns a depth image of integers; negative values become holes. Refuses values that do not fit in 16 bits.
 pub(crate) fn depth_of_integers(
     (width, height): (usize, usize),
     values: &[impl Copy + Into<i64>],
@@ -79,14 +79,14 @@ pub struct DepthSummary {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// Pixels with a depth: neither 0 nor [`SATURATED_DEPTH`](planish_core::SATURATED_DEPTH).
+    /// Number of pixels with a depth: neither 0 nor [`SATURATED_DEPTH`](planish_core::SATURATED_DEPTH).
     pub valid: usize,
-    /// The smallest and largest of their raw values.
+    /// The smallest and largest raw value of the valid pixels; `None` if no pixel is valid.
     pub raw: Option<[u16; 2]>,
 }
 
 impl DepthSummary {
-    /// Adds pixels.
+    /// Adds the raw values of pixels.
     pub(crate) fn add(&mut self, raw: impl Iterator<Item = u16>) {
         for raw in raw.filter(|&raw| raw != 0 && raw != planish_core::SATURATED_DEPTH) {
             self.valid += 1;
@@ -104,18 +104,18 @@ impl From<&DepthImage> for DepthSummary {
     }
 }
 
-/// A picture, 3 bytes (red, green, blue) a pixel, row by row.
+/// A picture with 3 bytes (red, green, blue) per pixel, row by row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RgbImage {
     /// Width in pixels.
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// 3 * width * height bytes.
+    /// Red, green and blue of each pixel: 3 * width * height bytes.
     pub rgb: Vec<u8>,
 }
 
-/// A cloud with the grid its file states; a height of 1 means none.
+/// A cloud with the grid that its file states; a height of 1 means no grid.
 pub(crate) struct Gridded {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -148,7 +148,7 @@ impl<'a> CloudRef<'a> {
         }
     }
 
-    /// Width and height as files state them.
+    /// Returns the width and height as files state them.
     pub(super) fn grid(self) -> (usize, usize) {
         match self {
             Self::Organized(cloud) => (cloud.width(), cloud.height()),

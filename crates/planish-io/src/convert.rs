@@ -12,13 +12,13 @@ use super::{
     write_depth, write_depth_metres,
 };
 
-/// The largest factor between the focal lengths of a camera and of its points.
+/// Maximum ratio between the focal lengths of a camera and of a cloud's points, in either direction.
 const FOCAL_LENGTH_FACTOR: f64 = 1.25;
 
-/// Raw units per metre of depth images, if no camera states others.
+/// Raw units per metre of a depth image, if neither the options nor the camera state them.
 const MILLIMETRES: f64 = 1000.0;
 
-/// How a file is converted.
+/// Options of [`convert`].
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct ConvertOptions {
@@ -26,13 +26,13 @@ pub struct ConvertOptions {
     pub camera: Option<Camera>,
     /// Units per metre of a depth image that is written [default: the camera's, or 1000].
     pub depth_units_per_metre: Option<f64>,
-    /// Leave out holes; an organized cloud then loses its grid.
+    /// True to leave out holes; an organized cloud then loses its grid.
     pub drop_holes: bool,
     /// The fields to keep besides x, y and z; `None` for all.
     pub fields: Option<Vec<String>>,
     /// The encoding of PCD and PLY; `None` for the input's.
     pub encoding: Option<Encoding>,
-    /// The precision of coordinates; `None` for what suits the format ([`adapt_fields`]).
+    /// The precision of coordinates; `None` to choose it for the format ([`adapt_fields`]).
     pub precision: Option<Precision>,
 }
 
@@ -42,7 +42,7 @@ impl ConvertOptions {
         Self { camera, ..self }
     }
 
-    /// Sets the units of depth that is written.
+    /// Sets the units per metre of a depth image that is written.
     pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
         Self { depth_units_per_metre, ..self }
     }
@@ -76,9 +76,9 @@ pub struct ConvertReport {
     pub from: Format,
     /// The format that was written.
     pub to: Format,
-    /// Width and height; the number of points and 1 without a grid.
+    /// Width and height of what was written; the number of points and 1 without a grid.
     pub shape: (usize, usize),
-    /// Pixels or points that are no holes.
+    /// Number of pixels or points that are not holes.
     pub valid: usize,
     /// Notes for users on dropped, changed and guessed data, one clause each.
     pub notes: Vec<String>,
@@ -184,7 +184,7 @@ pub fn write_merged(
     precision: Option<Precision>,
 ) -> Result<Vec<String>, IoError> {
     let to = Format::of_output(output).map_err(IoError::at(output))?;
-    // Merged colours are not packed, as in PLY.
+    // Merged colours have separate channels, as in PLY.
     let mut notes = adapt_fields(merged, Format::Ply, to, precision);
     notes.extend(losses(merged, to));
     write_cloud(output, CloudRef::General(merged), encoding)?;
@@ -217,7 +217,7 @@ fn write_raw(
     Ok(valid)
 }
 
-/// Keeps the fields of these names.
+/// Keeps only the fields with these names; refuses unknown names.
 fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatError> {
     if let Some(unknown) = fields.iter().find(|name| cloud.attribute(name).is_none()) {
         let names: Vec<&str> = cloud.attributes.iter().map(|field| field.name.as_str()).collect();
@@ -230,7 +230,7 @@ fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatEr
 
 impl Contents {
     /// Turns a depth image into points if its camera is given, and sets the camera of an organized cloud. Other
-    /// contents stay as they are.
+    /// contents are unchanged.
     ///
     /// # Errors
     /// If the camera contradicts the contents.

@@ -1,4 +1,4 @@
-//! OpenEXR images as renderers write them: the channel of depth, in metres.
+//! The depth channel of OpenEXR images, in metres, as renderers write it.
 
 use std::io::Cursor;
 
@@ -9,11 +9,13 @@ use exr::prelude::{ReadChannels, ReadLayers};
 use super::{Contents, FormatResult, ReadOptions, brief, quoted};
 use planish_core::{FormatError, validate_shape};
 
-/// Renderers write 1e10, or the largest value of a type, where a ray meets nothing.
+/// Depth from which a pixel is a hole. Renderers write 1e10, or the largest value of the type, where a ray hits
+/// nothing.
 const NOTHING: f32 = 1e9;
+/// Depth from which a pixel is a hole in 16-bit floats: their largest value.
 const NOTHING_IN_HALF: f32 = 65504.0;
 
-/// Depth, and the points that become of it.
+/// Bytes per pixel of the depth and the points computed from it.
 const BYTES_PER_PIXEL: usize = 24;
 
 fn damaged(error: exr::error::Error) -> FormatError {
@@ -51,7 +53,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         notes.push(format!("depth read from the channel {}; dropped: {}", quoted(&read), brief(&dropped)));
     }
     let nothing = if matches!(channel.sample_data, FlatSamples::F16(_)) { NOTHING_IN_HALF } else { NOTHING };
-    // The part of the image that is stored may be smaller, or reach beyond it.
+    // The stored part of the image may be smaller than the image, or extend beyond it.
     let window = image.attributes.display_window;
     let (width, height) = (window.size.0, window.size.1);
     validate_shape(width, height)?;
@@ -86,7 +88,7 @@ fn names(layers: &[ChannelLayer]) -> impl Iterator<Item = String> {
     channels(layers).map(|(layer, channel)| full_name(layer, channel))
 }
 
-/// Finds the channel of depth: by its name, or the only one, or one of three that are equal.
+/// Finds the depth channel: by its name, otherwise the only channel, or the first if all are equal. Alpha is ignored.
 fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Channel)> {
     let lower = |(layer, channel): &(&ChannelLayer, &Channel)| full_name(layer, channel).to_ascii_lowercase();
     let all_names: Vec<String> = channels(layers).map(|both| lower(&both)).collect();

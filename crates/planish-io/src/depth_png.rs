@@ -5,7 +5,7 @@ use std::io::Cursor;
 use super::{DepthSummary, ReadOptions};
 use planish_core::{DepthImage, FormatError, validate_shape};
 
-/// Row by row, so that a frame is in memory once.
+/// Decodes a depth image row by row, so that only one copy of it is in memory.
 pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
     let (mut reader, (width, height)) = open(bytes, options)?;
     options.check(width * height, 2)?;
@@ -14,7 +14,7 @@ pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatE
     Ok(DepthImage { width, height, raw })
 }
 
-/// Counts the pixels without keeping them.
+/// Summarizes a depth image without keeping its pixels.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
     let (mut reader, (width, height)) = open(bytes, options)?;
     let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
@@ -48,7 +48,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
         )));
     }
     validate_shape(width, height)?;
-    // Deflate compresses by 1032 at most.
+    // Deflate compresses by a factor of at most 1032.
     if 2 * width * height / 1100 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is truncated: its header states {width}x{height} pixels")));
     }
@@ -88,7 +88,7 @@ pub fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     encode_png(image.width, image.height, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
 }
 
-/// Returns a PNG of big-endian samples.
+/// Encodes big-endian samples as a PNG.
 pub(super) fn encode_png(
     width: usize,
     height: usize,

@@ -1,4 +1,4 @@
-//! Grayscale TIFF as a depth image: 16-bit, 32-bit integers that fit 16, or floats in metres.
+//! Grayscale TIFF as a depth image: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in metres.
 
 use std::io::Cursor;
 
@@ -12,7 +12,7 @@ use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
-    // The image, and a strip or tile that may be all of it.
+    // The image, and a strip or tile, which may be as large as the image.
     options.check(width * height, 16)?;
     let is_inverted = is_inverted(&mut decoder);
     let contents = match decoder.read_image().map_err(malformed)? {
@@ -38,7 +38,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(contents)
 }
 
-/// Counts the pixels, a strip or tile at a time, without keeping them; `None` for other images than one of 16 bits.
+/// Summarizes a depth image without keeping its pixels, one strip or tile at a time. Returns `None` for images with
+/// several pages, inverted values or samples other than 16-bit integers.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
     if decoder.more_images() || is_inverted(&mut decoder) {

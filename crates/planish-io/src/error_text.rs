@@ -1,4 +1,4 @@
-//! Texts of files.
+//! Text from files in messages.
 
 use std::borrow::Cow;
 
@@ -26,7 +26,7 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(escaped.collect())
 }
 
-/// Returns the beginning of a text from a file, for error messages.
+/// Returns the beginning of a text from a file, in quotes, for error messages.
 pub fn quoted(text: &str) -> String {
     const MOST: usize = 80;
     match text.char_indices().nth(MOST) {

@@ -6,10 +6,10 @@ use super::FormatResult;
 use super::write::is_origin_mask;
 use planish_core::FormatError;
 
-/// The endings of what can be written, for messages.
+/// The extensions of formats that can be written, for messages.
 pub const WRITTEN: &str = ".pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npz, .bin, .png, .tiff or .npy";
 
-/// Formats of other programs that are not read, and what converts them: endings, and what to do.
+/// Extensions of unsupported formats, and advice to convert them.
 const CONVERTIBLE: [(&[&str], &str); 7] = [
     (
         &["fls", "fws", "lsproj", "rcp", "rcs", "zfs", "dp", "imp"],
@@ -42,9 +42,9 @@ pub enum Format {
     Pcd,
     /// Stanford's PLY.
     Ply,
-    /// A 16-bit grayscale PNG of depth.
+    /// A depth image as 16-bit grayscale PNG.
     DepthPng,
-    /// A 16-bit grayscale TIFF of depth.
+    /// A depth image as grayscale TIFF.
     DepthTiff,
     /// A NumPy array of depth or points.
     Npy,
@@ -143,14 +143,14 @@ impl Format {
         }
     }
 
-    /// Returns the format of an input's extension, to which gzip may have added its own.
+    /// Returns the format of an input's extension, before a final `.gz`.
     pub(super) fn of_input(path: &Path) -> Option<Self> {
         let is_gzip = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
         Self::of_extension(path).or_else(|| if is_gzip { Self::of_extension(&path.with_extension("")) } else { None })
     }
 
-    /// Returns true if a file with this extension in a folder is a frame; .txt, .csv, .obj, .off, .stl, .gltf
-    /// and .glb are ambiguous and excluded.
+    /// Returns true if a file in a folder is a frame by its extension. The extensions .txt, .csv, .obj, .off, .stl,
+    /// .gltf and .glb are ambiguous and excluded, and so are origin masks.
     pub fn is_of_frames(path: &Path) -> bool {
         let may_be_anything = |extension: &std::ffi::OsStr| {
             ["txt", "csv", "obj", "off", "stl", "gltf", "glb"].iter().any(|name| extension.eq_ignore_ascii_case(name))
@@ -202,7 +202,7 @@ pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
     }
 }
 
-/// How the points of a PCD or PLY file are stored.
+/// The encoding of the points in a PCD or PLY file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Encoding {

@@ -19,7 +19,8 @@ pub fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
     Ok(files)
 }
 
-/// Returns what sorts names by their numbers; a name that is one number with decimals, a time, by its value.
+/// Returns a key that sorts names by the numbers in them. A name that is a decimal number, such as a time, sorts by
+/// its value.
 fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -34,7 +35,7 @@ fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
         let (number, after) = rest.split_at(digits);
         let others = after.find(|c: char| c.is_ascii_digit()).unwrap_or(after.len());
         let (text, after) = after.split_at(others);
-        // Numbers of over 38 digits are all the same to it, and are then in the order of their text.
+        // Numbers too large for u128 compare as equal, and are then sorted by their text.
         parts.push((
             number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
             format!("{text}\0{number}"),

@@ -1,4 +1,4 @@
-//! The vertices of glTF 2.0, as JSON or as GLB, with normals and colours, where the nodes of the scene place them.
+//! The vertices of glTF 2.0, as JSON or GLB, with normals and colours, transformed by the nodes of the scene.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -15,13 +15,13 @@ const MAGIC: &[u8] = b"glTF";
 const JSON: u32 = 0x4e4f_534a;
 const BINARY: u32 = 0x004e_4942;
 
-/// More nodes inside each other are a loop.
+/// Maximum nesting depth of nodes; deeper nodes are taken for a loop.
 const DEEPEST: usize = 64;
-/// Nodes of a file without a scene, whose roots are searched.
+/// Maximum number of nodes in a file without a scene, whose roots must be searched.
 const MOST_UNROOTED: usize = 1 << 12;
-/// Nodes of a scene, and meshes placed by them.
+/// Maximum number of nodes in a scene, and of the mesh parts placed by them.
 const MOST_PLACED: usize = 1 << 16;
-/// Vertices with coordinates in f64, twice while they become columns, normals and colours.
+/// Bytes per vertex: coordinates in f64, twice while they become columns, normals and colours.
 const BYTES_PER_VERTEX: usize = 160;
 
 const BYTE: u32 = 5121;
@@ -121,7 +121,7 @@ struct Scene {
     nodes: Vec<usize>,
 }
 
-/// The version, which decides what the rest means.
+/// The version, which is parsed first because it defines the rest of the document.
 #[derive(Deserialize)]
 struct Stated {
     #[serde(default)]
@@ -141,7 +141,7 @@ fn malformed(what: impl std::fmt::Display) -> FormatError {
     FormatError::Malformed(format!("damaged glTF: {}", brief(&what.to_string())))
 }
 
-/// Returns true if the contents are JSON with the version of a glTF.
+/// Returns true if the contents are a GLB.
 pub(super) fn is_gltf(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC)
 }
@@ -239,7 +239,7 @@ fn is_of_looks(extension: &str) -> bool {
         .any(|prefix| extension.starts_with(prefix))
 }
 
-/// Decodes the `%20` and so on of a URI; `None` if that is not UTF-8.
+/// Decodes the percent-encoding of a URI; `None` if the result is not UTF-8.
 fn without_escapes(uri: &str) -> Option<String> {
     let (mut bytes, mut rest) = (Vec::new(), uri.as_bytes());
     while let [byte, behind @ ..] = rest {
@@ -251,7 +251,7 @@ fn without_escapes(uri: &str) -> Option<String> {
     String::from_utf8(bytes).ok()
 }
 
-/// Returns the bytes of a buffer: in the text itself, or in a file of the same folder or below.
+/// Returns the bytes of a buffer, from a data URI or from a file in the same folder or below.
 fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (_, text) = data.split_once(";base64,").ok_or_else(|| malformed("a data URI that is not base64"))?;
@@ -264,7 +264,7 @@ fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> Forma
     let name = without_escapes(uri).ok_or_else(|| malformed(format!("the URI {} is not UTF-8", quoted(uri))))?;
     let is_part = |part| matches!(part, Component::Normal(_) | Component::CurDir);
     let path = folder.filter(|_| Path::new(&name).components().all(is_part)).map(|folder| folder.join(&name));
-    // Not through a link either.
+    // Links must not lead out of the folder.
     let real = |path: &Path| path.canonicalize().ok();
     let is_below = |path: &PathBuf| match (real(path), folder.and_then(|folder| real(&folder.join(".")))) {
         (Some(path), Some(folder)) => path.starts_with(folder),
@@ -291,7 +291,7 @@ struct File<'a> {
 }
 
 impl File<'_> {
-    /// Returns the meshes of the scene with their transforms; without nodes, all meshes with the identity.
+    /// Returns the meshes of the scene with their transforms. In a file without nodes, all meshes get the identity.
     fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
         let Document { scenes, scene, nodes, meshes, .. } = self.document;
         let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
@@ -362,7 +362,7 @@ impl File<'_> {
         self.document.accessors.get(i).ok_or_else(|| malformed(format!("there is no accessor {i}")))
     }
 
-    /// Returns the numbers of an accessor; integers as shares of their largest value.
+    /// Returns the numbers of an accessor; integers are divided by their largest value.
     fn values(&self, i: usize, types: &[u32], kinds: &[&str]) -> FormatResult<Vec<f64>> {
         let accessor = self.accessor(i)?;
         let Accessor { buffer_view, byte_offset, component_type, count, kind, sparse } = accessor;
@@ -391,7 +391,7 @@ impl File<'_> {
         let data = data.ok_or_else(|| malformed(format!("accessor {i} is outside its buffer")))?;
         let each = components * size;
         let stride = view.byte_stride.unwrap_or(each);
-        // The last one may end before the stride does.
+        // The last element may be shorter than the stride.
         let before_last = stride.checked_mul(count.saturating_sub(1));
         let needed = before_last.and_then(|bytes| bytes.checked_add(each)).unwrap_or(usize::MAX);
         if *count == 0 || stride < each || needed > data.len() {

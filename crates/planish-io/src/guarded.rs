@@ -1,4 +1,4 @@
-//! Decoders of other projects that panic on some damaged files.
+//! Calls of third-party decoders that panic on some damaged files.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,8 +14,8 @@ pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
     decoded
 }
 
-/// Returns true while a guarded decoder runs; the messages of its panics should not be printed. Decoders may start
-/// threads, so this holds for all threads.
+/// Returns true while a guarded decoder runs on any thread, since decoders may start threads. Panic messages should
+/// not be printed meanwhile.
 pub fn catches_panics() -> bool {
     RUNNING.load(Ordering::Relaxed) > 0
 }

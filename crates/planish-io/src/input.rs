@@ -1,4 +1,4 @@
-//! Bytes of files, and limits of memory.
+//! Reading of files as bytes, and memory limits.
 
 use std::fs;
 use std::io::Read;
@@ -12,19 +12,19 @@ const STANDARD_INPUT: &str = "-";
 
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
 
-/// How to read files.
+/// Options for reading files.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// Memory limit in bytes, 2 GiB by default. A larger file is refused before it is read; a file whose decompressed
-    /// contents and columns or pixels exceed it, before it is decoded.
+    /// Memory limit in bytes [default: 2 GiB]. A larger file is refused before it is read. A file is refused before
+    /// it is decoded if its decompressed contents and its columns or pixels exceed the limit.
     pub max_memory_bytes: u64,
-    /// The unit of points and of floating-point depth in files that state none; they become metres. The metre by
-    /// default.
+    /// The unit of points and floating-point depth in files that state none, for their conversion to metres [default:
+    /// metre].
     pub unit: Option<LengthUnit>,
     /// Depth units per metre of floating-point depth, instead of a unit.
     pub depth_units_per_metre: Option<f64>,
-    /// The number of columns of a lidar's `.bin`; found from its values by default.
+    /// The number of columns of a lidar's `.bin`; detected from its values by default.
     pub columns: Option<usize>,
 }
 
@@ -32,35 +32,35 @@ pub struct ReadOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Work {
-    /// Written as points in binary PCD or PLY.
+    /// Writing points as binary PCD or PLY.
     Convert,
-    /// Written as points in another format, encoded in memory first.
+    /// Writing points in another format, encoded in memory first.
     Encode,
-    /// A frame drawn.
+    /// Drawing a frame.
     Render,
-    /// An unorganized cloud drawn.
+    /// Drawing an unorganized cloud.
     RenderCloud,
-    /// Connected to triangles.
+    /// Connecting points to triangles.
     Mesh,
-    /// Connected to triangles and written as text.
+    /// Connecting points to triangles, and writing them as text.
     MeshText,
-    /// Described, with its sensor.
+    /// Describing a frame and its sensor.
     Describe,
-    /// Outliers removed, cropped or thinned.
+    /// Removing outliers, cropping or thinning.
     Clean,
-    /// Compared with another of its size.
+    /// Comparing a frame with another of its size.
     Compare,
-    /// Smoothed, by any engine.
+    /// Smoothing by any engine.
     Smooth,
-    /// Smoothed in a stream or recorded, while other frames are read and written.
+    /// Smoothing in a stream or for a recording, while other frames are read and written.
     Stream,
-    /// Smoothed and measured.
+    /// Smoothing and measuring the result.
     Evaluate,
-    /// Smoothed by several engines and timed.
+    /// Smoothing by several engines, with timing.
     Bench,
-    /// Copied up to 32 times, smoothed and timed.
+    /// Copying up to 32 times and smoothing, with timing.
     BenchCopies,
-    /// Put together with others; per point of all.
+    /// Merging clouds; per point of all clouds.
     Merge,
 }
 
@@ -70,13 +70,14 @@ fn padded_pixels(width: usize, height: usize) -> usize {
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
 }
 
-/// Copies of a cloud's fields at the peak, at most: bytes of the file, columns, results, encoded results. Measured with
-/// LAS's fields as PLY.
+/// Maximum number of copies of a cloud's fields at the peak: the file's bytes, columns, results, encoded results.
+/// Measured with LAS fields written as PLY.
 const FIELD_COPIES: usize = 4;
 
 impl Work {
-    /// Peak memory per point in bytes, contents of the file included but without other fields than positions. Measured
-    /// with 36 million pixels of depth, clouds with four million points, and streams that save every field.
+    /// Returns the peak memory per point in bytes. It includes the contents of the file, but only positions and no
+    /// other fields. Measured with 36 million pixels of depth, clouds with four million points, and streams that save
+    /// every field.
     const fn bytes_per_point(self) -> usize {
         match self {
             Self::Convert => 56,
@@ -105,7 +106,7 @@ impl Default for ReadOptions {
 }
 
 impl ReadOptions {
-    /// Sets the limit in bytes.
+    /// Sets the memory limit in bytes.
     pub const fn with_max_memory_bytes(self, max_memory_bytes: u64) -> Self {
         Self { max_memory_bytes, ..self }
     }
@@ -174,7 +175,7 @@ impl ReadOptions {
     }
 }
 
-/// Returns the bytes of a regular file, or of standard input.
+/// Reads the bytes of a regular file, or of standard input if the path is `-`.
 pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     let most = options.max_memory_bytes;
     let mut bytes = Vec::new();
@@ -183,7 +184,7 @@ pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
         options.check(bytes.len(), 1)?;
         return Ok(bytes);
     }
-    // Asked before it is opened: opening a pipe waits for its other end.
+    // Queried before the file is opened, since opening a pipe waits for its other end.
     let metadata = fs::metadata(path)?;
     if metadata.is_dir() {
         return Err(FormatError::Unsupported("a folder, not a file".into()));

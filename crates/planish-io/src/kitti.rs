@@ -1,7 +1,7 @@
-//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, nuScenes' `.pcd.bin` with an additional ring, and
-//! others with colours.
+//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, nuScenes' `.pcd.bin` with an additional ring,
+//! and others with colours.
 //!
-//! The files have no header: the values show the number of columns, unless it is given.
+//! The files have no header. The number of columns is detected from the values, unless it is given.
 
 use super::xyz_text::guessed_names;
 use super::{CloudRef, FormatResult, ReadOptions};
@@ -10,7 +10,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 const FIELDS: [&str; 2] = ["intensity", "ring"];
 /// The possible numbers of columns.
 const COLUMNS: std::ops::RangeInclusive<usize> = 3..=16;
-/// The columns are looked for in this number of values.
+/// Number of values from which the number of columns is detected.
 const SAMPLE: usize = 1 << 16;
 
 /// A file's columns after x, y and z.
@@ -62,7 +62,7 @@ pub(super) fn decode(
             bytes.len()
         )));
     }
-    // Columns, and wider copies of those that are guessed.
+    // The columns, and f64 copies of those whose names are guessed.
     options.check(bytes.len(), 4)?;
     let column = |k: usize| -> Vec<f32> {
         let value =
@@ -90,7 +90,7 @@ pub(super) fn decode(
     Ok(cloud)
 }
 
-/// Returns true for a byte over 255, as SUN RGB-D stores colours.
+/// Returns true for a byte divided by 255, as SUN RGB-D stores colours.
 fn is_share_of_bytes(value: f32) -> bool {
     (0.0..=1.0).contains(&value) && (255.0 * value - (255.0 * value).round()).abs() < 1e-3
 }
@@ -122,7 +122,8 @@ impl Sample {
         Self(values.iter().take(SAMPLE).map(|bytes| f32::from_le_bytes(*bytes)).collect())
     }
 
-    /// Returns false if many values are too large or too small for coordinates, which shows another type.
+    /// Returns false if many values are NaN, or too large or too small for coordinates: the file then has another
+    /// type.
     fn is_of_floats(&self) -> bool {
         let numbers: Vec<f32> = self.0.iter().copied().filter(|value| !value.is_nan()).collect();
         let is_length = |value: &&f32| **value == 0.0 || (1e-6..1e9).contains(&value.abs());
@@ -132,7 +133,7 @@ impl Sample {
             && numbers.iter().any(|value| *value != 0.0)
     }
 
-    /// Returns the number of columns of a file of this number of values; `None` if it is not clear.
+    /// Returns the number of columns of a file with `values` values; `None` if it is ambiguous.
     fn columns(&self, values: usize) -> Option<usize> {
         // Smaller differences occur by chance, in particular with few values.
         let tolerance = 0.03 + (self.0.len() as f64).sqrt().recip();
@@ -146,8 +147,8 @@ impl Sample {
         fitting.next().filter(|_| fitting.next().is_none())
     }
 
-    /// Returns the share of values that are of the same kind as that this many places farther: integers or not, and of
-    /// the same size.
+    /// Returns the fraction of values of the same kind as the value `lag` places later: both are integers or neither
+    /// is, and both have the same binary exponent.
     fn similar(&self, lag: usize) -> f64 {
         let kind = |value: f32| {
             (value.fract() == 0.0, if value == 0.0 { i32::MIN } else { value.abs().log2().floor() as i32 })
@@ -157,7 +158,7 @@ impl Sample {
         same as f64 / pairs().count().max(1) as f64
     }
 
-    /// Returns true if the columns after x, y and z can be what files with this number of columns have there.
+    /// Returns true if the columns after x, y and z are plausible for a file with this number of columns.
     fn fits(&self, columns: usize) -> bool {
         let column = |k: usize| self.0.chunks_exact(columns).map(move |point| point[k]);
         let all = |range: std::ops::Range<usize>, test: fn(f32) -> bool| range.into_iter().all(|k| column(k).all(test));
@@ -177,8 +178,8 @@ impl Sample {
     }
 }
 
-/// Encodes x, y, z and the columns of the file that the cloud was read from, or else intensity and optionally the ring;
-/// missing fields become 0.
+/// Encodes x, y, z, and the columns of the `.bin` file that the cloud was read from. Other clouds get the intensity,
+/// and optionally the ring. Missing fields become 0.
 pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8>> {
     let points = cloud.points();
     let own = points.provenance.get::<Columns>().filter(|_| !has_ring);

@@ -1,4 +1,4 @@
-//! The unit of a file's coordinates, where the file states it.
+//! The unit of a file's coordinates, if the file states it.
 
 use planish_core::{ParamError, PointCloud};
 
@@ -29,7 +29,8 @@ impl LengthUnit {
     /// The inch.
     pub const INCH: Self = Self { name: "inch", symbol: "in", metres: 0.0254 };
 
-    /// Returns the unit of a cloud's coordinates: of the coordinate system in a LAS or LAZ file, otherwise the metre.
+    /// Returns the unit of a cloud's coordinates: that of the coordinate system in a LAS or LAZ file, otherwise the
+    /// metre.
     pub fn of_cloud(cloud: &PointCloud) -> Self {
         Self::stated_by(cloud).unwrap_or(Self::METRE)
     }
@@ -50,7 +51,7 @@ impl LengthUnit {
         *self == Self::METRE
     }
 
-    /// Returns the unit with a code of EPSG.
+    /// Returns the unit with an EPSG code.
     #[cfg(any(test, feature = "scans"))]
     pub(crate) fn of_epsg(code: u16) -> Option<Self> {
         match code {
@@ -61,7 +62,7 @@ impl LengthUnit {
         }
     }
 
-    /// Returns the unit of a length that is as many metres long.
+    /// Returns the unit with this length in metres.
     #[cfg(any(test, feature = "scans"))]
     pub(crate) fn of_metres(metres: f64) -> Option<Self> {
         // The two feet differ by two in a million.
@@ -73,7 +74,7 @@ impl LengthUnit {
 impl std::str::FromStr for LengthUnit {
     type Err = ParamError;
 
-    /// Parses the symbol of a unit: mm, cm, m, inch or ft.
+    /// Parses the symbol of a unit: mm, cm, m, in (or inch) or ft.
     fn from_str(symbol: &str) -> Result<Self, ParamError> {
         match symbol {
             "mm" => Ok(Self::MILLIMETRE),
@@ -92,7 +93,7 @@ impl std::fmt::Display for LengthUnit {
     }
 }
 
-/// Returns the linear unit in a coordinate system as well-known text, version 1 or 2.
+/// Returns the linear unit of a coordinate system in well-known text, version 1 or 2.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
     // Ellipsoids and parameters have units too, so start at the axes. Angles have units as well; the first length is
@@ -101,14 +102,14 @@ pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
     let text = &text[axes.unwrap_or(0)..];
     let units = text.match_indices("UNIT[").map(|(at, start)| &text[at + start.len()..]);
     units.into_iter().find_map(|unit| {
-        // Behind the quoted name.
+        // The number follows the quoted name.
         let (_, rest) = unit.split_once('"')?.1.split_once('"')?;
         let number = rest.trim_start_matches(',').split([',', ']']).next()?;
         LengthUnit::of_metres(number.trim().parse().ok()?)
     })
 }
 
-/// Returns the linear unit in the keys of GeoTIFF: records of four numbers behind a header of four.
+/// Returns the linear unit in GeoTIFF keys: records of four numbers after a header of four.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_geo_keys(bytes: &[u8]) -> Option<LengthUnit> {
     /// ProjLinearUnitsGeoKey.
@@ -145,7 +146,7 @@ mod tests {
         };
         assert_eq!(unit_of_geo_keys(&keys(&[[1024, 0, 1, 1], [3076, 0, 1, 9003]])), Some(LengthUnit::US_SURVEY_FOOT));
         assert_eq!(unit_of_geo_keys(&keys(&[[3076, 0, 1, 9002]])), Some(LengthUnit::FOOT));
-        // That of heights alone.
+        // The unit of heights alone.
         assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]])), None);
         for nothing in [keys(&[]), keys(&[[3076, 34736, 1, 0]]), keys(&[[3076, 0, 1, 9005]]), vec![1, 0, 3], Vec::new()]
         {

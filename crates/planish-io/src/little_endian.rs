@@ -2,13 +2,13 @@
 
 /// A number with a little-endian form.
 pub(super) trait LittleEndian: Copy {
-    /// Reads a number from exactly its bytes.
+    /// Reads a little-endian number from exactly its size in bytes.
     fn read(bytes: &[u8]) -> Self;
 
-    /// Reads a big-endian value.
+    /// Reads a big-endian number from exactly its size in bytes.
     fn read_big_endian(bytes: &[u8]) -> Self;
 
-    /// Writes all these bytes.
+    /// Writes the number in little-endian order to exactly its size in bytes.
     fn write(self, bytes: &mut [u8]);
 }
 

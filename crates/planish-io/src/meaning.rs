@@ -51,7 +51,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     }
     scale(cloud, unit.metres);
     notes.push(converted(unit));
-    // A header of LAS or E57 has scales and a coordinate system in the old unit.
+    // LAS and E57 headers have scales and a coordinate system in the old unit.
     #[cfg(feature = "scans")]
     if super::las::has_header(cloud) || super::e57::has_scans(cloud) {
         cloud.provenance = planish_core::Provenance::default();
@@ -60,7 +60,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     Ok(())
 }
 
-/// Multiplies all coordinates.
+/// Multiplies all coordinates, and the positions of sensors, by a factor.
 fn scale(cloud: &mut PointCloud, factor: f64) {
     let scaled: Vec<[f64; 3]> =
         (0..cloud.len()).map(|i| [0, 1, 2].map(|axis| factor * cloud.coordinate(axis, i))).collect();
@@ -82,11 +82,11 @@ fn scale(cloud: &mut PointCloud, factor: f64) {
     }
 }
 
-/// The largest x and y of a camera's points, in multiples of z: a field of view of 150 degrees.
+/// Maximum |x| / z and |y| / z of a camera's points: a field of view of about 150 degrees.
 const WIDEST: f32 = 4.0;
 
-/// Turns the points (0, 0, 0) of a cloud in the frame of its sensor into holes: drivers write them where nothing was
-/// measured.
+/// Turns points at (0, 0, 0) into holes if a cloud is in the frame of its sensor, since drivers write them for
+/// missing measurements.
 pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String>) {
     let points = &mut cloud.points;
     if !points.pose.is_identity() || points.origin_m != [0.0; 3] {
@@ -94,7 +94,7 @@ pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String
     }
     let is_zero = |points: &PointCloud, i: usize| points.positions.get(i) == [0.0; 3];
     let zeros: Vec<usize> = (0..points.len()).filter(|&i| is_zero(points, i)).collect();
-    // A single one may be a point of a surface, unless all others are before the sensor.
+    // A single such point may be on a surface, unless all others are in front of the sensor.
     let is_before = |[x, y, z]: [f32; 3]| z > 0.0 && x.abs() <= WIDEST * z && y.abs() <= WIDEST * z || !z.is_finite();
     let others_are_before =
         || (0..points.len()).filter(|i| !zeros.contains(i)).all(|i| is_before(points.positions.get(i)));

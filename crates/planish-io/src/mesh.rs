@@ -152,7 +152,7 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     Ok(PointCloud::new(distinct.into_iter().collect()))
 }
 
-/// Small coordinates as f32, far ones as f64.
+/// Returns a column with one value per point.
 fn column(name: &str, values: Vec<f64>) -> Attribute {
     Attribute { name: name.into(), count: 1, values: values.into() }
 }

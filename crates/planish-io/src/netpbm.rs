@@ -11,7 +11,7 @@ fn malformed<T>(what: String) -> FormatResult<T> {
 struct Words<'a>(&'a [u8]);
 
 impl<'a> Words<'a> {
-    /// Returns the next word; one byte of white space follows it.
+    /// Returns the next word. The white space after it is not consumed.
     fn next(&mut self) -> Option<&'a str> {
         loop {
             self.0 = self.0.trim_ascii_start();
@@ -30,7 +30,7 @@ impl<'a> Words<'a> {
         word.parse().or_else(|_| malformed(format!("{} is not {what}", quoted(word))))
     }
 
-    /// Returns the bytes behind the header, of which this many are needed.
+    /// Returns the first `needed` bytes after the header.
     fn pixels(&self, needed: usize) -> FormatResult<&'a [u8]> {
         let body = self.0.get(1..).unwrap_or_default();
         match body.get(..needed) {
@@ -42,7 +42,7 @@ impl<'a> Words<'a> {
     }
 }
 
-/// Reads `P5` with up to 65535 grey values, the higher byte first.
+/// Reads a binary PGM (`P5`) with 16-bit big-endian values.
 pub(super) fn decode_pgm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Contents> {
     let mut words = Words(bytes);
     let kind = words.next().unwrap_or_default();
@@ -61,7 +61,7 @@ pub(super) fn decode_pgm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     Ok(Contents::Depth(DepthImage { width, height, raw }))
 }
 
-/// Reads `Pf`, whose rows begin with the lowest.
+/// Reads a PFM with one channel (`Pf`), whose rows are stored from the bottom up.
 pub(super) fn decode_pfm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Contents> {
     let mut words = Words(bytes);
     let kind = words.next().unwrap_or_default();
@@ -73,7 +73,7 @@ pub(super) fn decode_pfm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     }
     let (width, height) = (words.number("a width")?, words.number("a height")?);
     validate_shape(width, height)?;
-    // Its sign is the order of bytes; its size is of no unit.
+    // The sign gives the byte order. The magnitude has no defined unit and is ignored.
     let scale: f64 = words.number("a scale")?;
     options.check(width * height, 4)?;
     let value = if scale < 0.0 { f32::from_le_bytes } else { f32::from_be_bytes };

@@ -1,5 +1,5 @@
-//! NumPy archives: the positions as `points`, `xyz` or `positions`, or the only [N, 3] there is, and other arrays of N
-//! rows as fields.
+//! NumPy archives. The positions are the array `points`, `xyz` or `positions`, or the only [N, 3] array; other arrays
+//! with N rows become fields.
 
 use std::io::{Cursor, Read, Write};
 
@@ -12,7 +12,7 @@ use planish_core::{Attribute, AttributeValues, Camera, FormatError};
 
 const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
 const DEPTH: [&str; 2] = ["depth", "arr_0"];
-/// Names of a depth image's intrinsics, a matrix of 3x3 or 4x4.
+/// Names of a depth image's intrinsics, a 3x3 or 4x4 matrix.
 const INTRINSICS: [&str; 10] = [
     "K",
     "k",
@@ -25,9 +25,9 @@ const INTRINSICS: [&str; 10] = [
     "camera_intrinsics",
     "depth_intrinsics",
 ];
-/// Names of arrays of three columns that are no positions.
+/// Names of arrays with three columns that are not positions.
 const NO_POSITIONS: [&str; 9] = ["normals", "normal", "rgb", "colors", "colours", "color", "image", "img", "faces"];
-/// More arrays than that are no cloud.
+/// Maximum number of files in an archive.
 const MOST_ARRAYS: usize = 256;
 
 fn damaged(error: impl std::fmt::Display) -> FormatError {
@@ -66,7 +66,7 @@ pub(super) fn decode(
         notes.push(format!("the array {} is dropped: it is not [fx 0 cx; 0 fy cy; 0 0 1]", brief(name)));
     }
     let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
-    // Find it by its name, otherwise take the only array that fits.
+    // Finds an array by its name, otherwise takes the only one that fits.
     let contents_of = |(name, array): &(String, Vec<u8>)| {
         let mut notes = Vec::new();
         let contents = npy::decode(array, options, &mut notes).ok()?;
@@ -86,7 +86,7 @@ pub(super) fn decode(
         })
     };
     if let Some((name, array)) = arrays.iter().find(|(name, _)| POSITIONS[..3].contains(&name.as_str())) {
-        // With this name it cannot be a depth image, whatever its shape.
+        // An array with this name cannot be a depth image, whatever its shape.
         let problem = match npy::decode(array, options, &mut Vec::new()) {
             Ok(contents) if !contents.is_depth() => None,
             Ok(contents) => Some(format!("it is [{1}, {0}]", contents.shape().0, contents.shape().1)),
@@ -101,8 +101,8 @@ pub(super) fn decode(
     }
     let points = || of_name(&POSITIONS, |contents| !contents.is_depth());
     let depth = || of_name(&DEPTH, Contents::is_depth);
-    // With an array of that name or the intrinsics of a camera, it is a depth image unless an array has the name of
-    // points.
+    // An archive with an array named depth, or with camera intrinsics, is a depth image unless an array has the name
+    // of positions.
     let has = |names: &[&str]| arrays.iter().any(|(name, _)| names.contains(&name.as_str()));
     let is_depth = (named.is_some() || has(&DEPTH[..1])) && !has(&POSITIONS[..3]);
     let found = if is_depth { depth().or_else(points) } else { points().or_else(depth) };
@@ -154,7 +154,7 @@ pub(super) fn decode(
     Ok((contents, None))
 }
 
-/// Returns true for an array of the size of a transformation or of intrinsics.
+/// Returns true for an array with the shape of a transformation or of intrinsics.
 fn is_matrix(array: &[u8]) -> bool {
     npy::Array::parse(array)
         .is_ok_and(|array| matches!(array.header.shape[..], [3, 3] | [3, 4] | [4, 4] | [1, 3, 3] | [1, 4, 4]))
@@ -170,7 +170,7 @@ fn is_plain(array: &[u8]) -> bool {
     })
 }
 
-/// Returns the intrinsics in a matrix; `None` if it is another one.
+/// Returns the intrinsics in a matrix; `None` if it is not an intrinsic matrix.
 fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     let array = npy::Array::parse(array).ok()?;
     let numbers: Vec<f64> = match (array.header.kind, array.header.size) {
@@ -183,8 +183,8 @@ fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     matrix_intrinsics(&numbers)
 }
 
-/// Converts an array into a field of `rows` points, or returns the reason why it is not one (it may be an unrelated
-/// matrix).
+/// Converts an array to a field of `rows` points. If the array is not a field, such as an unrelated matrix, returns
+/// the reason in the inner result.
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,
@@ -216,14 +216,14 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
     Ok(Ok(Attribute { name: name.to_owned(), count, values }))
 }
 
-/// Names of vectors, and of their components here.
+/// Names of vector arrays, and the names of the fields of their components.
 const VECTORS: [(&[&str], [&str; 3]); 2] = [
     (&["normals", "normal"], ["normal_x", "normal_y", "normal_z"]),
     (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
 ];
 
-/// Normals and colours as the fields that every other format has, if no other array has their names; any other field as
-/// it is.
+/// Splits normals and colours into the fields that all other formats have, unless other arrays have the names of
+/// these fields. Returns any other field unchanged.
 fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool) -> Vec<Attribute> {
     let is_colour = |names: &[&str; 3]| names[0] == "red";
     let is_bytes = matches!(attribute.values, AttributeValues::U8(_));
@@ -232,7 +232,7 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
             && attribute.count == 3
             && (is_bytes || !is_colour(components))
             && !components.iter().any(|name| is_taken(name))
-            // The names of a vector, first the one that is written.
+            // Only the first of the vector's names that is present is split.
             && !names.iter().take_while(|name| **name != attribute.name).any(|name| is_taken(name))
     });
     let Some((_, names)) = vector else { return vec![attribute] };
@@ -243,14 +243,14 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
     (0..3).map(component).collect()
 }
 
-/// Components of normals and colours as one array again.
+/// Joins the components of normals and of colours to one array each.
 fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
     let mut all = attributes.to_vec();
     for (names, components) in VECTORS {
         let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
         let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
         let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
-        // An array with an existing name is kept in addition to its components.
+        // If another array has the vector's name, it and the components are kept.
         if all.iter().any(|attribute| attribute.name == names[0]) {
             continue;
         }
@@ -265,7 +265,7 @@ fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
     all
 }
 
-/// Encodes positions as `points` and every field as an array of its name.
+/// Encodes the positions as `points`, and every field as an array with its name.
 pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);

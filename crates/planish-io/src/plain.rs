@@ -1,4 +1,4 @@
-//! Files in a wrapping that formats do not have: compressed by gzip, or text with a byte-order mark or in UTF-16.
+//! Removal of wrappings that formats do not define: gzip, and byte-order marks or UTF-16 in text.
 
 use std::borrow::Cow;
 #[cfg(feature = "more-formats")]
@@ -12,7 +12,7 @@ const UTF_8: &[u8] = &[0xef, 0xbb, 0xbf];
 const UTF_16_LITTLE_ENDIAN: &[u8] = &[0xff, 0xfe];
 const UTF_16_BIG_ENDIAN: &[u8] = &[0xfe, 0xff];
 
-/// Returns a file's contents without what wraps them; text in UTF-8.
+/// Returns a file's contents without gzip and byte-order marks; text in UTF-16 becomes UTF-8.
 pub(super) fn plain<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
     if bytes.starts_with(GZIP) { unpacked(bytes, options) } else { Ok(text_in_utf_8(bytes)) }
 }

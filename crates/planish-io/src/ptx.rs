@@ -6,9 +6,9 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted, text_of};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
 
-/// Lines ahead of the points of a scan: columns, rows, position, three axes, a matrix of four.
+/// Number of header lines of a scan: columns, rows, position, three axes, and the four rows of a matrix.
 const HEADER: usize = 10;
-/// Values of a point without and with a colour.
+/// Numbers of values per point, without and with a colour.
 const COUNTS: [usize; 2] = [4, 7];
 const SCAN: &str = "scan";
 
@@ -20,9 +20,9 @@ struct Points {
     colours: [Vec<u8>; 3],
     scan: Vec<u16>,
     scanners_m: Vec<Option<[f64; 3]>>,
-    /// Places of the grids where nothing was measured.
+    /// Number of grid cells without a measurement.
     holes: usize,
-    /// Points without a colour.
+    /// Number of points without a colour.
     colourless: usize,
 }
 
@@ -30,7 +30,7 @@ struct Points {
 struct Lines<'a, I: Iterator<Item = (usize, &'a str)>>(I);
 
 impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
-    /// Returns the numbers of the next line.
+    /// Returns the line number and the values of the next line.
     fn numbers(&mut self) -> FormatResult<(usize, Vec<f64>)> {
         let ended = || FormatError::Malformed("the PTX is truncated: it ends within a scan".into());
         let (number, line) = self.0.next().ok_or_else(ended)?;
@@ -70,7 +70,7 @@ impl Points {
         for _ in 0..3 {
             lines.row::<3>()?;
         }
-        // Points are rows to the left of it.
+        // Points are row vectors, multiplied by the matrix from the left.
         let matrix = [lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?];
         let to_file = DMat4::from_cols_array_2d(&matrix);
         let count = columns * rows;

@@ -32,7 +32,8 @@ use super::{depth_png, meaning, mesh, npy, pcd, ply, xyz_text};
 #[cfg(feature = "more-formats")]
 use super::{gltf, kitti, netpbm, ptx};
 
-/// Summarizes a depth image in a PNG or TIFF file without holding it in memory; `None` for files of other formats.
+/// Summarizes a 16-bit depth image in a PNG or TIFF file without holding its pixels in memory. Returns `None` for
+/// other formats and other TIFF images.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
     /// Number of bytes that identify any format.
     const MAGIC_BYTES: u64 = 8;
@@ -59,13 +60,13 @@ pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_with(path, &ReadOptions::default())
 }
 
-/// [`read`] with other options than the default.
+/// Same as [`read`], with options.
 pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents), IoError> {
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS, LAZ or PLY file in parts, each a cloud with all fields and a separate origin; a file without points is
-/// one empty cloud. Returns its format and [`FileRead::notes`].
+/// Reads a LAS, LAZ or PLY file in parts of at most `points_at_once` points. Each part is a cloud with all fields and
+/// its own origin; a file without points is one empty cloud. Returns the format of the file and [`FileRead::notes`].
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
@@ -105,19 +106,19 @@ pub fn read_in_parts(
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FileRead {
-    /// Its format.
+    /// The format of the file.
     pub format: Format,
-    /// How a PCD or PLY file stores its points; `None` for other formats.
+    /// The encoding of a PCD or PLY file; `None` for other formats.
     pub encoding: Option<Encoding>,
-    /// What it holds.
+    /// The contents of the file.
     pub contents: Contents,
-    /// The camera of a depth image, if the file has it too.
+    /// The camera of a depth image, if the file contains one.
     pub camera: Option<Camera>,
     /// Dropped data and guesses, one clause each, for users.
     pub notes: Vec<String>,
 }
 
-/// [`read_with`], with how the file stores its points.
+/// Same as [`read_with`], but also returns the encoding, the camera and notes.
 pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError> {
     let read = || {
         let bytes = read_bytes(path, options)?;
@@ -143,22 +144,22 @@ pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, 
     decode_with(bytes, announced, &ReadOptions::default())
 }
 
-/// [`decode`] with other options than the default.
+/// Same as [`decode`], with options.
 pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOptions) -> FormatResult<(Format, Contents)> {
     decode_plain(&plain(bytes, options)?, announced, options, &mut Beside::default())
 }
 
-/// Additional information about a file.
+/// Additional inputs and outputs of the decoders.
 #[derive(Default)]
 struct Beside<'a> {
-    /// The file's folder, for formats of several files.
+    /// The file's folder, for formats that consist of several files.
     #[cfg_attr(not(feature = "more-formats"), allow(dead_code))]
     folder: Option<&'a Path>,
     camera: Option<Camera>,
     notes: Vec<String>,
 }
 
-/// Decodes a file that nothing wraps.
+/// Decodes bytes that [`plain`] returned.
 fn decode_plain(
     bytes: &[u8],
     announced: Option<Format>,

@@ -1,4 +1,4 @@
-//! Files of points as records of one size, read and written some at a time: clouds that do not fit memory.
+//! Point files with records of one size, read and written in batches, for clouds that do not fit in memory.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -21,7 +21,7 @@ pub(crate) trait RecordReader: Sized {
     /// Returns the number of points in the file.
     fn points(&self) -> usize;
 
-    /// Bytes of a record.
+    /// Returns the size of a record in bytes.
     fn record(&self) -> usize;
 
     /// Lists data of the file that its records omit: one clause each, for users.
@@ -32,24 +32,24 @@ pub(crate) trait RecordReader: Sized {
     /// Reads the next records, at most `most`; returns an empty slice after the last.
     fn next_records(&mut self, most: usize) -> FormatResult<&[u8]>;
 
-    /// Returns true if only the latest version of the format can count the records read so far.
+    /// Returns true if only the latest version of the format can store the number of records read so far.
     fn needs_latest_version(&self) -> bool;
 
-    /// Coordinates of a record in metres; of a hole, not finite.
+    /// Returns the coordinates of a record in metres, which are not finite for a hole.
     fn position_m(header: &Self::Header, record: &[u8]) -> [f64; 3];
 
-    /// Returns the cloud of some records of a file with this header.
+    /// Returns the cloud of records from a file with this header.
     fn cloud_of(header: &Self::Header, records: &[u8]) -> FormatResult<PointCloud>;
 }
 
-/// How the points of a cloud become records, and records a file.
+/// Converts the points of a cloud to records, and writes records to a file.
 pub(crate) trait RecordEncoder: Sized {
     type Header;
 
-    /// Whether holes have records.
+    /// True if holes have records.
     const KEEPS_HOLES: bool;
 
-    /// Prepares for clouds with the columns of this one, of which some points are kept, from a file with this header.
+    /// Prepares to encode the `kept` points of clouds with the columns of `cloud`, from a file with this header.
     fn new(
         header: &Self::Header,
         cloud: &PointCloud,
@@ -61,7 +61,7 @@ pub(crate) trait RecordEncoder: Sized {
     /// Converts the header to the latest version of the format.
     fn in_latest_version(self) -> FormatResult<Self>;
 
-    /// Bytes of a record.
+    /// Returns the size of a record in bytes.
     fn record(&self) -> usize;
 
     /// Returns the records of the kept points, one after another.

@@ -7,7 +7,7 @@ use super::depth_png::encode_png;
 use super::{ReadOptions, RgbImage};
 use planish_core::{FormatError, IoError};
 
-/// Writes a picture; a colourless one as grey, in a third of the bytes.
+/// Writes a picture. A colourless picture is written as grey, in a third of the bytes.
 pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     let (width, height, eight) = (image.width, image.height, png::BitDepth::Eight);
     let pixels = image.rgb.chunks_exact(3);
@@ -20,7 +20,7 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Writes pictures of one size as an animated PNG that repeats endlessly; grey if they all are.
+/// Writes pictures of one size as an animated PNG that repeats endlessly. It is grey if all pictures are colourless.
 pub fn write_animated_png(path: &Path, images: &[RgbImage], frames_per_second: u16) -> Result<(), IoError> {
     encode_animated(images, frames_per_second)
         .and_then(|bytes| super::write_whole(path, &bytes))
@@ -58,7 +58,7 @@ pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
     read_rgb_png_with(path, &ReadOptions::default())
 }
 
-/// Does the same as [`read_rgb_png`] with other options than the default ones.
+/// Same as [`read_rgb_png`], with options.
 pub fn read_rgb_png_with(path: &Path, options: &ReadOptions) -> Result<RgbImage, IoError> {
     let read = || decode(&super::read_bytes(path, options)?, options);
     read().map_err(IoError::at(path))
@@ -72,7 +72,7 @@ fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> 
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     planish_core::validate_shape(width, height)?;
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
-    // Deflate compresses by 1032 at most, and 1-bit pixels become bytes.
+    // Deflate compresses by a factor of at most 1032, and 1-bit pixels become bytes.
     if size / 8800 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is truncated: its header states {width}x{height} pixels")));
     }

@@ -5,10 +5,10 @@ use std::path::Path;
 use super::{FormatResult, ReadOptions};
 use planish_core::{FormatError, IoError, Settings};
 
-/// The largest settings file accepted, in bytes.
+/// Maximum size of a settings file in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// More brackets than settings have.
+/// Limit on the number of brackets, which settings never reach.
 const MOST_BRACKETS: usize = 100;
 
 /// Reads settings from a file in JSON or YAML: an object of the fields of [`Settings`].
@@ -28,7 +28,7 @@ pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
 /// Parses settings from JSON or YAML.
 ///
 /// # Errors
-/// As [`read_settings`].
+/// If the text has a field that settings do not have, or a value outside its range.
 pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     let text = text.trim_start_matches('\u{feff}');
     // The YAML parser's time grows with the square of the depth.

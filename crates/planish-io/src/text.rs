@@ -62,7 +62,8 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Reads points that are on several lines each, or several on a line; `None` if a value is missing or unreadable.
+    /// Reads points that take several lines each, or share a line; returns `None` if a value is missing or
+    /// unreadable.
     fn read_words(&mut self, columns: &mut [Attribute], points: usize, values: usize) -> Option<()> {
         let slots: Vec<usize> = columns.iter().enumerate().flat_map(|(k, column)| vec![k; column.count]).collect();
         let mut words = 0;
@@ -73,7 +74,8 @@ impl<'a> Body<'a> {
                 push(&mut columns.get_mut(*slots.get(words % values)?)?.values, word)?;
                 words += 1;
             }
-            // Several lines make a point, or several points a line: otherwise a value is missing or superfluous.
+            // Either a point takes several lines, or a line has several points; otherwise a value is missing or
+            // superfluous.
             let found = words - before;
             let is_regular =
                 if left == values { found < values || found.is_multiple_of(values) } else { found <= left };

@@ -1,4 +1,4 @@
-//! Poses of a moving camera: TUM's `groundtruth.txt` (time stamp, position, quaternion x, y, z, w) and the
+//! Poses of a moving camera: TUM's `groundtruth.txt` (timestamp, position, quaternion x, y, z, w) and the
 //! `trajectory.log` of Redwood and Open3D (three numbers and a 4x4 matrix per frame). Detected from their contents.
 
 use std::path::Path;
@@ -10,15 +10,15 @@ use super::{FormatResult, ReadOptions};
 
 const HELP: &str = "expected poses as text: lines of time, x, y, z, qx, qy, qz, qw (TUM), or blocks of three numbers \
                     and a 4x4 matrix (trajectory.log)";
-/// The largest file accepted, in bytes.
+/// Maximum size of a trajectory file in bytes.
 const MAX_BYTES: u64 = 1 << 28;
-/// Poses are interpolated over at most this time, in seconds.
+/// Maximum time between two poses for interpolation, in seconds.
 const LONGEST_GAP_S: f64 = 0.2;
 
 /// The poses of a camera in the world over time, or frame by frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trajectory {
-    /// In seconds, ascending; `None` if poses belong to frames by their number.
+    /// The times of the poses in seconds, ascending; `None` if poses belong to frames by number.
     times_s: Option<Vec<f64>>,
     poses: Vec<SensorPose>,
 }
@@ -47,14 +47,14 @@ impl Trajectory {
         self.poses.is_empty()
     }
 
-    /// Returns true if the poses have time stamps, rather than belonging to frames by their number.
+    /// Returns true if the poses have timestamps, rather than belonging to frames by number.
     pub fn has_times(&self) -> bool {
         self.times_s.is_some()
     }
 
-    /// Returns the pose of a frame, by its number from 0 or by its time stamp, interpolated between poses at most 0.2 s
-    /// apart; `None` if it is not known. A frame without a time stamp is named by its time in seconds, as in data sets
-    /// in TUM layout.
+    /// Returns the pose of a frame, by its number from 0 or by its timestamp; `None` if the pose is unknown. Poses at
+    /// most 0.2 s apart are interpolated. A frame without a timestamp must be named by its time in seconds, as in
+    /// data sets with TUM layout.
     pub fn pose(&self, number: u64, timestamp_s: Option<f64>, name: Option<&str>) -> Option<SensorPose> {
         let Some(times_s) = &self.times_s else { return self.poses.get(usize::try_from(number).ok()?).copied() };
         let at_s = timestamp_s.or_else(|| name?.parse().ok()).filter(|time_s: &f64| time_s.is_finite())?;

@@ -9,15 +9,15 @@ use planish_core::{FormatError, IoError};
 use super::triangles::TriangleMesh;
 use super::{FormatResult, write_whole};
 
-/// The endings of meshes, for messages.
+/// The extensions of mesh formats, for messages.
 pub const WRITTEN_MESHES: &str = ".ply, .obj, .stl or .glb";
 
-/// Writes a mesh in the format of the path's extension: PLY (binary), OBJ, STL (binary) or GLB. STL has triangles
-/// alone; the others have normals and colours, OBJ and GLB texture coordinates. Like all of glTF, GLB is turned so that
-/// y is up.
+/// Writes a mesh in the format of the path's extension: PLY (binary), OBJ, STL (binary) or GLB. STL stores only
+/// triangles. The other formats also store normals and colours, and OBJ and GLB texture coordinates. GLB is rotated
+/// so that y is up, as in all glTF.
 ///
 /// # Errors
-/// If the extension is another, or the file cannot be written.
+/// If the mesh has no triangles, the extension is unknown, or the file cannot be written.
 pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let encode = || match extension.as_deref() {
@@ -119,7 +119,7 @@ fn stl(mesh: &TriangleMesh) -> Vec<u8> {
     bytes
 }
 
-/// glTF 2.0 in one binary file: a header, JSON, and the arrays.
+/// Encodes a mesh as glTF 2.0 in one binary file: a header, JSON, and the arrays.
 fn glb(mesh: &TriangleMesh) -> FormatResult<Vec<u8>> {
     const FLOAT: u32 = 5126;
     const UNSIGNED_BYTE: u32 = 5121;

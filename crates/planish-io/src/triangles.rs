@@ -1,20 +1,20 @@
 //! Triangles between the pixels of a smoothed frame.
 //!
-//! Two adjacent pixels are connected if their tangent planes meet between them: the plane of one predicts the range of
-//! the other up to the noise of the sensor, or up to half the difference of the two slopes, as at a crease. Steps are
-//! left open.
+//! Two adjacent pixels are connected if their tangent planes meet between them. The plane of one must predict the
+//! range of the other up to the noise of the sensor, or up to half the difference of the two slopes, as at a crease.
+//! Steps are left open.
 
 use glam::DVec3;
 use planish_core::{FrameError, OrganizedCloud, PointsView, SensorModel, Xyz};
 
-/// Ranges differ by at most this many standard deviations of the sensor's noise.
+/// Tolerance of predicted ranges, in standard deviations of the sensor's noise.
 const DEVIATIONS: f64 = 3.0;
 
-/// At a crease between two pixels, one of the two planes predicts the other pixel's range to half the difference of
-/// their slopes.
+/// Tolerance of the better predicted range, as a fraction of the difference of two pixels' slopes. At a crease
+/// between two pixels, the error is half this difference.
 const SHARE_OF_SLOPES: f64 = 0.5;
 
-/// Planes at a smaller angle to the ray predict nothing (cosine).
+/// Minimum cosine of the angle between a normal and a ray for the tangent plane to predict a range.
 const GRAZING_COSINE: f64 = 0.03;
 
 /// A triangle mesh.
@@ -23,7 +23,7 @@ const GRAZING_COSINE: f64 = 0.03;
 pub struct TriangleMesh {
     /// Vertices in metres, relative to `origin_m`.
     pub positions: Xyz,
-    /// Offset of all vertices.
+    /// Offset of all vertices in metres.
     pub origin_m: [f64; 3],
     /// Unit normals, towards the sensor.
     pub normals: Xyz,
@@ -35,7 +35,7 @@ pub struct TriangleMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Seen from the sensor: points and normals relative to its position.
+/// The points and normals of a frame, and the position and noise of the sensor.
 struct Seen<'a> {
     positions: &'a Xyz,
     normals: &'a Xyz,
@@ -77,7 +77,7 @@ impl Seen<'_> {
 }
 
 impl TriangleMesh {
-    /// Connects the points of a smoothed frame. `normals` are theirs; `noise` is the sensor's.
+    /// Connects the points of a smoothed frame, given their normals and the noise of the sensor.
     ///
     /// # Errors
     /// If the number of normals differs, or the position of the sensor is unknown.
@@ -132,7 +132,7 @@ impl TriangleMesh {
     }
 }
 
-/// Gives vertices without a normal the mean of their triangles.
+/// Gives each vertex without a normal the area-weighted mean normal of its triangles.
 fn with_normals_of_triangles(mut normals: Xyz, positions: &Xyz, triangles: &[[u32; 3]]) -> Xyz {
     let is_missing: Vec<bool> = (0..normals.len()).map(|i| !normals.is_finite(i)).collect();
     let mut sums = vec![DVec3::ZERO; normals.len()];
@@ -147,14 +147,14 @@ fn with_normals_of_triangles(mut normals: Xyz, positions: &Xyz, triangles: &[[u3
 }
 
 impl Seen<'_> {
-    /// Returns the triangles of a square of pixels: upper left, upper right, lower left, lower right.
+    /// Returns the triangles of a square of pixels, given as upper left, upper right, lower left, lower right.
     fn triangles(&self, [a, b, c, d]: [usize; 4]) -> impl Iterator<Item = [usize; 3]> + use<> {
         let has_point = |i: usize| self.positions.is_finite(i);
         let along_ad = self.point(a).distance_squared(self.point(d));
         let along_bc = self.point(b).distance_squared(self.point(c));
         let by_ad = [[a, c, d], [a, d, b]];
         let by_bc = [[a, c, b], [b, c, d]];
-        // Holes make distances NaN; the other diagonal is then the one.
+        // Holes make distances NaN; the other diagonal is used then.
         let first_is_ad = along_ad <= along_bc || along_bc.is_nan();
         let (first, second) = if first_is_ad { (by_ad, by_bc) } else { (by_bc, by_ad) };
         let is_whole = |&[i, j, k]: &[usize; 3]| {
@@ -162,7 +162,7 @@ impl Seen<'_> {
             has_points && self.is_connected(i, j) && self.is_connected(j, k) && self.is_connected(k, i)
         };
         let of_first: Vec<[usize; 3]> = first.into_iter().filter(is_whole).collect();
-        // One triangle of the other diagonal may fit where none of this one does.
+        // A triangle of the second diagonal may fit if none of the first does.
         let found =
             if of_first.is_empty() { second.into_iter().filter(is_whole).collect::<Vec<_>>() } else { of_first };
         found.into_iter()
@@ -173,7 +173,7 @@ impl Seen<'_> {
 mod tests {
     use super::*;
 
-    /// A frame of 8x8 pixels, 5 mm apart at 1 m, whose depth is given.
+    /// A frame of 8x8 pixels with a given depth; pixels are 5 mm apart at 1 m.
     fn frame(depth_m: impl Fn(usize, usize) -> f32, normal: [f32; 3]) -> TriangleMesh {
         let point = |i: usize| {
             let (u, v) = (i % 8, i / 8);

@@ -1,4 +1,4 @@
-//! Clouds and depth images into files, or into the bytes of files.
+//! Writing of clouds and depth images to files, and their encoding as bytes.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use super::{CloudRef, Encoding, Format, depth_png, npy, pcd, ply, write_whole, x
 use super::{e57, las};
 use planish_core::{DepthImage, FormatError, IoError, Outputs, Smoothed};
 
-/// Returns true if two paths refer to one file, through links of either kind.
+/// Returns true if two paths refer to the same file, including through symbolic links and, on Unix, hard links.
 pub fn is_same_file(a: &Path, b: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -83,7 +83,7 @@ pub fn encode_cloud<'a>(
 /// format that cannot represent the cloud's fields and those added by a result.
 ///
 /// # Errors
-/// As [`write_cloud`], except for errors caused by single values.
+/// If [`write_cloud`] would fail for reasons other than single values.
 pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Outputs) -> Result<(), IoError> {
     let mut none = cloud.into().points().select(&[]);
     let mut result = Smoothed::default();
@@ -98,7 +98,7 @@ pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Ou
 /// Encodes a depth image as the bytes of a file: 16-bit PNG, TIFF or NPY.
 ///
 /// # Errors
-/// If the format holds points.
+/// If the format cannot store depth, or the image is too large for it.
 pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, FormatError> {
     match format {
         Format::DepthPng => depth_png::encode(image),
@@ -113,8 +113,8 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), lines of text, CSV, or NPY
-/// (positions alone).
+/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), E57, lines of text, CSV,
+/// NPZ, a lidar's `.bin`, or NPY (only positions).
 pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || match Format::of_output(path)? {
@@ -137,12 +137,12 @@ pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Returns the name of the mask of a depth file, NAME.origin.png beside it.
+/// Returns the path of a depth file's origin mask, NAME.origin.png in the same folder.
 pub fn origin_mask_of(depth: &Path) -> PathBuf {
     depth.with_extension(ORIGIN)
 }
 
-/// Returns true for a mask of origins: its name ends in .origin.png, and it is an 8-bit PNG, which no depth image is.
+/// Returns true for an origin mask: its name ends in .origin.png, and it is an 8-bit PNG, which no depth image is.
 pub(crate) fn is_origin_mask(path: &Path) -> bool {
     let has_name = path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&format!(".{ORIGIN}")));
     has_name && is_8_bit(path)
@@ -155,18 +155,18 @@ fn is_8_bit(path: &Path) -> bool {
     read.is_ok() && start[PNG_BIT_DEPTH] == 8
 }
 
-/// The position of the bit depth in a PNG: behind the signature, the header's length and type, width and height.
+/// Offset of the bit depth in a PNG, after the signature, the header's length and type, width and height.
 const PNG_BIT_DEPTH: usize = 24;
 
-/// The extension of masks of origins.
+/// The extension of origin masks.
 const ORIGIN: &str = "origin.png";
 
-/// Writes the origins of the pixels of a depth file as an 8-bit PNG beside it. Values are 0 for holes, 85 for filled
-/// pixels, 170 for pixels carried over from the previous frame, and 255 for measured ones.
+/// Writes the origin mask of a depth file, an 8-bit PNG in the same folder. Values are 0 for holes, 85 for filled
+/// pixels, 170 for pixels carried over from the previous frame, and 255 for measured ones. Write the mask before the
+/// depth, so that no depth is left without a mask.
 ///
 /// # Errors
-/// If the result has no status, the file cannot be written, or another file has its name. Write the mask before the
-/// depth, so that no depth is left without one.
+/// If the result has no status, the mask cannot be written, or another file has its name.
 pub fn write_origin_mask(depth: &Path, smoothed: &Smoothed) -> Result<(), IoError> {
     let path = origin_mask_of(depth);
     if path.exists() && !is_8_bit(&path) {

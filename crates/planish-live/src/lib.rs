@@ -1,4 +1,4 @@
-//! Live smoothing: where frames come from, the loop that smooths them, and rigs of several cameras.
+//! Live smoothing: frame sources, the loop that smooths their frames, and rigs of several cameras.
 
 #![deny(
     clippy::unwrap_used,
@@ -14,7 +14,7 @@ pub mod rig;
 pub mod source;
 pub mod stream;
 
-/// For planish's own tests and for its other crates.
+/// Items for planish's own tests and its other crates.
 #[doc(hidden)]
 pub mod internal {
     #[cfg(feature = "internal")]

@@ -1,11 +1,11 @@
-//! Folders for live frames, often the only copy of a measurement.
+//! Output folders for live frames, which are often the only copy of a measurement.
 
 use std::path::Path;
 
 use planish_core::{FormatError, IoError};
 
-/// Refuses a folder that has files: they could be overwritten, or mixed with the new ones, and links in it lead
-/// elsewhere. Hidden files are ignored.
+/// Refuses a folder that is not empty: its files could be overwritten or mixed with the new ones, and links in it may
+/// point elsewhere. Hidden files are ignored.
 pub(crate) fn refuse_used(folder: &Path) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     let entries = match std::fs::read_dir(folder) {

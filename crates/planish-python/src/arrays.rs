@@ -14,7 +14,7 @@ use pyo3::types::PyDict;
 
 use crate::errors::frame;
 
-/// An array that is read, of one of the types that frames have.
+/// An input array, with one of the element types that frames have.
 pub enum Input<'py> {
     DepthU16(PyReadonlyArrayDyn<'py, u16>),
     DepthF32(PyReadonlyArrayDyn<'py, f32>),
@@ -23,7 +23,7 @@ pub enum Input<'py> {
 }
 
 impl<'py> Input<'py> {
-    /// Depth `[H, W]` or points `[.., 3]`; the Python side has checked shape and strides.
+    /// Borrows depth `[H, W]` or points `[.., 3]`; the Python side has checked shape and strides.
     pub fn new(array: &Bound<'py, PyAny>, is_depth: bool) -> PyResult<Self> {
         if let Ok(array) = array.cast::<PyArrayDyn<f32>>() {
             let array = array.try_readonly().map_err(borrowed)?;
@@ -38,7 +38,7 @@ impl<'py> Input<'py> {
         Err(PyTypeError::new_err("an array of uint16, float32 or float64 is expected"))
     }
 
-    /// The frame that it holds.
+    /// Returns the frame in the array.
     pub fn frame<'a>(
         &'a self,
         camera: Option<&'a Camera>,
@@ -63,7 +63,7 @@ impl<'py> Input<'py> {
     }
 }
 
-/// Arrays that share memory are refused by numpy's borrow checks.
+/// Converts an error of numpy's borrow checks, which refuse arrays that share memory.
 fn borrowed(error: BorrowError) -> PyErr {
     match error {
         BorrowError::NotWriteable => PyValueError::new_err("out: an array is read-only"),
@@ -74,14 +74,14 @@ fn borrowed(error: BorrowError) -> PyErr {
     }
 }
 
-/// Strides in bytes, none of them negative.
+/// Returns the strides in bytes; a negative stride is an error.
 fn strides<T: Element>(array: &PyReadonlyArrayDyn<'_, T>) -> PyResult<Vec<usize>> {
     let positive =
         |&stride: &isize| usize::try_from(stride).map_err(|_| PyValueError::new_err("strides must not be negative"));
     array.strides().iter().map(positive).collect()
 }
 
-/// Returns the rows of an image, and how many values are from one to the next.
+/// Returns the rows of an image, and their stride in values.
 fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [T], usize)> {
     let (&[height, width], &[row_bytes, value_bytes]) = (array.shape(), &strides(array)?[..]) else {
         return Err(PyValueError::new_err("a depth image has two dimensions, [H, W]"));
@@ -142,7 +142,7 @@ fn points<'a, T: Element>(
     view.into_frame().map_err(frame)
 }
 
-/// The caller's arrays, by purpose.
+/// The caller's output arrays.
 #[derive(Default)]
 pub struct Buffers<'py> {
     points: Option<PyReadwriteArrayDyn<'py, f32>>,
@@ -207,7 +207,7 @@ impl<'py> Buffers<'py> {
         Ok(buffers)
     }
 
-    /// Which outputs these are.
+    /// Returns the outputs that have an array.
     pub fn outputs(&self) -> Outputs {
         Outputs::POINTS
             .with_points(self.points.is_some())
@@ -247,7 +247,8 @@ impl<'py> Buffers<'py> {
 }
 
 impl<'a> Slices<'a> {
-    /// As the library takes them; the status goes into `status`, from where [`store_status`] brings it.
+    /// Returns the slices as the library's output buffers. The status is written to `status`;
+    /// [`store_status`](Self::store_status) then copies it to the array.
     pub fn smoothed_mut<'b>(&'b mut self, status: &'b mut Vec<Status>) -> SmoothedMut<'b> {
         let mut out = SmoothedMut::new();
         if let Some(codes) = &self.status {
@@ -265,7 +266,7 @@ impl<'a> Slices<'a> {
         out
     }
 
-    /// Writes the codes of what became of each pixel.
+    /// Writes the status codes of the pixels.
     pub fn store_status(&mut self, status: impl Iterator<Item = Status>) {
         if let Some(codes) = &mut self.status {
             codes.iter_mut().zip(status).for_each(|(code, status)| *code = status as u8);

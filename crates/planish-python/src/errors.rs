@@ -1,4 +1,4 @@
-//! Errors of the library as Python's own.
+//! Conversion of the library's errors to Python's.
 
 use planish::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
 use std::ffi::CString;
@@ -17,7 +17,7 @@ pub fn to_py(error: impl Into<Error>) -> PyErr {
         Error::Engine(EngineError::OutOfMemory { .. }) => PyMemoryError::new_err(text),
         Error::Io(IoError { path, problem: FormatError::Os(os) }) => match (os.kind(), os.raw_os_error()) {
             (std::io::ErrorKind::NotFound, None) => PyFileNotFoundError::new_err(text),
-            // Python makes of the number the right kind: FileNotFoundError, PermissionError, ...
+            // From the number, Python chooses the subclass: FileNotFoundError, PermissionError, ...
             (_, Some(number)) => PyOSError::new_err((number, os.to_string(), path.display().to_string())),
             _ => PyOSError::new_err(text),
         },
@@ -35,10 +35,10 @@ pub fn frame(error: FrameError) -> PyErr {
     to_py(error)
 }
 
-/// Raises warnings about dropped data and guesses in a file, attributed to the Python caller at this level.
+/// Raises warnings about dropped data and guesses in a file, attributed to the Python caller at stack level `level`.
 pub fn warn(py: Python<'_>, path: &Path, notes: &[String], level: i32) -> PyResult<()> {
     for note in notes {
-        // C strings have no NUL.
+        // C strings cannot contain NUL.
         let text = format!("{}: {note}", path.display()).replace('\0', " ");
         let text = CString::new(text).unwrap_or_default();
         PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, level)?;

@@ -30,7 +30,7 @@ pub fn read<'py>(
     let options = ReadOptions::default().with_unit(unit).with_columns(columns);
     let FileRead { format, contents, camera, notes, .. } =
         py.detach(|| io::read_file(&path, &options)).map_err(to_py)?;
-    // Called by the function of the same name in Python.
+    // Level 2, since the Python function of the same name calls this one.
     warn(py, &path, &notes, 2)?;
     let found = PyDict::new(py);
     if let Some(camera) = camera {
@@ -119,7 +119,7 @@ pub fn write_points(
     written.map_err(to_py)
 }
 
-/// Returns the encoding and the precision of coordinates that names state.
+/// Returns the encoding and the precision of coordinates that `names` state.
 pub fn encoding_of(names: &[String]) -> PyResult<(Option<Encoding>, Option<Precision>)> {
     let (mut encoding, mut precision) = (None, None);
     for name in names.iter().flat_map(|names| names.split(',')) {
@@ -139,7 +139,7 @@ pub fn encoding_of(names: &[String]) -> PyResult<(Option<Encoding>, Option<Preci
     Ok((encoding, precision))
 }
 
-/// Returns the cloud of points and fields, relative to an origin.
+/// Creates a cloud from points and fields, with coordinates relative to an origin.
 pub fn cloud_of(
     points: &PyReadonlyArray2<'_, f64>,
     origin_m: [f64; 3],
@@ -180,7 +180,7 @@ fn attribute_values(array: &Bound<'_, PyAny>) -> Option<AttributeValues> {
     None
 }
 
-/// Writes a depth image of raw values, or of metres.
+/// Writes a depth image of raw values or of metres.
 #[pyfunction]
 pub fn write_depth(py: Python<'_>, path: PathBuf, depth: &Bound<'_, PyAny>) -> PyResult<()> {
     if let Ok(raw) = depth.extract::<PyReadonlyArray2<'_, u16>>() {
@@ -195,7 +195,7 @@ pub fn write_depth(py: Python<'_>, path: PathBuf, depth: &Bound<'_, PyAny>) -> P
     py.detach(|| io::write_depth_metres(&path, width, &values)).map_err(to_py)
 }
 
-/// Returns a simulated depth image with its truth: raw depth, points and normals, each in rows.
+/// Simulates a depth image; returns its raw depth, and the true points and normals of its pixels.
 #[pyfunction]
 pub fn simulate<'py>(
     py: Python<'py>,
@@ -275,19 +275,19 @@ pub fn read_settings(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict
     to_dict(py, &planish::io::read_settings(&path).map_err(to_py)?)
 }
 
-/// Settings as JSON, checked.
+/// Checks settings; returns them as JSON.
 #[pyfunction]
 pub fn settings_to_json(settings: &Bound<'_, PyDict>) -> PyResult<String> {
     Ok(planish::io::settings_to_json(&from_dict(settings)?))
 }
 
-/// Returns the mask value of each status, by its code.
+/// Returns the origin mask value of each status, indexed by status code.
 #[pyfunction]
 pub fn origin_values() -> Vec<u8> {
     planish::Status::ALL.iter().map(|status| status.origin().mask_value()).collect()
 }
 
-/// Returns the GPUs of this machine, and what `auto` takes: its name and why.
+/// Returns the GPUs of this machine, the name of the engine that `auto` chooses, and the reason.
 #[pyfunction]
 pub fn devices(py: Python<'_>) -> (Vec<(usize, String, String)>, String, String) {
     let adapters = py.detach(planish::gpu_adapters);

@@ -58,7 +58,7 @@ pub fn to_dict<'py>(py: Python<'py>, settings: &Settings) -> PyResult<Bound<'py,
     Ok(parsed.cast_into::<PyDict>()?)
 }
 
-/// Returns the sensor of a name.
+/// Returns the sensor with this name.
 pub fn sensor_named(name: &str) -> PyResult<SensorModel> {
     name.parse().map_err(param)
 }

@@ -1,4 +1,4 @@
-//! A session, as Python holds it.
+//! A session for Python.
 
 use std::sync::{Mutex, mpsc};
 use std::thread;
@@ -16,11 +16,11 @@ use crate::camera::PyCamera;
 use crate::errors::to_py;
 use crate::settings::from_dict;
 
-/// Frames of a batch between two looks at Python's signals.
+/// Number of frames of a batch between two checks for Python's signals.
 const FRAMES_AT_ONCE: usize = 256;
-/// Between two looks at Python's signals while a large cloud is smoothed.
+/// Interval between checks for Python's signals while an unorganized cloud is smoothed.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// Results that wait to be copied; each keeps its memory on the device.
+/// Maximum number of results that wait to be copied; each keeps its memory on the device.
 const VIEWS_WAITING: usize = 2;
 
 struct State {
@@ -34,10 +34,10 @@ pub struct PySmoother(Mutex<State>);
 /// Camera, sensor pose and origin of a frame, and the camera's pose in the world, if known.
 type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 3]>, Option<[f64; 7]>);
 
-/// Neighbours, edges, passes and noise; then height and width of a grid.
+/// The choices for a cloud (neighbours, edges, passes and noise in metres), and height and width of its rebuilt grid.
 type ChosenForCloud = (Option<(u32, &'static str, u32, Option<f32>)>, Option<(usize, usize)>);
 
-/// What makes a frame.
+/// An input array with the camera, poses and origin that complete it to a frame.
 struct Given<'py> {
     input: Input<'py>,
     camera: Option<Camera>,
@@ -53,7 +53,7 @@ impl<'py> Given<'py> {
         Ok(Self { input: Input::new(array, is_depth)?, camera, pose, origin_m, camera_pose })
     }
 
-    /// Tells the session where the camera is in the world.
+    /// Sets the session's pose of the camera in the world.
     fn set_camera_pose(&self, session: &mut Session) -> PyResult<()> {
         session.set_camera_pose(self.camera_pose.map(SensorPose::from_viewpoint)).map_err(to_py)
     }
@@ -64,7 +64,7 @@ impl<'py> Given<'py> {
 }
 
 impl State {
-    /// Smooths a frame; returns the session's decisions as text.
+    /// Smooths a frame; returns the faults that the session reports, as text.
     fn smooth(
         &mut self,
         py: Python<'_>,
@@ -76,7 +76,7 @@ impl State {
         let mut status = std::mem::take(&mut self.status);
         let result = {
             let (session, out) = (&mut self.session, out.smoothed_mut(&mut status));
-            // A frame on a grid takes less time than a check for signals.
+            // A frame on a grid is finished before signals would be checked.
             if frame.grid().is_some() {
                 py.detach(|| session.smooth_into(frame, out))
             } else {
@@ -90,12 +90,12 @@ impl State {
         result.map_err(to_py)?;
         out.store_status(status.iter().copied());
         self.status = status;
-        // Python raises warnings for them.
+        // The Python side raises warnings for them.
         let events = self.session.take_events();
         Ok(events.iter().filter(|event| event.is_fault()).map(ToString::to_string).collect())
     }
 
-    /// Refuses what would mix with frames in flight.
+    /// Returns an error if frames are in flight.
     fn check_idle(&self) -> PyResult<()> {
         match self.session.in_flight() {
             0 => Ok(()),
@@ -104,8 +104,8 @@ impl State {
     }
 }
 
-/// Smooths on another thread, and looks at Python's signals meanwhile: an exception that one of them raises stops the
-/// work, and comes with its result.
+/// Smooths on another thread, while this one checks for Python's signals. An exception raised by a signal stops the
+/// work and is returned with its result.
 fn interruptible(session: &mut Session, frame: Frame<'_>, out: SmoothedMut<'_>) -> (Result<(), Error>, Option<PyErr>) {
     let (this, watch) = (thread::current(), session.watch());
     thread::scope(|scope| {
@@ -139,7 +139,8 @@ impl PySmoother {
         Ok(())
     }
 
-    /// Returns how the camera moved before the last frame: x, y, z, qw, qx, qy, qz.
+    /// Returns the pose of the last frame's camera in the coordinate frame of the previous one: x, y, z, qw, qx, qy,
+    /// qz. `None` if the motion is unknown.
     fn camera_motion(&self) -> PyResult<Option<[f64; 7]>> {
         let motion = self.lock()?.session.camera_motion();
         Ok(motion.map(|motion| motion.previous_from_current.viewpoint()))
@@ -150,7 +151,7 @@ impl PySmoother {
         Ok(self.lock()?.session.settings().map(Settings::unused_by_clouds).unwrap_or_default())
     }
 
-    /// Smooths a frame into arrays; returns a warning, if any.
+    /// Smooths a frame into arrays; returns warnings.
     fn smooth<'py>(
         &self,
         py: Python<'py>,
@@ -170,8 +171,7 @@ impl PySmoother {
         state.smooth(py, frame, outputs, &mut slices)
     }
 
-    /// Hands a frame over; its result is received later. `outputs` has arrays of any size for the outputs that are
-    /// wanted.
+    /// Submits a frame, whose result is received later. `outputs` has an array of any size for each requested output.
     fn submit<'py>(
         &self,
         py: Python<'py>,
@@ -190,7 +190,7 @@ impl PySmoother {
         py.detach(|| session.submit_in_place(frame)).map_err(to_py)
     }
 
-    /// Waits for the first frame in flight, and writes its result into arrays; false if none is in flight.
+    /// Waits for the first frame in flight and writes its result into arrays; returns false if no frame is in flight.
     fn receive(&self, py: Python<'_>, out: &Bound<'_, PyDict>) -> PyResult<bool> {
         let mut buffers = Buffers::new(out)?;
         let mut slices = buffers.slices()?;
@@ -206,7 +206,7 @@ impl PySmoother {
         received.map_err(to_py)
     }
 
-    /// How many frames are in flight, and how many may be.
+    /// Returns the number of frames in flight, and its maximum.
     fn in_flight(&self) -> PyResult<(usize, usize)> {
         let state = self.lock()?;
         Ok((state.session.in_flight(), state.session.max_in_flight()))
@@ -289,7 +289,7 @@ impl PySmoother {
         times.map_err(to_py)
     }
 
-    /// Returns the engine that is open, its GPU, and why it was chosen.
+    /// Returns the open engine, its GPU, and the reason for the choice.
     fn opened(&self) -> PyResult<(Option<&'static str>, Option<String>, Option<String>)> {
         let state = self.lock()?;
         let session = &state.session;
@@ -297,8 +297,8 @@ impl PySmoother {
         Ok((session.engine().map(planish::Engine::name), session.gpu_name().map(str::to_owned), because))
     }
 
-    /// Returns how the last unorganized cloud was smoothed, if planish chose that, and the height and width of the grid
-    /// that it lost, if any.
+    /// Returns the parameters that planish chose for the last unorganized cloud, if it did, and height and width of
+    /// its rebuilt grid, if any.
     fn chosen_for_cloud(&self) -> PyResult<ChosenForCloud> {
         let state = self.lock()?;
         let choice = state.session.cloud_choice();
@@ -306,7 +306,7 @@ impl PySmoother {
         Ok((choice, state.session.rebuilt_grid().map(|(width, height)| (height, width))))
     }
 
-    /// Closes the engine and gives its memory back.
+    /// Closes the engine and frees its memory.
     fn close(&self) -> PyResult<()> {
         self.lock()?.session.close();
         Ok(())
@@ -315,7 +315,7 @@ impl PySmoother {
 
 impl PySmoother {
     fn lock(&self) -> PyResult<std::sync::MutexGuard<'_, State>> {
-        // Waiting could be for ever: the other thread may be waiting for Python's lock.
+        // Waiting could deadlock: the other thread may be waiting for the interpreter.
         self.0.try_lock().map_err(|_| {
             PyRuntimeError::new_err("this Smoother is in use by another thread; open one Smoother per thread")
         })
@@ -331,7 +331,7 @@ fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'
         let mut outs = slices.iter_mut();
         let mut receive = |session: &mut Session| -> Result<(), Error> {
             if let (Some(view), Some(out)) = (session.receive()?, outs.next()) {
-                // It fails only if the copier has ended with an error, which comes below.
+                // Sending fails only if the copier has ended with an error, which is returned below.
                 let _ = sender.send((view, out));
             }
             Ok(())

@@ -1,4 +1,4 @@
-//! A running stream, as Python iterates over it.
+//! A running stream that Python iterates over.
 
 use std::time::Duration;
 
@@ -14,10 +14,10 @@ use crate::camera::PyCamera;
 use crate::errors::to_py;
 use crate::settings::from_dict;
 
-/// How often Python's signals are checked.
+/// Interval between checks for Python's signals.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// A frame with its result, in rows as Python has them.
+/// A frame with its result, as rows of values for Python.
 struct Delivered {
     frame: Frame,
     shape: (usize, usize),
@@ -36,7 +36,7 @@ struct Delivered {
     sigma: Option<Vec<f32>>,
 }
 
-/// A frame as it was measured.
+/// The measured data of a frame.
 enum Frame {
     Depth { raw: Vec<u16>, rgb: Option<Vec<u8>>, camera: PyCamera },
     Points(Vec<f32>),
@@ -120,13 +120,13 @@ impl Delivered {
 #[pyclass(frozen, name = "Stream", module = "planish._planish")]
 pub struct PyStream {
     frames: Frames,
-    /// The process that has opened it.
+    /// ID of the process that opened the stream.
     process: u32,
 }
 
 #[pymethods]
 impl PyStream {
-    /// Opens a source and begins.
+    /// Opens a source and starts the stream.
     #[new]
     #[pyo3(signature = (source, outputs, settings, camera, fps, frames, depth_units_per_metre, align, mode))]
     #[allow(clippy::too_many_arguments)]
@@ -155,7 +155,8 @@ impl PyStream {
         Ok(Self { frames: Frames::start(source, options).map_err(to_py)?, process: std::process::id() })
     }
 
-    /// Returns the next frame with its result, if one arrives soon; warnings; and whether the stream has ended.
+    /// Returns the next frame with its result, if one arrives within [`PATIENCE`]; the warnings; and whether the
+    /// stream has ended.
     fn next<'py>(&self, py: Python<'py>) -> PyResult<(Option<Bound<'py, PyDict>>, Vec<String>, bool)> {
         self.check_process()?;
         py.check_signals()?;
@@ -169,7 +170,7 @@ impl PyStream {
         Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, self.frames.take_warnings(), has_ended))
     }
 
-    /// Returns true if the source is a camera, or plays like one.
+    /// Returns true if the source is a camera, or is played at the pace of one.
     fn is_live(&self) -> bool {
         self.frames.is_live()
     }
@@ -204,7 +205,7 @@ impl PyStream {
 }
 
 impl PyStream {
-    /// Threads do not survive a fork.
+    /// Refuses to run in another process: threads do not survive a fork.
     fn check_process(&self) -> PyResult<()> {
         if self.process == std::process::id() {
             return Ok(());

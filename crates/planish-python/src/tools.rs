@@ -17,7 +17,7 @@ use crate::errors::{frame, to_py};
 use crate::files::{cloud_of, encoding_of, put_cloud};
 use crate::settings::from_dict;
 
-/// Does work without the interpreter, on new threads, since shared ones do not survive a fork.
+/// Runs `work` detached from the interpreter, on new threads, since shared threads do not survive a fork.
 fn on_own_threads<T: Send, E: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, E> + Send,
@@ -31,7 +31,7 @@ where
     })
 }
 
-/// Refuses to write over an input.
+/// Refuses to overwrite an input.
 fn check_not_input(input: &Path, output: &Path) -> PyResult<()> {
     match io::is_same_file(input, output) {
         true => Err(PyValueError::new_err(format!("{}: is the input; write to another file", output.display()))),
@@ -42,7 +42,7 @@ fn check_not_input(input: &Path, output: &Path) -> PyResult<()> {
 /// The formats that were read and written, the shape, the number of valid points, and notes.
 type Converted = (String, String, (usize, usize), usize, Vec<String>);
 
-/// Converts a file; returns formats, shape and notes.
+/// Converts a file; returns formats, shape, number of valid points, and notes.
 #[pyfunction]
 pub fn convert(
     py: Python<'_>,
@@ -90,7 +90,7 @@ pub fn compare_files(
     serde_json::to_string(&found.map_err(to_py)?).map_err(|error| PyValueError::new_err(error.to_string()))
 }
 
-/// Puts the clouds of files together, each with its pose; returns the number of points, and notes.
+/// Merges the clouds of files, each with its pose; returns the number of points, and notes.
 #[pyfunction]
 pub fn merge(
     py: Python<'_>,
@@ -142,7 +142,7 @@ pub fn mesh(
     written.map_err(to_py)
 }
 
-/// A cloud of points and fields, with its origin, grid (height, width) and pose.
+/// A cloud: points, origin in metres, grid (height, width), fields and pose.
 type Given<'py> = (PyReadonlyArray2<'py, f64>, [f64; 3], Option<(usize, usize)>, Bound<'py, PyDict>, Option<[f64; 7]>);
 
 fn cloud_given(given: &Given<'_>) -> PyResult<PointCloud> {
@@ -150,7 +150,7 @@ fn cloud_given(given: &Given<'_>) -> PyResult<PointCloud> {
     cloud_of(points, *origin_m, fields, *pose)
 }
 
-/// Cleans a cloud; returns the rest in the form of `read`.
+/// Cleans a cloud; returns the remaining points in the form of `read`.
 #[pyfunction]
 pub fn clean<'py>(
     py: Python<'py>,
@@ -172,10 +172,10 @@ pub fn clean<'py>(
     Ok(found)
 }
 
-/// Draws a cloud as a shaded relief, with its colours next to it; [H, W, 3] bytes.
+/// Draws a cloud as a shaded relief, with its colours next to it; returns [H, W, 3] bytes.
 #[pyfunction]
 pub fn draw<'py>(py: Python<'py>, given: Given<'py>, from: [f64; 3]) -> PyResult<Bound<'py, PyAny>> {
-    /// Pixels of an unorganized cloud's picture.
+    /// Length in pixels of the longer side of an unorganized cloud's picture.
     const LONGEST_SIDE: usize = 1280;
     let cloud = cloud_given(&given)?;
     let grid = given.2;

@@ -1,4 +1,4 @@
-//! The command line as nodes of ROS 2 have it: `--ros-args -r from:=to -p name:=value --params-file FILE`.
+//! The command line of a ROS 2 node: `--ros-args -r from:=to -p name:=value --params-file FILE`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +8,7 @@ use planish::io::{ReadOptions, read_bytes};
 use ros2_client::ParameterValue;
 use serde_yaml_ng::Value;
 
-/// The node's name, where nothing else is given.
+/// Default name of the node.
 pub const NODE_NAME: &str = "planish";
 
 /// Parsed command line.
@@ -18,16 +18,16 @@ pub struct Arguments {
     pub namespace: String,
     /// The node's name.
     pub node: String,
-    /// Topics by other names.
+    /// Remapping rules of topics: old and new names.
     remappings: Vec<(String, String)>,
     /// Values of parameters; later ones win.
     pub parameters: BTreeMap<String, ParameterValue>,
 }
 
-/// The largest file of parameters, in bytes.
+/// Maximum size of a parameter file in bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// Parses YAML that does not nest deeply: the parser's time grows with the square of the depth.
+/// Parses YAML; refuses deep nesting, since the parser's time grows with the square of the depth.
 fn yaml(text: &str) -> Result<Value> {
     const DEEPEST: i64 = 64;
     let step = |depth: &mut i64, c: char| {
@@ -41,7 +41,7 @@ fn yaml(text: &str) -> Result<Value> {
 }
 
 impl Arguments {
-    /// Reads the arguments behind the program's name.
+    /// Parses the arguments after the program's name.
     pub fn parse(arguments: impl IntoIterator<Item = String>) -> Result<Self> {
         let mut parsed =
             Self { namespace: "/".into(), node: NODE_NAME.into(), remappings: Vec::new(), parameters: BTreeMap::new() };
@@ -55,7 +55,7 @@ impl Arguments {
                 "-r" | "--remap" if of_ros => parsed.remap(&value("FROM:=TO")?)?,
                 "-p" | "--param" if of_ros => set.push(value("NAME:=VALUE")?),
                 "--params-file" if of_ros => files.push(value("a file")?),
-                // Accepted, as launch files give them.
+                // Accepted and ignored, since launch files pass them.
                 "--log-level" | "--log-config-file" | "-e" | "--enclave" if of_ros => drop(value("a value")?),
                 "--enable-rosout-logs"
                 | "--disable-rosout-logs"
@@ -66,14 +66,14 @@ impl Arguments {
                 other => bail!("{other}: unknown argument; see `planish-ros --help`"),
             }
         }
-        // Names are known now, by which files and rules tell nodes apart.
+        // The node's name is known only now; rules and files refer to it.
         let own = format!("{}:", parsed.node);
         for (from, _) in &mut parsed.remappings {
             if let Some(topic) = from.strip_prefix(&own) {
                 *from = topic.to_owned();
             }
         }
-        // Rules for other nodes; no topic's name has a colon.
+        // Removes the rules for other nodes. Topic names contain no colon.
         parsed.remappings.retain(|(from, _)| !from.contains(':'));
         for file in files {
             parsed.read_file(Path::new(&file))?;
@@ -133,7 +133,7 @@ impl Arguments {
         self.read_nodes(&file, "").with_context(|| path.display().to_string())
     }
 
-    /// Reads what stands under a name: parameters, or further parts of the name.
+    /// Reads the entries under a name: parameters, or further parts of the name.
     fn read_nodes(&mut self, entries: &Value, name: &str) -> Result<()> {
         let Value::Mapping(entries) = entries else { bail!("{name} has no ros__parameters") };
         for (key, entry) in entries {

@@ -31,32 +31,32 @@ pub struct KeyValue {
     pub value: String,
 }
 
-/// Counts since the start; times since the last report.
+/// Counts since the start, and latencies.
 pub struct Statistics {
-    /// Messages received.
+    /// Number of messages received.
     pub received: u64,
-    /// Results published.
+    /// Number of results published.
     pub published: u64,
-    /// Messages replaced by newer ones before they were smoothed.
+    /// Number of messages replaced by newer ones before they were smoothed.
     pub dropped: u64,
-    /// Messages that could not be smoothed.
+    /// Number of messages that could not be smoothed.
     pub failed: u64,
-    /// Results that subscribers were too slow for.
+    /// Number of results that could not be published, mostly because subscribers were too slow.
     pub unsent: u64,
-    /// Why the last message could not be smoothed, until one can.
+    /// The last warning, until the next message is smoothed.
     pub problem: Option<String>,
-    /// From arrival to publication, since the last report.
+    /// Times from arrival to publication in microseconds, since the last report.
     latency_us: Histogram<u64>,
-    /// From the message's stamp to publication, since the start.
+    /// Times from the stamp of a message to publication in microseconds, since the start.
     since_stamp_us: Histogram<u64>,
 }
 
-/// A longer time since a stamp is not a latency: the stamp comes from another clock.
+/// Maximum latency. A longer time since a stamp means that the stamp comes from another clock.
 const LONGEST: Duration = Duration::from_secs(60);
 
 impl Statistics {
     pub fn new() -> Result<Self> {
-        // Three digits, and longer ones count as the longest.
+        // Three significant digits; longer times count as the longest.
         let histogram = || Histogram::new_with_bounds(1, LONGEST.as_micros() as u64, 3);
         let (latency_us, since_stamp_us) = (histogram()?, histogram()?);
         let [received, published, dropped, failed, unsent] = [0; 5];
@@ -124,7 +124,7 @@ mod tests {
         for ms in 1..=100 {
             statistics.add(Duration::from_millis(ms), Some(Duration::from_millis(2 * ms)));
         }
-        // Its stamp is of another clock.
+        // The stamp comes from another clock.
         statistics.add(Duration::from_millis(50), Some(Duration::from_secs(1_000_000)));
         let summary = statistics.summary();
         assert!(

@@ -1,4 +1,4 @@
-//! Messages between the thread that receives them and the one that smooths.
+//! Passes messages from the receiving thread to the smoothing thread.
 
 use planish::ros::{CameraInfo, DepthMessage, PointCloud2, Time};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -27,15 +27,15 @@ pub struct Inbox {
     pub received: u64,
     pub replaced: u64,
     pub damaged: u64,
-    /// Why no more can be received.
+    /// Reason why no further messages can be received.
     pub broken: Option<String>,
-    /// The stamp of the last message that was put in.
+    /// The stamp of the last accepted message.
     pub last: Time,
 }
 
 impl Inbox {
     /// Returns true if a message is up to a second older than the last one: best-effort messages overtake each other.
-    /// After a larger jump, the clock was set back.
+    /// A larger step back means that the clock was set back.
     fn is_late(&self, stamp: Time) -> bool {
         const SHORTLY_S: f64 = 1.0;
         let after_s = self.last.seconds() - stamp.seconds();

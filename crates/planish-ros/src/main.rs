@@ -1,4 +1,4 @@
-//! `planish-ros`: a ROS 2 node that smooths depth images and organized clouds. It does not need a ROS installation.
+//! `planish-ros`: a ROS 2 node that smooths depth images and clouds. It does not need a ROS installation.
 
 mod arguments;
 mod diagnostics;
@@ -44,8 +44,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Ends the process when any thread panics, so that a launch file can restart it: without its DDS threads, the node
-/// would live on and do nothing.
+/// Ends the process when any thread panics, so that a launch file can restart it. Without its DDS threads, the node
+/// would continue to run without any effect.
 fn end_on_panics() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -57,9 +57,9 @@ fn end_on_panics() {
     }));
 }
 
-/// Configures the allocator in two ways. Freed messages return to the system; otherwise memory freed on a thread other
-/// than the one that allocated it is kept, about a gigabyte. Memory is requested in large pieces: a message grows
-/// within one while it is written, and its pages need not be cleared for each message.
+/// Configures the allocator in two ways. Freed messages return to the system; otherwise about a gigabyte is kept,
+/// since messages are freed by another thread than the one that allocated them. The heap grows in large steps: a
+/// message grows within one step while it is written, and its pages need not be cleared for each message.
 fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

@@ -25,16 +25,17 @@ use crate::diagnostics::{DiagnosticArray, Statistics};
 use crate::inbox::{Arrived, Shared};
 use crate::settings::{Input, NodeSettings, declared};
 
-/// How often diagnostics are published, and the same warning is repeated at most.
+/// Interval between diagnostic messages.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
+/// Minimum interval between repetitions of a warning.
 const WARN_EVERY: Duration = Duration::from_secs(10);
-/// Messages that reliable subscribers have not acknowledged, per topic. A subscriber that stops holds back all others
-/// from then on, until its lease ends; 20 s with Fast DDS.
+/// Maximum number of messages per topic that reliable subscribers have not acknowledged. Once it is reached, a
+/// subscriber that has stopped holds back all others until its lease ends (20 s with Fast DDS).
 const MOST_UNACKNOWLEDGED: i32 = 32;
-/// How long a wait for a message lasts before the node looks whether it is to end.
+/// Maximum wait for a message before the node checks whether it must end.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Where results go.
+/// The publishers of the results.
 struct Publishers {
     points: Publisher<PointCloud2>,
     depth: Publisher<Image>,
@@ -47,7 +48,7 @@ struct Publishers {
 /// Runs the node until `stop` is set.
 pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let settings = NodeSettings::of(&arguments.parameters)?;
-    // An engine that is not there is reported now, not with the first frame.
+    // A missing engine is reported now instead of with the first frame.
     let probe = settings.smoothing.frame_params().unwrap_or_default();
     // Only a session has standard errors.
     let options = settings.smoothing.options().with_outputs(Outputs::POINTS);
@@ -74,7 +75,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
     let publishers = publish(&context, &mut node, &settings, arguments)?;
     let spinner = node.spinner().map_err(|error| anyhow!("no discovery: {error}"))?;
-    // Both threads wait for messages without end; they go with the process.
+    // Both threads wait for messages until the process ends.
     thread::Builder::new().name("planish-discovery".into()).spawn(move || block_on(spinner.spin()))?;
     thread::Builder::new().name("planish-receive".into()).spawn(receiver)?;
     rosout!(node, LogLevel::Info, "planish smooths {} -> {}", image_topic, arguments.topic("points"));
@@ -109,7 +110,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     Ok(())
 }
 
-/// Returns the domain of DDS that the environment names, as for every node of ROS 2.
+/// Returns the DDS domain that the environment variable ROS_DOMAIN_ID states; 0 by default.
 fn domain_id() -> Result<u16> {
     const HIGHEST: u16 = 232;
     match std::env::var("ROS_DOMAIN_ID") {
@@ -132,7 +133,8 @@ fn input_topics(arguments: &Arguments, input: Input) -> (String, String) {
     (image, arguments.topic("camera_info"))
 }
 
-/// Declares the parameters; a change is checked with all others as they are, and left in `changed`.
+/// Declares the parameters. A changed value is checked together with the current values of all other parameters, and
+/// the new settings are stored in `changed`.
 fn node_options(
     arguments: &Arguments,
     changed: &Arc<Mutex<Option<NodeSettings>>>,
@@ -183,7 +185,7 @@ fn node_options(
     options.parameter_validator(Box::new(validate)).parameter_set_action(Box::new(act))
 }
 
-/// Subscribes to the input, and returns the work to be done on a separate thread.
+/// Subscribes to the input, and returns the receiving loop for a separate thread.
 fn subscribe(
     node: &mut Node,
     settings: &NodeSettings,
@@ -239,7 +241,7 @@ fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
     })
 }
 
-/// Returns a topic by its full name, with the package and name of its messages' type.
+/// Creates a topic from its full name, and the package and name of its message type.
 fn topic(
     node: &Node,
     name: &str,
@@ -256,8 +258,8 @@ fn subscription<M: 'static>(node: &mut Node, name: &str, kind: &str, qos: &QosPr
     node.create_subscription(&topic, Some(qos.clone())).map_err(|error| anyhow!("{name}: cannot subscribe: {error}"))
 }
 
-/// Creates a publisher that keeps few messages for reliable subscribers. By default RustDDS keeps 8,192 that are not
-/// acknowledged, which for clouds is 40 GB.
+/// Creates a publisher that keeps few messages for reliable subscribers. By default, RustDDS keeps 8,192
+/// unacknowledged messages, which amount to 40 GB of clouds.
 fn publisher<M: serde::Serialize>(
     context: &Context,
     node: &mut Node,
@@ -273,7 +275,7 @@ fn publisher<M: serde::Serialize>(
     let limits = QosPolicyBuilder::new().resource_limits(limits).build();
     let policies = QosPolicies::from(qos).modify_by(&limits);
     Name::parse(name).with_context(|| name.to_owned())?;
-    // Its names are absolute.
+    // ROS 2 adds the prefix `rt` to the absolute name.
     let dds_name = format!("rt{name}");
     let dds_type = MessageTypeName::new(package, kind).dds_msg_type();
     let participant = context.domain_participant();
@@ -308,7 +310,7 @@ fn publish(context: &Context, node: &mut Node, settings: &NodeSettings, argument
     })
 }
 
-/// The smoothing thread.
+/// The state of the smoothing thread.
 struct Work {
     smoother: MessageSmoother,
     settings: NodeSettings,
@@ -317,7 +319,7 @@ struct Work {
     node: Node,
     publishers: Publishers,
     statistics: Statistics,
-    /// When each warning was given last.
+    /// Time at which each warning was last printed.
     warned: BTreeMap<String, Instant>,
 }
 
@@ -329,7 +331,7 @@ impl Work {
         Ok(())
     }
 
-    /// Waits for the newest message, for a short time.
+    /// Waits for the newest message, at most [`PATIENCE`].
     fn newest(&mut self, shared: &Shared) -> Result<Option<(Arrived, Option<CameraInfo>, Instant)>> {
         let mut inbox = shared.lock();
         if inbox.newest.is_none() {
@@ -434,7 +436,7 @@ impl Work {
         Ok(())
     }
 
-    /// Publishes the normals of the last message, where they are wanted and there is a grid.
+    /// Publishes the normals of the last message, if they are requested and it has a grid.
     fn publish_normals(&mut self, header: &Header) {
         if let Some(image) = self.smoother.normals_image(header.clone()) {
             let sent = self.publishers.normals.publish(image);
@@ -451,7 +453,7 @@ impl Work {
         }
     }
 
-    /// Warns, of the same only now and then.
+    /// Prints and logs a warning, unless the same text was printed within [`WARN_EVERY`].
     fn warn(&mut self, text: String) {
         let now = Instant::now();
         let is_new = self.warned.get(&text).is_none_or(|last| now.duration_since(*last) >= WARN_EVERY);
@@ -472,7 +474,7 @@ impl Work {
         let header = Header { stamp: Time::from_nanoseconds(since.as_nanos() as u64), frame_id: String::new() };
         let engine = self.smoother.engine().map(|engine| engine.name());
         let report = self.statistics.report(header, &self.node.fully_qualified_name(), engine);
-        // Nobody may listen.
+        // An error is fine: there may be no subscriber.
         let _ = self.publishers.diagnostics.publish(report);
     }
 }

@@ -1,4 +1,4 @@
-//! The node's parameters: declared with their defaults, checked together, changed at run time where that is possible.
+//! The parameters of the node: their declaration with defaults, their common check, and changes at run time.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,9 @@ use ros2_client::ParameterValue;
 use ros2_client::qos::{History, QosProfile, WhenFull};
 use std::time::Duration;
 
-/// Frames that a subscription keeps; the newest is taken.
+/// Number of messages that a subscription or publisher keeps; the node takes the newest.
 const DEPTH: usize = 5;
-/// How long a reliable publisher waits for slow subscribers before it gives a message up.
+/// Maximum time that a reliable publisher waits for slow subscribers before it drops a message.
 const WAIT_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 
 /// The declared default of `strength`.
@@ -19,7 +19,7 @@ const DEFAULT_STRENGTH: f64 = 0.5;
 /// A parameter: name, default, whether it can change at run time, and its description.
 pub type Declared = (&'static str, ParameterValue, bool, &'static str);
 
-/// All parameters.
+/// Returns the declarations of all parameters.
 pub fn declared() -> Vec<Declared> {
     let text = |value: &str| ParameterValue::String(value.into());
     use ParameterValue::{Boolean, Double, Integer, NotSet};
@@ -69,7 +69,7 @@ pub fn declared() -> Vec<Declared> {
 /// Type of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Input {
-    /// `sensor_msgs/Image` of depth.
+    /// `sensor_msgs/Image` with depth.
     Image,
     /// `sensor_msgs/CompressedImage` of the transport compressedDepth.
     CompressedDepth,
@@ -77,10 +77,10 @@ pub enum Input {
     Points,
 }
 
-/// The parameters, checked.
+/// The checked parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeSettings {
-    /// How to smooth; the outputs are the fields of clouds.
+    /// The settings of the smoother; their outputs are the fields of clouds.
     pub smoothing: Settings,
     pub input: Input,
     pub publish_points: bool,
@@ -162,7 +162,7 @@ impl NodeSettings {
     }
 }
 
-/// Returns the settings of the smoother among the parameters.
+/// Returns the settings of the smoother from the parameters.
 fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool, sigma: bool) -> Result<Settings> {
     let mut settings = Settings::default();
     let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
@@ -237,7 +237,7 @@ mod tests {
         let values = [("preset", text("strong")), ("strength", ParameterValue::Double(0.5)), ("edges", text("off"))];
         let params = of(&values).unwrap().smoothing.frame_params().unwrap();
         assert_eq!((params.fit.edges, params.window.nominal().half_width), (planish::Edges::Off, 3));
-        // As a YAML file of ROS reads `edges: off`.
+        // A ROS YAML file reads `edges: off` as false.
         let off = of(&[("edges", ParameterValue::Boolean(false)), ("input", text("points"))]).unwrap();
         assert_eq!(off.smoothing.cloud_params().unwrap().fit.edges, planish::Edges::Off);
     }

@@ -1,4 +1,4 @@
-//! ROS 2 messages and their conversion, and recordings of them in MCAP.
+//! ROS 2 messages, their conversion, and MCAP recordings of them.
 
 #![deny(
     clippy::unwrap_used,

@@ -1,8 +1,9 @@
-//! Compares results bit by bit; all NaN are equal.
+//! Bitwise comparison of results; all NaN are equal.
 
 use planish::{Smoothed, Xyz};
 
-/// Returns a result as numbers: its shape, which fields there are and how long, and the bits of their values.
+/// Returns a result as numbers: its shape, the bits of its points, and the length (`u32::MAX` if absent) and bits of
+/// each other field.
 pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
     let Smoothed { width, height, points, depth, depth_m, normals, curvature, status, neighbours, .. } = smoothed;
     let mut all = vec![*width as u32, *height as u32];
@@ -20,7 +21,7 @@ pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
     all
 }
 
-/// Returns the bits of all x, all y and all z.
+/// Returns the bits of all x, then of all y and all z.
 pub fn of_points(points: &Xyz) -> Vec<u32> {
     points.as_slices().into_iter().flatten().map(bits_of).collect()
 }

@@ -1,4 +1,4 @@
-//! Real frames, if present: a folder `shared/data` next to the checkout. The project does not include them.
+//! Real frames from the folder `shared/data` next to the checkout, if present. The project does not include them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents};
 use planish::{Camera, OrganizedCloud};
 
-/// Reports that something is not tested here. Not by `println!`: the test runner hides the output of passing tests.
+/// Reports that something is not tested here. The test runner would hide the output of `println!` in a passing test.
 pub fn skip(what: &str) {
     // A closed standard error is not a reason to fail.
     let _ = writeln!(std::io::stderr(), "SKIP {what}");
 }
 
-/// PCL's test cloud, 397 points of the Stanford bunny, with its licence.
+/// Returns PCL's test cloud, 397 points of the Stanford bunny; its licence is next to the file.
 ///
 /// # Panics
 /// If it cannot be read.
@@ -20,7 +20,7 @@ pub fn bunny() -> planish::PointCloud {
     general_cloud(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/data")), "bun0.pcd")
 }
 
-/// Returns the folder of real data; prints SKIP and is `None` where it is absent.
+/// Returns the folder of real data; prints SKIP and returns `None` if it is absent.
 ///
 /// # Panics
 /// If it is absent and PLANISH_REQUIRE_DATA is set.
@@ -35,9 +35,9 @@ pub fn folder(test: &str) -> Option<PathBuf> {
     }
 }
 
-/// A real frame under a short name.
+/// A real frame and its name.
 pub struct RealFrame {
-    /// Its file.
+    /// Path of the file in the data folder.
     pub name: &'static str,
     /// The cloud; depth images are deprojected.
     pub cloud: OrganizedCloud,
@@ -47,10 +47,10 @@ fn primesense(depth_units_per_metre: f64) -> Camera {
     Camera::kinect_v1().with_depth_units_per_metre(depth_units_per_metre)
 }
 
-/// Every kind of real frame: Kinect clouds far and near, and depth images of four sensors and data sets.
+/// Returns real frames of every kind: Kinect clouds far and near, and depth images of four sensors and data sets.
 ///
 /// # Panics
-/// If a file cannot be read: data that are present must be whole.
+/// If a file cannot be read; data that are present must be complete.
 pub fn real_frames(test: &str) -> Vec<RealFrame> {
     let Some(folder) = folder(test) else { return Vec::new() };
     let clouds = [

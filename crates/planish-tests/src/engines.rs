@@ -7,23 +7,23 @@ use planish::{
     Params, Project, SimdLevel, Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
-/// An engine with the choices that must not change its result by more than the tolerances.
+/// An engine with options that may not change its result by more than the tolerances.
 #[derive(Debug, Clone, Copy)]
 pub struct TestEngine {
-    /// Which engine.
+    /// The engine.
     pub engine: Engine,
-    /// Threads of the CPU engines.
+    /// Number of threads of the CPU engines.
     pub threads: Option<usize>,
     /// Instruction set of the CPU engine.
     pub simd: Option<SimdLevel>,
     /// Whether the shader of the GPU engine checks bounds.
     pub bounds_checks: bool,
-    /// How many points of an unorganized cloud the GPU engine takes at once.
+    /// Maximum number of points of an unorganized cloud that the GPU engine holds at once.
     pub points_at_once: Option<usize>,
 }
 
 impl TestEngine {
-    /// The oracle.
+    /// The reference engine, the oracle of the tests.
     pub const REFERENCE: Self =
         Self { engine: Engine::Reference, threads: None, simd: None, bounds_checks: true, points_at_once: None };
 
@@ -37,7 +37,7 @@ impl TestEngine {
         Self { engine: Engine::Gpu, bounds_checks, ..Self::REFERENCE }
     }
 
-    /// Returns a GPU engine that holds at most this many points of a cloud.
+    /// Returns a GPU engine that holds at most `points_at_once` points of a cloud.
     pub fn in_parts(points_at_once: usize) -> Self {
         Self { points_at_once: Some(points_at_once), ..Self::gpu(true) }
     }
@@ -45,7 +45,7 @@ impl TestEngine {
     /// Returns the options to open a smoother for this engine.
     ///
     /// # Panics
-    /// If the GPU engine is wanted and does not open.
+    /// If the GPU engine is requested and does not open.
     pub fn options(self, outputs: Outputs) -> SmootherOptions {
         let options = self.plain_options(outputs);
         if self.engine == Engine::Gpu {
@@ -119,8 +119,8 @@ pub fn is_software() -> bool {
 }
 
 /// Returns the corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to
-/// 3, blocks averaged or not, both radius rules; edges off, and kept with one of the rules; a third of them along rays,
-/// a few with another ridge.
+/// 3, blocks averaged or not, and both radius rules. Edges are off; half of the settings are repeated with robust
+/// edges. A third of all settings project along rays, and a few have another ridge.
 pub fn parameter_grid() -> Vec<FrameParams> {
     let fixed = FrameRadius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {

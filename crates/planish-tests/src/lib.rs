@@ -1,4 +1,4 @@
-//! Shared by tests and benchmarks: scenes, named tolerances, and the location of the real frames.
+//! Items shared by tests and benchmarks: scenes, named tolerances, and the location of the real frames.
 
 pub mod bits;
 pub mod data;

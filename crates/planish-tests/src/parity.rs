@@ -10,10 +10,10 @@ use crate::poses::moved;
 use crate::scenes::{grid, nasty_scenes, simulated, small_camera};
 use crate::tolerances::assert_invariants;
 
-/// An engine under a name.
+/// An engine and its name.
 pub type Subject = (String, TestEngine);
 
-/// A sensor turned about all axes and away from the origin, as an arm holds it.
+/// Pose of a sensor that is rotated about all axes and away from the origin, as on a robot arm.
 const TURNED: SensorPose = SensorPose { position_m: [0.4, -0.7, 0.9], orientation: [0.7, 0.1, -0.5, 0.5] };
 
 /// Runs every engine and the reference on all clouds with each setting, as they are and seen from a rotated sensor;
@@ -52,7 +52,7 @@ fn assert_none(misses: &[String]) {
     assert!(misses.is_empty(), "{} misses:\n{}", misses.len(), misses.join("\n"));
 }
 
-/// Two simulated frames, over the whole grid.
+/// Compares the engines with the reference on two simulated frames, over the whole parameter grid.
 ///
 /// # Panics
 /// If an engine does not agree.
@@ -61,8 +61,9 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
     assert_none(&compare("simulated", &clouds, &parameter_grid(), subjects));
 }
 
-/// Compares on the real frames: the first `whole` frames with the usual settings, and quarters of all frames with the
-/// settings of the grid, which are distributed over them. Quarters are also seen from a rotated sensor.
+/// Compares the engines with the reference on the real frames: on the first `whole` frames with the usual settings,
+/// and on quarters of all frames with the settings of the parameter grid, which are distributed over them. Quarters
+/// are also seen from a rotated sensor.
 ///
 /// # Panics
 /// If an engine does not agree.
@@ -83,17 +84,17 @@ pub fn real_frames_agree(subjects: &[Subject], whole: usize, test: &str) {
     assert_none(&misses);
 }
 
-/// One of the four quarters of a cloud.
+/// Returns quarter `k` (0 to 3) of a cloud.
 pub fn quarter(cloud: &OrganizedCloud, k: usize) -> OrganizedCloud {
     let (width, height) = (cloud.width() / 2, cloud.height() / 2);
     let (left, top) = (k % 2 * width, k / 2 * height);
     grid(width, height, |u, v| cloud.positions().get((top + v) * cloud.width() + left + u))
 }
 
-/// Clouds that engines stumble over, at the corners of the parameters: the rules hold.
+/// Checks that the invariants hold for difficult clouds at the corners of the parameter space.
 ///
 /// # Panics
-/// If they do not.
+/// If an invariant is violated.
 pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
     let corners = [
         FrameParams::paper(),
@@ -119,10 +120,10 @@ pub fn nasty_clouds_keep_the_invariants(subjects: &[Subject]) {
     }
 }
 
-/// Compares results on the same clouds, without numbers near the limits of f32.
+/// Compares the engines with the reference on the difficult clouds, except those with numbers near the limits of f32.
 ///
 /// # Panics
-/// If they do not.
+/// If an engine does not agree.
 pub fn ordinary_small_clouds_agree(subjects: &[Subject]) {
     let mut misses = Vec::new();
     let skipped = ["denormal coordinates", "huge coordinates"];

@@ -1,11 +1,11 @@
-//! Clouds in other frames than their sensor's.
+//! Clouds in coordinate frames other than their sensor's.
 
 use planish::{OrganizedCloud, SensorPose};
 
-/// A robot's base frame: x forward, y left, z up; the camera looks forward from a height of 0.6 m.
+/// Pose of a camera that looks forward from a height of 0.6 m, in a robot's base frame (x forward, y left, z up).
 pub const BASE: SensorPose = SensorPose { position_m: [0.1, 0.0, 0.6], orientation: [0.5, -0.5, 0.5, -0.5] };
 
-/// A rotation by a unit quaternion (w, x, y, z), row by row.
+/// Returns the rotation matrix of a unit quaternion (w, x, y, z), row by row.
 fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -14,18 +14,18 @@ fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-/// A direction turned from the sensor's frame into the cloud's.
+/// Rotates a direction from the sensor's frame into the cloud's.
 pub fn rotate(pose: &SensorPose, v: [f64; 3]) -> [f64; 3] {
     rotation(pose.orientation).map(|row| (0..3).map(|k| row[k] * v[k]).sum())
 }
 
-/// A point moved from the sensor's frame into the cloud's.
+/// Transforms a point from the sensor's frame into the cloud's.
 pub fn transform(pose: &SensorPose, p: [f64; 3]) -> [f64; 3] {
     let turned = rotate(pose, p);
     [0, 1, 2].map(|k| turned[k] + pose.position_m[k])
 }
 
-/// Returns the cloud of a camera in the frame that the camera has this pose in, rounded to f32, without its camera.
+/// Returns a camera's cloud in the frame in which the camera has this pose, rounded to f32 and without its camera.
 ///
 /// # Panics
 /// If the cloud is not well formed.

@@ -1,4 +1,4 @@
-//! Simulated rigs as rigs.
+//! Conversion of simulated cases to rigs and frames.
 
 use planish::evaluate::{RigCase, RigCaseCamera};
 use planish::rig::{Rig, RigCamera};
@@ -12,7 +12,7 @@ pub fn rig_of(case: &RigCase) -> Rig {
     Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
 }
 
-/// Returns the frame of each of its cameras.
+/// Returns the frame of each camera of a case.
 pub fn frames_of(case: &RigCase) -> Vec<Option<Frame<'_>>> {
     case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
 }

@@ -3,7 +3,7 @@
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, OrganizedCloud, Xyz};
 
-/// A cloud under a name.
+/// A cloud and its name.
 pub struct TestScene {
     /// Name in the messages of failing tests.
     pub name: &'static str,
@@ -16,7 +16,7 @@ pub fn small_camera() -> Camera {
     Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5])
 }
 
-/// Returns a grid of points by their pixel.
+/// Returns an organized cloud, whose points are computed from their column and row.
 ///
 /// # Panics
 /// If the shape is not allowed.
@@ -42,7 +42,7 @@ pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) ->
     })
 }
 
-/// Clouds that engines stumble over: holes everywhere, lines, steps, extreme shapes and numbers.
+/// Returns clouds that are difficult for engines: holes everywhere, lines, steps, extreme shapes and numbers.
 pub fn nasty_scenes() -> Vec<TestScene> {
     let nan = [f32::NAN; 3];
     let wall = |u: usize, v: usize| [0.004 * u as f32, 0.004 * v as f32, 2.0];

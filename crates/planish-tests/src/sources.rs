@@ -7,7 +7,7 @@ use planish::internal::lose_gpu_devices;
 use planish::source::{OwnedFrame, Source};
 use planish::{DepthFrame, Error};
 
-/// Gives one frame, stamped 0, 1, 2 and so on, for each result, so that GPUs are lost between frames.
+/// A source that delivers a frame (stamped 0, 1, 2, ...) after each result, so that GPUs are lost between frames.
 pub struct OneByOne {
     frame: DepthFrame,
     next: u64,
@@ -17,12 +17,12 @@ pub struct OneByOne {
 }
 
 impl OneByOne {
-    /// As many frames; `results` counts what came of them.
+    /// Creates a source that delivers `frames` frames; `results` counts their results.
     pub fn new(frame: DepthFrame, frames: u64, results: Arc<AtomicU64>) -> Self {
         Self { frame, next: 0, frames, results, lost_before: Vec::new() }
     }
 
-    /// Loses all GPUs before these frames.
+    /// Makes the source lose all GPUs before the frames with these numbers.
     pub fn losing_gpus_before(self, frames: &[u64]) -> Self {
         Self { lost_before: frames.to_vec(), ..self }
     }

@@ -1,13 +1,13 @@
-//! The rules that every result keeps; how far it may be from the reference is [`planish::agreement`].
+//! The invariants of every result. Its tolerances against the reference are in [`planish::agreement`].
 
 use planish::agreement::sensor_position_m;
 use planish::{OrganizedCloud, Smoothed};
 
-/// The rules every result keeps whatever the engine: nothing appears in holes, points stay within the radius, normals
-/// are unit vectors towards the sensor, and outputs agree with the status.
+/// Checks the invariants of every result, whatever the engine: nothing appears in holes, points stay within the
+/// radius, normals are unit vectors towards the sensor, and outputs agree with the status.
 ///
 /// # Panics
-/// If a rule is broken. Needs all outputs.
+/// If an invariant is violated, or an output is missing.
 pub fn assert_invariants(input: &OrganizedCloud, result: &Smoothed, radii_m: &[f64], what: &str) {
     let sensor_m = sensor_position_m(input);
     let status = result.status.as_ref().expect("status");
@@ -27,7 +27,7 @@ pub fn assert_invariants(input: &OrganizedCloud, result: &Smoothed, radii_m: &[f
         }
         let (p, q) = (input.positions().get(i).map(f64::from), result.points.get(i).map(f64::from));
         let moved = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt();
-        // The output is rounded to f32, at 5 m to 2.4e-7 m a coordinate.
+        // The output is rounded to f32: at 5 m, to 2.4e-7 m per coordinate.
         let largest = p.into_iter().map(f64::abs).fold(0.0, f64::max);
         assert!(moved <= radii_m[i] + 1e-6 * (1.0 + largest), "{}", at());
         if status[i].has_normal() {

@@ -15,7 +15,7 @@ fn layout(len: usize) -> Option<Layout> {
     Layout::from_size_align(len.max(1), 8).ok()
 }
 
-/// Allocates this many bytes; returns 0 on failure.
+/// Allocates `len` bytes; returns null on failure.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_alloc(len: usize) -> *mut u8 {
     match layout(len) {
@@ -25,10 +25,10 @@ pub extern "C" fn planish_alloc(len: usize) -> *mut u8 {
     }
 }
 
-/// Frees memory of [`planish_alloc`].
+/// Frees memory allocated by [`planish_alloc`].
 ///
 /// # Safety
-/// The pointer comes from `planish_alloc` with the same length, and is freed once.
+/// `at` must come from [`planish_alloc`] with the same `len`, and must not have been freed before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_free(at: *mut u8, len: usize) {
     if let Some(layout) = layout(len) {
@@ -37,10 +37,10 @@ pub unsafe extern "C" fn planish_free(at: *mut u8, len: usize) {
     }
 }
 
-/// Answers a request: JSON, and bytes. The reply stays until the next call.
+/// Answers a request of JSON and bytes. The reply remains valid until the next call.
 ///
 /// # Safety
-/// Both pointers refer to that many initialized bytes.
+/// `json` and `bytes` must be non-null and point to `json_len` and `bytes_len` initialized bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_call(json: *const u8, json_len: usize, bytes: *const u8, bytes_len: usize) {
     // SAFETY: by the contract of this function.
@@ -60,7 +60,7 @@ pub extern "C" fn planish_reply(part: usize) -> *const u8 {
     REPLY.with_borrow(|(json, bytes)| if part == 0 { json.as_ptr() } else { bytes.as_ptr() })
 }
 
-/// How long that part is.
+/// Returns the length in bytes of part 0 (JSON) or 1 (bytes) of the reply.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_reply_len(part: usize) -> usize {
     REPLY.with_borrow(|(json, bytes)| if part == 0 { json.len() } else { bytes.len() })

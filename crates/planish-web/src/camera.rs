@@ -1,4 +1,4 @@
-//! Cameras as a page gives them.
+//! Cameras from the requests of a page.
 
 use planish::Camera;
 use planish::io::{parse_camera, unknown_camera_key};
@@ -18,7 +18,7 @@ impl CameraGiven {
             object => {
                 let text = object.to_string();
                 let unknown = unknown_camera_key(&text).map_err(|error| error.to_string())?;
-                // Files may have the old name; a page may not.
+                // Only files may have the old name `depth_scale`, not pages.
                 let old = object.get("depth_scale").map(|_| "depthScale".to_owned());
                 if let Some(key) = unknown.or(old) {
                     return Err(format!(

@@ -1,4 +1,4 @@
-//! A frame that a session holds.
+//! A frame of a page.
 
 use planish::io::Contents;
 use planish::{
@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use crate::camera::CameraGiven;
 
-/// A frame as it came in.
+/// A frame as received from the page.
 pub struct PageFrame {
-    /// Its contents.
+    /// Contents of the frame.
     pub contents: Contents,
     /// Format of the file.
     pub format: &'static str,
@@ -26,7 +26,7 @@ impl PageFrame {
         }
     }
 
-    /// Calls `work` with a view of it.
+    /// Calls `work` with a view of the frame.
     pub(crate) fn with<T>(
         &self,
         camera: Option<&Camera>,
@@ -54,7 +54,7 @@ impl PageFrame {
         frame().map_err(Error::from).and_then(work).map_err(|error| error.to_string())
     }
 
-    /// Returns the points of a grid.
+    /// Returns the points on their grid; `None` for an unorganized cloud, or for depth without a camera.
     pub(crate) fn organized(&self, camera: Option<&Camera>) -> Option<OrganizedCloud> {
         match &self.contents {
             Contents::Organized(cloud) => Some(cloud.clone()),
@@ -64,7 +64,7 @@ impl PageFrame {
         }
     }
 
-    /// Returns the points, on a grid or not.
+    /// Returns the points, organized or not; `None` for depth without a camera.
     pub(crate) fn points(&self, camera: Option<&Camera>) -> Option<PointCloud> {
         match &self.contents {
             Contents::General(cloud) => Some(cloud.clone()),

@@ -1,9 +1,9 @@
-//! planish in a browser: everything but the interface and the calls of WebGPU, which are TypeScript (`web/`).
+//! planish in a browser: everything except the user interface and the WebGPU calls, which are in TypeScript (`web/`).
 //!
-//! A [`Page`] holds frames and results. A page sends requests as JSON, some with bytes, and receives replies as JSON
-//! with bytes ([`Page::handle`]); in WebAssembly through the exports of `abi`. With WebGPU, the page requests a plan
-//! for a frame, runs the plan's kernels, and passes back their output; otherwise the CPU engine smooths the frame here,
-//! in vectors of 128 bits. Kernels, parameters, file formats and pictures are the library's.
+//! A [`Page`] holds frames and results. The web page sends requests as JSON, some with bytes, and receives replies as
+//! JSON with bytes ([`Page::handle`]); in WebAssembly, this uses the exports of `abi`. With WebGPU, the web page
+//! requests a plan for a frame, runs its kernels, and passes back their output. Otherwise the CPU engine smooths the
+//! frame here, with 128-bit vectors. Kernels, parameters, file formats and pictures come from the library.
 
 #![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

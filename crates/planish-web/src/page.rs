@@ -1,4 +1,4 @@
-//! Open items of a page: frames, plans and results.
+//! The state of a page: its frames, plans and results.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,12 +22,13 @@ use crate::frame::PageFrame;
 use crate::picture::{colours_of, colours_of_general, depth_range, rgba};
 use crate::request::{PictureKind, Reply, Request, Side};
 
-/// Files that need more are refused: the module has 4 GiB at most, and frame, copy, result and pictures all go into it.
+/// Memory limit for reading a file, in bytes. The module has at most 4 GiB, which must hold the frame, a copy, the
+/// result and pictures.
 const MAX_MEMORY_BYTES: u64 = 1 << 29;
 /// The longer side of a picture of an unorganized cloud, in pixels.
 const GENERAL_PICTURE_PX: usize = 640;
 
-/// The library's message about formats whose features are not built in.
+/// Part of the library's message about formats whose features are not built in.
 const LEFT_OUT: &str = "this build does not include";
 
 type Answer = Result<(Value, Vec<u8>), String>;
@@ -35,12 +36,12 @@ type Answer = Result<(Value, Vec<u8>), String>;
 /// A result of a frame.
 struct Outcome {
     frame: u32,
-    /// That frame, which may be released before its results.
+    /// The frame itself, since it may be released before its results.
     held: Rc<PageFrame>,
     smoothed: Smoothed,
 }
 
-/// A plan, and the frame that it is of.
+/// A plan and its frame.
 struct Planned {
     frame: u32,
     held: Rc<PageFrame>,
@@ -54,7 +55,7 @@ pub struct Page {
     frames: BTreeMap<u32, Rc<PageFrame>>,
     plans: BTreeMap<u32, Planned>,
     results: BTreeMap<u32, Outcome>,
-    /// Smooths frames on the CPU; keeps its buffers from frame to frame.
+    /// Session of the CPU engine, which keeps its buffers from frame to frame.
     smoother: Option<planish::Session>,
 }
 
@@ -263,7 +264,7 @@ impl Page {
         Ok((json!({ "width": smoothed.width, "height": smoothed.height }), bytes))
     }
 
-    /// Returns a frame, raw or smoothed, with its normals where it has some.
+    /// Returns the points of a frame, raw or smoothed, and the normals of a smoothed frame, if it has any.
     fn points(&self, frame: u32, side: Side, camera: Option<&Camera>) -> Result<(PointCloud, Option<Xyz>), String> {
         let no_points = || "the frame has no points".to_owned();
         let Side::Result(result) = side else {
@@ -284,7 +285,7 @@ impl Page {
         let (points, normals) = self.points(number, side, camera.as_ref())?;
         let is_general = matches!(held.contents, Contents::General(_));
         let (cloud, normals) = if let Contents::General(raw) = &held.contents {
-            // From above, both sides alike.
+            // The view from above is the same for raw and smoothed points.
             let view = DistantView::of(raw, [0.0, 0.0, 1.0], GENERAL_PICTURE_PX).map_err(text)?;
             let cloud = view.see(&points).map_err(text)?;
             let normals = normals_of(&cloud);
@@ -293,9 +294,9 @@ impl Page {
             let (width, height) = held.contents.shape();
             (OrganizedCloud::new(width, height, points).map_err(text)?, normals)
         };
-        // Both sides in the colours of the raw one.
+        // The range of the raw points colours both sides.
         let raw = held.points(camera.as_ref()).map(|raw| depth_range(&raw.positions));
-        // Seen from above, z is down.
+        // Seen from above, depth increases as z decreases.
         let range = raw.map_or([0.0, 1.0], |[near, far]| if is_general { [-far, -near] } else { [near, far] });
         let colours = colours_of(&cloud, normals.as_ref(), kind, range, is_general);
         let bytes = rgba(&colours, cloud.positions());
@@ -376,7 +377,7 @@ fn about() -> Value {
     })
 }
 
-/// Little-endian numbers, or groups of them, of `size` bytes for each pixel.
+/// Decodes values of `size` bytes per pixel by `of`.
 fn numbers<T>(
     bytes: &[u8],
     width: usize,

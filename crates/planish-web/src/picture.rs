@@ -7,7 +7,7 @@ use crate::request::PictureKind;
 
 const HOLE: [u8; 3] = [0; 3];
 
-/// Returns the nearest and the farthest depth that colours tell apart, of 98 % of the points.
+/// Returns the depths between which colours vary: the 1st and 99th percentiles of z.
 pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     let mut z: Vec<f32> = points.z().iter().copied().filter(|z| z.is_finite()).collect();
     if z.is_empty() {
@@ -21,15 +21,15 @@ pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     [near, far.max(near + 1e-6 * near.abs().max(1.0))]
 }
 
-/// Near is red, far is blue, in hues of even brightness. Positive depths are scaled by their inverse: near ones fill
-/// most pixels and are measured most finely.
+/// Returns the colour of a depth: from red (near) to blue (far), in hues of even brightness. Positive depths are
+/// scaled by their inverse, since near depths fill most pixels and are measured most finely.
 fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
     if !z.is_finite() {
         return HOLE;
     }
     let scale = |z: f32| if near > 0.0 { -1.0 / z.clamp(near, far) } else { z };
     let share = ((scale(z) - scale(near)) / (scale(far) - scale(near))).clamp(0.0, 1.0);
-    // Beyond these the hue no longer changes.
+    // Outside this range of hues the colour does not change.
     let hue = 0.5 + 3.0 * share;
     let part = |centre: f32| (1.5 - (hue - centre).abs()).clamp(0.0, 1.0);
     [part(0.5), part(2.0), part(3.5)].map(|part| (255.0 * (0.1 + 0.85 * part)) as u8)
@@ -44,7 +44,7 @@ fn normal_colour(normal: [f32; 3]) -> [u8; 3] {
     [x, -y, -z].map(|n| (127.5 * (n + 1.0)) as u8)
 }
 
-/// The colours of all points of a grid, row by row.
+/// Returns the colours of all points of a grid, row by row.
 pub(crate) fn colours_of(
     cloud: &OrganizedCloud,
     normals: Option<&Xyz>,
@@ -53,7 +53,7 @@ pub(crate) fn colours_of(
     is_general: bool,
 ) -> Vec<[u8; 3]> {
     let (width, height) = (cloud.width(), cloud.height());
-    // For the picture of an unorganized cloud, these are its fields.
+    // The picture of an unorganized cloud has its normals as fields.
     let between_pixels = || match cloud.points.attribute("normal_x") {
         Some(_) if is_general => normals_of(cloud),
         _ => difference_normals(width, height, cloud.positions()),

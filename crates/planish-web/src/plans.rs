@@ -4,14 +4,14 @@ use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{Camera, DepthFrame, Error, FrameParams, Outputs};
 use serde_json::json;
 
-/// Supported by most current GPUs: 32 KiB of workgroup memory.
+/// Limits that most current GPUs support, with 32 KiB of workgroup memory.
 const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
 
-/// Plans depth images of 640x480 with each preset to points, normals, status and depth: the names of files and their
-/// contents.
+/// Plans depth images of 640x480 with the default and paper presets to points, normals, status and depth. Returns the
+/// names of files and their contents.
 ///
-/// `NAME.json` has the [`Plan`] without its kernels, which are `NAME-PASS.wgsl` in the order of their passes. A kernel
-/// shared with an earlier plan is referenced, not written again.
+/// `NAME.json` contains the [`Plan`] without its kernels, which are in `NAME-INDEX-ENTRY_POINT.wgsl` in the order of
+/// their passes. A kernel shared with an earlier plan is referenced, not written again.
 ///
 /// # Errors
 /// If a frame cannot be planned.

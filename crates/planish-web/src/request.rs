@@ -15,39 +15,39 @@ pub enum Request {
     About,
     /// Continues the numbering of a module that was restarted.
     Continue {
-        /// The last number given out.
+        /// The last number that was assigned.
         after: u32,
     },
     /// Reads a camera file.
     ReadCamera {
-        /// The frame that it is for.
+        /// Number of the frame that the camera belongs to.
         frame: u32,
-        /// The text.
+        /// The camera, or the text of its file.
         camera: CameraGiven,
     },
     /// Reads a settings file.
     ReadSettings {
-        /// JSON or YAML.
+        /// Text of the file, JSON or YAML.
         text: String,
     },
     /// Writes settings as a file.
     WriteSettings {
-        /// Which.
+        /// The settings to write.
         settings: Settings,
     },
-    /// Reads a file, whose bytes these are.
+    /// Reads a file, passed as the bytes.
     Open {
         /// File name; its extension decides if the contents do not identify the format.
         name: String,
     },
-    /// Takes raw depth: little-endian u16, row by row.
+    /// Opens raw depth, passed as little-endian u16, row by row.
     Depth {
         /// Width in pixels.
         width: usize,
         /// Height in pixels.
         height: usize,
     },
-    /// Takes points on a grid: x, y and z of each as little-endian f32 in metres, row by row.
+    /// Opens points on a grid, passed as x, y and z of each in little-endian f32 in metres, row by row.
     Points {
         /// Width in pixels.
         width: usize,
@@ -56,7 +56,7 @@ pub enum Request {
     },
     /// Simulates a frame of a Kinect v1.
     Simulate {
-        /// Which table.
+        /// Seed of the simulated table.
         seed: u64,
         /// Width in pixels.
         width: usize,
@@ -65,20 +65,20 @@ pub enum Request {
     },
     /// Smooths a frame on the CPU.
     Smooth {
-        /// Which frame.
+        /// Number of the frame.
         frame: u32,
-        /// How.
+        /// Settings of the smoother.
         settings: Settings,
-        /// For depth: its camera.
+        /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
     },
     /// Plans a frame for WebGPU. The reply's bytes are the data to upload.
     Plan {
-        /// Which frame.
+        /// Number of the frame.
         frame: u32,
-        /// How.
+        /// Settings of the smoother.
         settings: Settings,
-        /// For depth: its camera.
+        /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
         /// `maxComputeWorkgroupStorageSize`, the smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, and
         /// `maxComputeWorkgroupsPerDimension`.
@@ -86,49 +86,50 @@ pub enum Request {
     },
     /// Reads the output of a plan's kernels, passed as the bytes.
     Finish {
-        /// Which plan; it is gone afterwards.
+        /// Number of the plan, which is then released.
         plan: u32,
     },
-    /// The reply's bytes are the points of a result and then its normals, x, y and z of each as f32, and the status of
-    /// each, a byte.
+    /// Returns the arrays of a result. The reply's bytes are x, y and z of its points as f32, then of its normals, then
+    /// one byte per point for its status.
     Arrays {
-        /// Which result.
+        /// Number of the result.
         result: u32,
     },
     /// Draws a frame, raw or smoothed. The reply's bytes are RGBA.
     Picture {
-        /// Which frame.
+        /// Number of the frame.
         frame: u32,
-        /// Raw, or which result.
+        /// The raw frame, or a result.
         side: Side,
-        /// As what.
+        /// Content of the picture.
         kind: PictureKind,
-        /// For depth: its camera.
+        /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
     },
-    /// The reply's bytes are x, y and z of every finite point as f32, and red, green, blue and 255 of each.
+    /// Returns a coloured cloud. The reply's bytes are x, y and z of every finite point as f32, then red, green, blue
+    /// and 255 of each.
     Cloud {
-        /// Which frame.
+        /// Number of the frame.
         frame: u32,
-        /// Raw, or which result.
+        /// The raw frame, or a result.
         side: Side,
-        /// The colours.
+        /// Meaning of the colours.
         kind: PictureKind,
-        /// For depth: its camera.
+        /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
     },
     /// Encodes a result as a file. The reply's bytes are the file.
     Write {
-        /// Which result.
+        /// Number of the result.
         result: u32,
-        /// `pcd`, `ply`, `npy`, `xyz`, or of depth `png`.
+        /// `pcd`, `ply`, `npy`, `xyz`, or `png` for depth.
         format: String,
-        /// For depth: its camera.
+        /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
     },
-    /// Forgets frames, plans and results.
+    /// Releases frames, plans and results.
     Release {
-        /// Which.
+        /// Numbers of the frames, plans and results.
         ids: Vec<u32>,
     },
 }
@@ -140,11 +141,11 @@ pub enum Request {
 pub enum Side {
     /// As measured.
     Raw,
-    /// The result of this number.
+    /// The result with this number.
     Result(u32),
 }
 
-/// What a picture shows.
+/// Content of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -155,7 +156,7 @@ pub enum PictureKind {
     Depth,
     /// Normals as colours.
     Normals,
-    /// The colours of the frame; of one without, its relief.
+    /// The colours of the frame, or its relief if it has none.
     Colour,
 }
 
@@ -163,13 +164,13 @@ pub enum PictureKind {
 #[derive(Debug, Clone, Default, Serialize)]
 #[non_exhaustive]
 pub struct Reply {
-    /// What was asked for.
+    /// Result of a successful request.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ok: Option<Value>,
     /// Error message.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// Bytes that belong to it.
+    /// Bytes that accompany the reply.
     #[serde(skip)]
     pub bytes: Vec<u8>,
 }

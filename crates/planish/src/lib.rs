@@ -14,9 +14,9 @@
 //! # }
 //! ```
 //!
-//! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers when
-//! a GPU is lost. Frames of one shape, with explicit parameters and no such help: a [`Smoother`], here into interleaved
-//! buffers of the caller's:
+//! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers
+//! when a GPU is lost. For frames of one shape with explicit parameters, use a [`Smoother`], which does none of this.
+//! Here it writes into interleaved buffers of the caller:
 //!
 //! ```
 //! use planish::{Camera, DepthView, Engine, FrameParams, Outputs, SmoothedMut, Smoother, SmootherOptions};
@@ -33,8 +33,8 @@
 //! # }
 //! ```
 //!
-//! [`DepthView`] and [`PointsView`] borrow what other programs hold; [`DepthFrame`], [`OrganizedCloud`] and
-//! [`PointCloud`] own it.
+//! [`DepthView`] and [`PointsView`] borrow the data of other code; [`DepthFrame`], [`OrganizedCloud`] and
+//! [`PointCloud`] own their data.
 //!
 //! # Features
 //! | feature | default | adds |
@@ -46,10 +46,10 @@
 //! | `scans`, `more-formats` | yes | LAS, LAZ, E57, clouds larger than memory; gzip, glTF, PTX and others |
 //! | `stream` | yes | `source`, `stream`, `rig`: cameras, recordings, the live loop, several cameras |
 //! | `simulate`, `evaluate` | yes | frames with known truth; measures and pictures of surfaces |
-//! | `ros`, `mcap` | no | ROS 2 messages; recordings in MCAP |
-//! | `mcap-compression` | no | compressed chunks in MCAP recordings that are written (zstd and LZ4 in C) |
-//! | `rerun` | no | a sink for the Rerun viewer; some 400 crates |
-//! | `webgpu`, `wgpu-interop` | no | kernels as data; the GPU engine on a `wgpu::Device` of the caller's |
+//! | `ros`, `mcap` | no | ROS 2 messages; MCAP recordings |
+//! | `mcap-compression` | no | compression of written MCAP recordings (zstd and LZ4 in C) |
+//! | `rerun` | no | a sink for the Rerun viewer; about 400 crates |
+//! | `webgpu`, `wgpu-interop` | no | kernels as data; the GPU engine on the caller's `wgpu::Device` |
 //! | `cuda` | no | depth and results in the memory of CUDA programs |
 //! | `serde` | with `io` | [`Settings`] and adapters as JSON or YAML |
 //!

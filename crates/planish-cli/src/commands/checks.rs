@@ -1,4 +1,4 @@
-//! Shared by the commands that write points: refusals, reports, and the encoding of colours.
+//! Checks, reports and conversions of fields shared by the commands that write points.
 
 use std::path::Path;
 
@@ -7,14 +7,15 @@ use planish::io::{self, Format, LengthUnit};
 use planish::{PointCloud, Precision};
 use planish_bench::errln;
 
-/// A radius above this share of a cloud's extent is probably in the wrong unit.
+/// Ratio of the radius to the cloud's extent above which the radius is probably in the wrong unit.
 const MAX_RADIUS_SHARE: f32 = 0.2;
-/// So is one that gives a point more neighbours than this.
+/// Mean number of neighbours above which the radius is probably in the wrong unit.
 const MOST_NEIGHBOURS: f64 = 5000.0;
-/// Clouds with fewer points may have any radius: they are done at once.
+/// Number of points below which any radius is accepted, since such clouds are smoothed at once.
 const FEW_POINTS: usize = 1000;
 
-/// Refuses, before anything is read, an output of no known format, and an encoding that its format does not have.
+/// Refuses an output whose format is unknown or cannot be written, and an encoding that the format does not support,
+/// before anything is read.
 pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     match (Format::of_extension(output), encoding_is_given) {
         (None, _) => {
@@ -31,7 +32,7 @@ pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     }
 }
 
-/// Returns true if the name is one of a ROS 2 recording.
+/// Returns true if the file name has the extension of an MCAP recording.
 pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
@@ -46,7 +47,8 @@ pub fn check_is_new(output: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses to overwrite the input, or a read-only file, without --overwrite; `None` for commands that lack this option.
+/// Refuses to overwrite the input or a read-only file unless `overwrite` is `Some(true)`. `None` stands for commands
+/// without `--overwrite`.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     if overwrite == Some(true) {
         io::replace_read_only_files();
@@ -62,7 +64,7 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
     Ok(())
 }
 
-/// Reports the unit of a cloud that is not in metres: lengths are in it.
+/// Reports the unit of a cloud that is not in metres, since lengths such as radii are in that unit.
 pub fn report_unit(input: &Path, cloud: &PointCloud) {
     let unit = LengthUnit::of_cloud(cloud);
     if !unit.is_metre() {
@@ -74,7 +76,7 @@ pub fn report_unit(input: &Path, cloud: &PointCloud) {
     }
 }
 
-/// Refuses to write over the settings.
+/// Refuses to overwrite the settings file.
 pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
     if settings.is_some_and(|settings| io::is_same_file(settings, output)) {
         bail!("{}: is the settings file; write to another file", output.display());
@@ -82,8 +84,8 @@ pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> 
     Ok(())
 }
 
-/// Refuses a radius that is out of all proportion to the cloud: each point would have most others as neighbours, or
-/// thousands.
+/// Refuses a radius that is far too large for the cloud: each point would have thousands of neighbours, or most of
+/// the cloud.
 pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<()> {
     let extent_m = cloud.extent_m().into_iter().fold(0.0, f32::max);
     if cloud.valid_points() < FEW_POINTS {
@@ -109,7 +111,7 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
     );
 }
 
-/// Refuses a unit for a file larger than memory, whose parts would not be converted.
+/// Refuses `--unit` for a file larger than memory, since the parts of such a file are not converted.
 pub fn refuse_unit(reading: &crate::args::ReadArgs, input: &Path) -> Result<()> {
     if reading.unit.is_some_and(|unit| !unit.is_metre()) {
         bail!("{}: larger than --max-memory; --unit applies to files that fit it", input.display());

@@ -1,4 +1,4 @@
-//! `planish clean`: a box cut out, a cloud thinned, outliers removed.
+//! `planish clean`: crops a cloud to a box, thins it, and removes outliers.
 
 use crate::exit::ExitCode;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use super::checks::{check_not_input, convert_fields, report_columns, report_loss
 use super::{check_work, ms_since, organized, read_input};
 use crate::args::CleanArgs;
 
-/// Number of points removed by each step.
+/// Number of points removed by each step, and the times.
 #[derive(Serialize)]
 struct Report {
     #[serde(flatten)]
@@ -94,7 +94,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Names the option of an error.
+/// Replaces the field name in an error by its option.
 fn by_option(error: Error) -> Error {
     let Error::Param(error) = error else { return error };
     let field = match error.field {

@@ -1,4 +1,4 @@
-//! `planish convert`, `compare` and `merge`: files without smoothing.
+//! `planish convert`, `compare` and `merge`, which do not smooth.
 
 use std::path::{Path, PathBuf};
 
@@ -88,7 +88,7 @@ fn question(input: &Path, contents: &Contents, camera: Option<&Camera>) {
     doubts.unwrap_or_default().iter().for_each(|doubt| errln!("{}: {doubt}", input.display()));
 }
 
-/// Reads a file; a depth image becomes points if there is a camera.
+/// Reads a file; a depth image becomes points if its camera is known.
 fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<Contents> {
     let (FileRead { format, contents, notes, .. }, camera) = read_input(file, options, camera)?;
     report_notes(file, &notes);
@@ -189,7 +189,7 @@ fn print(args: &CompareArgs, found: &Comparison) {
     }
 }
 
-/// Puts clouds together.
+/// Merges clouds.
 pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     args.encoding.check(&args.out)?;
     if matches!(Format::of_extension(&args.out), Some(Format::DepthPng | Format::DepthTiff)) {

@@ -1,4 +1,4 @@
-//! `planish demo`: a simulated frame, smoothed, against its truth.
+//! `planish demo`: smooths a simulated frame and compares it with its truth.
 
 use crate::exit::ExitCode;
 use std::fs;
@@ -16,9 +16,9 @@ use planish_bench::outln;
 use super::ms_since;
 use crate::args::{DemoArgs, by_option};
 
-/// Only pixels this far from every edge count as flat.
+/// Minimum distance from every edge, in pixels, of a pixel that counts as flat.
 const FLAT_MARGIN_PX: usize = 6;
-/// Full colour in the error maps.
+/// Error in metres that has full colour in the error maps.
 const ERROR_SCALE_M: f32 = 0.005;
 const TIMED_RUNS: usize = 5;
 

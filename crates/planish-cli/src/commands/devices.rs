@@ -1,4 +1,4 @@
-//! `planish devices`: engines of this machine, and the choice of `auto`.
+//! `planish devices`: lists the engines of this machine and the choice of `auto`.
 
 use crate::exit::ExitCode;
 use std::thread::available_parallelism;
@@ -22,7 +22,7 @@ struct Cpu {
     threads: usize,
     /// The instruction set in use.
     simd: &'static str,
-    /// All that the machine has and the build knows.
+    /// All instruction sets that both the machine and the build support.
     simd_levels: Vec<&'static str>,
 }
 

@@ -29,13 +29,13 @@ struct Info {
     valid_points: usize,
     /// Smallest and largest x, y, z in metres.
     bounds_m: Option<[[f64; 3]; 2]>,
-    /// The unit of a LAS file's coordinates if it is not the metre; the lengths are then in it.
+    /// Unit of a LAS file's coordinates and of the lengths in this report, if it is not the metre.
     #[serde(skip_serializing_if = "Option::is_none")]
     unit: Option<&'static str>,
     #[serde(skip)]
     symbol: &'static str,
     median_z_m: Option<f64>,
-    /// Metres between neighbouring pixels at a range of 1 m.
+    /// Distance between neighbouring pixels at a range of 1 m, in metres.
     pixel_pitch_at_1m: Option<f64>,
     /// The range rule: `depth` of a camera, `distance` from another sensor, `constant` if the sensor is unknown.
     range: Option<&'static str>,
@@ -50,7 +50,7 @@ struct Info {
     notes: Vec<String>,
 }
 
-/// Coefficients of 1, z and z², in metres.
+/// Depth steps and noise of a sensor in metres, as coefficients of 1, z and z².
 #[derive(Serialize)]
 struct SensorInfo {
     step: [f32; 3],
@@ -128,7 +128,7 @@ impl Info {
 }
 
 impl Info {
-    /// Notes what no depth camera would measure.
+    /// Adds notes on values that a depth camera would not measure.
     fn question(&mut self, frame: Result<Frame<'_>, FrameError>) {
         let doubts = frame.map(planish::doubts).unwrap_or_default();
         self.notes.extend(doubts.iter().map(ToString::to_string));
@@ -241,7 +241,7 @@ fn fields(cloud: &PointCloud) -> Vec<String> {
     positions.chain(cloud.attributes.iter().map(field)).collect()
 }
 
-/// `name:TYPE`, with the number of values if there are several.
+/// Returns `name:TYPE`, followed by `x` and the number of values per point if there are several.
 fn field(attribute: &Attribute) -> String {
     let kind = match attribute.values {
         AttributeValues::I8(_) | AttributeValues::I16(_) | AttributeValues::I32(_) | AttributeValues::I64(_) => 'I',

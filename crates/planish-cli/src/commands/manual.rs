@@ -31,7 +31,7 @@ pub fn man(args: &ManArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page of a command, as `planish-smooth.1`.
+/// Writes the manual page of a command, such as `planish-smooth.1`.
 fn write_page(command: &clap::Command, folder: &Path) -> Result<()> {
     let mut page = Vec::new();
     let man = clap_mangen::Man::new(command.clone());

@@ -1,4 +1,4 @@
-//! `planish mesh`: a frame to a triangle mesh.
+//! `planish mesh`: converts a frame to a triangle mesh.
 
 use anyhow::{Context, Result, bail};
 use planish::io::{self, Contents, WRITTEN_MESHES};

@@ -1,4 +1,4 @@
-//! `planish record`: frames as they come, into a data set.
+//! `planish record`: writes frames to a data set or recording as they arrive.
 
 use crate::exit::ExitCode;
 use std::sync::Arc;
@@ -18,17 +18,17 @@ use crate::signals::stop_by;
 #[derive(Serialize)]
 struct Report {
     frames: u64,
-    /// Frames of a camera that arrived while others were being written.
+    /// Number of camera frames that arrived while others were being written.
     dropped: u64,
-    /// Frames that could not be read.
+    /// Number of frames that could not be read.
     unreadable: u64,
     seconds: f64,
 }
 
-/// A source that fails so often without a frame in between has ended.
+/// Number of consecutive failures after which a source counts as ended.
 const MOST_FAILURES: u32 = 100;
 
-/// What is recorded into.
+/// The destination of a recording.
 enum Recorder {
     /// A data set of depth images in TUM layout.
     Tum(TumRecorder),
@@ -48,7 +48,7 @@ impl Recorder {
         Ok(Self::Tum(TumRecorder::create(output)?))
     }
 
-    /// Refuses what [`Self::create`] would, and creates nothing.
+    /// Refuses the same outputs as [`Self::create`], but creates nothing.
     fn check(output: &std::path::Path) -> Result<()> {
         if super::checks::is_mcap(output) {
             return super::checks::check_is_new(output);

@@ -1,4 +1,4 @@
-//! `planish render`: the relief of a cloud, and its colours.
+//! `planish render`: draws the relief of a cloud, and its colours.
 
 use crate::exit::ExitCode;
 
@@ -12,7 +12,7 @@ use super::checks::{check_not_input, report_notes};
 use super::{check_work, organized, read_input};
 use crate::args::RenderArgs;
 
-/// Pixels of an unorganized cloud's picture.
+/// Length in pixels of the longer side of an unorganized cloud's picture.
 const LONGEST_SIDE: usize = 1280;
 
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {

@@ -1,4 +1,4 @@
-//! `planish smooth`: one file, or every frame of a folder.
+//! `planish smooth`: smooths one file, or every frame of a folder.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -49,7 +49,7 @@ fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    // Options that contradict each other are refused whatever the input turns out to be.
+    // Contradicting options are refused whatever the input is.
     check_one_reads_standard_input(args)?;
     let mut settings = args.smoothing.settings_with(&args.gpus)?;
     if !args.fields.is_empty() {
@@ -124,19 +124,19 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Smooths file after file.
+/// Smooths one file after another.
 struct Worker<'a> {
     args: &'a SmoothArgs,
     settings: Settings,
     session: Session,
-    /// Replaces the pose stated in the files.
+    /// Sensor pose that replaces the one stated in the files.
     pose: Option<SensorPose>,
     /// Number of workers, which share threads and memory equally.
     beside: u64,
     smoothed: Smoothed,
     /// Fields of the file that are computed again.
     renewed: Outputs,
-    /// The unit of the cloud that is smoothed.
+    /// Unit of the current cloud.
     unit: LengthUnit,
     /// Notes already printed, shared by all workers.
     noted: Arc<Mutex<HashSet<String>>>,
@@ -148,7 +148,7 @@ enum Output {
     General(PointCloud),
     /// The points of a depth image.
     Points(Camera),
-    /// A depth image with this many columns and rows.
+    /// A depth image with `width` columns and `height` rows.
     Depth {
         width: usize,
         height: usize,
@@ -226,13 +226,13 @@ impl Worker<'_> {
         })
     }
 
-    /// Returns the limit for this worker.
+    /// Returns the read options with the share of the memory limit of this worker.
     fn read_options(&self) -> ReadOptions {
         let options = self.args.reading.read_options();
         options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
     }
 
-    /// Puts the user's pose in place of the file's.
+    /// Replaces the file's pose by the user's, if one is given.
     fn set_pose(&self, input: &Path, contents: &mut Contents) -> Result<()> {
         let Some(pose) = self.pose else { return Ok(()) };
         match contents {
@@ -302,7 +302,7 @@ impl Worker<'_> {
         Ok((result, points, times_ms))
     }
 
-    /// Adds the normals and curvature that a cloud has to the fields to write, since they change with the points.
+    /// Selects the existing normals and curvature of a cloud for recomputation, since they change with the points.
     fn renew_fields(&mut self, input: &Path, cloud: &PointCloud) {
         self.renewed = Outputs::POINTS;
         let (wanted, renewed) = (self.outputs(), self.outputs().renewing(cloud));
@@ -312,7 +312,8 @@ impl Worker<'_> {
         }
     }
 
-    /// Returns the fields to write: `--fields`, or the outputs of the settings, plus renewed fields.
+    /// Returns the fields to write: `--fields`, or the outputs of the settings, plus renewed fields, and the status
+    /// if holes are filled.
     fn outputs(&self) -> Outputs {
         let outputs = self.wanted_outputs();
         let Outputs { normals, curvature, .. } = self.renewed;
@@ -421,7 +422,7 @@ impl Worker<'_> {
         Ok((PointCounts { valid, lost }, summarize(times_ms)))
     }
 
-    /// Puts the result into the cloud.
+    /// Applies the result to the cloud.
     fn apply(&self, cloud: &mut PointCloud) -> Result<()> {
         Ok(cloud.apply(&self.smoothed, self.outputs()).map_err(Error::from)?)
     }
@@ -459,21 +460,21 @@ impl Worker<'_> {
     }
 }
 
-/// Returns true if a file is an image of depth by its name.
+/// Returns true if the file name has the extension of a depth image.
 fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
 
-/// No point of a frame is left.
+/// The error of a frame without any remaining point.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct NothingLeft(String);
 
-/// Number of input points, and of points that became holes.
+/// Number of valid input points, and of points that became holes.
 struct PointCounts {
     valid: usize,
     lost: usize,
 }
 
-/// A larger share of lost points than this is reported.
+/// Share of lost points above which a warning is printed.
 const LOST_SHARE_TOLD: f64 = 0.01;

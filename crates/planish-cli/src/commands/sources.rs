@@ -10,7 +10,7 @@ use planish_bench::errln;
 
 use crate::args::{LimitArgs, SourceArgs};
 
-/// Opens a source; with --reconnect, a missing camera is waited for until `stop` is set.
+/// Opens a source. With --reconnect, waits for a missing camera until `stop` is set.
 pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn Source>> {
     let SourceArgs { topics, camera, align, mode, limits, .. } = args;
     if topics.topic.len() > 1 {
@@ -32,13 +32,13 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
 }
 
 impl SourceArgs {
-    /// Returns the source; empty with --rig.
+    /// Returns the name of the source; empty with --rig.
     pub fn name(&self) -> &str {
         self.name.as_deref().unwrap_or_default()
     }
 }
 
-/// Opens a source by its name; with --reconnect, a missing camera is waited for until `stop` is set.
+/// Opens a source by its name. With --reconnect, waits for a missing camera until `stop` is set.
 pub fn open_named(
     name: &str,
     options: SourceOptions,

@@ -1,4 +1,4 @@
-//! The line that a running stream shows.
+//! The status line of a running stream.
 
 use std::time::{Duration, Instant};
 
@@ -6,7 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use planish::stream::{Latency, StreamEvent, StreamStatistics};
 use planish_bench::errln;
 
-/// An updated line on a terminal, or a plain line every 5 s elsewhere.
+/// A line that is updated in place on a terminal, and printed every 5 s elsewhere.
 pub struct StatusLine {
     bar: ProgressBar,
     last: std::cell::Cell<Instant>,
@@ -32,7 +32,7 @@ impl StatusLine {
         self.bar.suspend(|| errln!("warning: {warning}"));
     }
 
-    /// Shows the stream's progress, at most at a fixed rate.
+    /// Shows the stream's progress, at most every 0.2 s on a terminal and every 5 s elsewhere.
     pub fn show(&self, what: &str, statistics: &StreamStatistics) {
         let every = if self.bar.is_hidden() { Self::PLAIN_EVERY } else { Duration::from_millis(200) };
         if self.last.get().elapsed() < every {

@@ -1,4 +1,4 @@
-//! `planish stream`: frames smoothed as they come.
+//! `planish stream`: smooths frames as they arrive.
 
 use crate::exit::ExitCode;
 use std::path::Path;
@@ -17,7 +17,7 @@ use super::status_line::{StatusLine, ms};
 use crate::args::{StreamArgs, StreamFormatArg, by_option_of_error, outputs_of};
 use crate::signals::stop_by;
 
-/// Report at the end.
+/// Final report.
 #[derive(Serialize)]
 struct Report {
     frames_in: u64,
@@ -26,21 +26,21 @@ struct Report {
     unreadable: u64,
     dropped_by_sinks: u64,
     failed_sinks: u64,
-    /// Frames without a pose, with --poses.
+    /// Number of frames without a pose, with --poses.
     without_pose: u64,
-    /// Gaps in time after which smoothing over time began again.
+    /// Number of time gaps after which smoothing over time restarted.
     gaps: u64,
     seconds: f64,
     fps: f64,
     latency_ms: LatencyMs,
     stage_ms: StageMs,
     engine: &'static str,
-    /// With --temporal: means over the frames.
+    /// Mean changes from frame to frame, with --temporal.
     #[serde(skip_serializing_if = "Option::is_none")]
     over_time: Option<OverTime>,
 }
 
-/// How frames differ from those before.
+/// Mean changes from one frame to the next.
 #[derive(Serialize)]
 struct OverTime {
     jitter_measured_mm: f64,
@@ -57,7 +57,7 @@ struct LatencyMs {
     max: f64,
 }
 
-/// Means of a frame.
+/// Mean times per frame in milliseconds.
 #[derive(Serialize)]
 struct StageMs {
     capture: f64,
@@ -146,7 +146,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
 }
 
 impl StreamArgs {
-    /// Returns the format of output folders.
+    /// Returns the format of the files in an output folder.
     pub fn sink_format(&self) -> SinkFormat {
         match self.format {
             None | Some(StreamFormatArg::Pcd) => SinkFormat::Pcd,

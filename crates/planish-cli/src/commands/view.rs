@@ -1,4 +1,4 @@
-//! `planish view`: a frame or cloud in the browser, raw and smoothed, on the page of `web/`, which this process serves.
+//! `planish view`: shows a frame or cloud in the browser, raw and smoothed. This process serves the page of `web/`.
 
 use crate::exit::ExitCode;
 use std::collections::hash_map::RandomState;
@@ -21,36 +21,38 @@ use super::{check_work, organized, read_input};
 use crate::args::ViewArgs;
 use crate::signals::stop_flag;
 
-/// The page, if this build has it: names below its folder, and contents.
+/// Files of the page: paths relative to its folder, and contents. Empty if this build does not contain the page.
 const PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
-/// How long a request may take, which comes from this machine, and each write of an answer.
+/// Maximum time to receive a request, which comes from this machine.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(1);
+/// Maximum time for each write of an answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Maximum size of a request in bytes.
 const LONGEST_REQUEST: usize = 16 << 10;
 
-/// Requests at a time; a browser has about six connections.
+/// Maximum number of simultaneous requests; a browser opens about six connections.
 const MOST_REQUESTS: usize = 32;
 
-/// How long the browser may take to start.
+/// Lifetime of a ticket: the maximum time that the browser may take to start.
 const TICKET_LIFE: Duration = Duration::from_secs(60);
 
-/// How often to look for a signal.
+/// Interval between checks for a connection or a signal.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The files that are served.
+/// The served files and the state of the server.
 struct Served {
-    /// Names of the page's files and of the frame, and their contents.
+    /// Names and contents of the page's files, the frame and its camera.
     files: Vec<(String, Vec<u8>)>,
-    /// The first part of their paths, which cannot be guessed.
+    /// The random first part of the paths of all files, which cannot be guessed.
     token: String,
-    /// One-time path for the browser started by this process, whose command line other users can see, and its end.
+    /// A one-time path for the browser that this process starts, and its expiry. Other users can see the command line
+    /// of the browser, so it must not contain the token.
     ticket: Mutex<Option<(String, Instant)>>,
-    /// The part of the address that names the frame.
+    /// The fragment of the address that names the frame and its camera.
     shown: String,
-    /// Requests in progress.
+    /// Number of requests in progress.
     requests: AtomicUsize,
 }
 
@@ -152,13 +154,14 @@ fn page(folder: Option<&Path>) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(files)
 }
 
-/// Returns 128 random bits in hexadecimal: the standard library seeds its hash tables from the system.
+/// Returns 128 random bits in hexadecimal. They come from the seeds of the standard library's hash tables, which the
+/// system provides.
 fn token() -> String {
     let bits = || RandomState::new().build_hasher().finish();
     format!("{:016x}{:016x}", bits(), bits())
 }
 
-/// Returns a name as part of an address.
+/// Percent-encodes a name for an address.
 fn escaped(name: &str) -> String {
     name.bytes().fold(String::new(), |mut text, byte| {
         match byte {
@@ -187,12 +190,12 @@ fn open_browser(address: &str) {
     }
 }
 
-/// Answers requests until a signal comes.
+/// Answers requests until `stop` is set.
 fn serve(listener: &TcpListener, served: &Arc<Served>, stop: &AtomicBool) -> Result<ExitCode> {
     listener.set_nonblocking(true)?;
     while !stop.load(Ordering::Relaxed) {
         match listener.accept() {
-            // Too many: the connection is closed, and a browser tries again.
+            // Too many requests: the connection is closed, and the browser tries again.
             Ok(_) if served.requests.load(Ordering::Relaxed) >= MOST_REQUESTS => {}
             Ok((stream, _)) => {
                 served.requests.fetch_add(1, Ordering::Relaxed);
@@ -205,14 +208,14 @@ fn serve(listener: &TcpListener, served: &Arc<Served>, stop: &AtomicBool) -> Res
                     served.requests.fetch_sub(1, Ordering::Relaxed);
                 }
             }
-            // None, or one that was closed again, or too many open files.
+            // No connection, one that was closed again, or too many open files.
             Err(_) => std::thread::sleep(LOOK),
         }
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Answers one request: GET of a file below the token.
+/// Answers one request: a GET of a file below the token, or of the ticket.
 fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_write_timeout(Some(PATIENCE))?;
@@ -259,7 +262,7 @@ fn is_own(stream: &TcpStream) -> bool {
     use std::os::unix::fs::MetadataExt;
     let user_of_peer = || -> Option<u32> {
         let peer = stream.peer_addr().ok()?;
-        // The address as a number in the order of the machine's bytes, and the port.
+        // The address as a hexadecimal number in native byte order, and the port.
         let address = format!("{:08X}:{:04X}", u32::from_ne_bytes(Ipv4Addr::LOCALHOST.octets()), peer.port());
         let connections = std::fs::read_to_string("/proc/net/tcp").ok()?;
         let fields = connections.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());

@@ -17,11 +17,11 @@ pub use outliers::{radius_outliers, statistical_outliers};
 pub use steps::{CleanCounts, CleanSteps};
 pub use voxels::voxel_downsample;
 
-/// Marks the points outside the box from `low` to `high`, in metres as the points are; its borders are inside. Points
-/// of a `PointCloud` are relative to its origin, for which there is `cloud_outside_box`.
+/// Marks the points outside the box from `low` to `high`, in metres in the frame of the points; points on its border
+/// are inside. Points of a `PointCloud` are relative to its origin; use [`cloud_outside_box`] for its file's frame.
 ///
 /// # Errors
-/// If the box is empty or not of numbers.
+/// If a lower bound exceeds the upper bound, or a bound is NaN.
 pub fn outside_box(points: &PointsView<'_>, low: [f64; 3], high: [f64; 3]) -> Result<Vec<bool>, ParamError> {
     outside(points.len(), |i| points.get(i), low, high)
 }
@@ -30,7 +30,7 @@ pub fn outside_box(points: &PointsView<'_>, low: [f64; 3], high: [f64; 3]) -> Re
 /// border are inside.
 ///
 /// # Errors
-/// If the box is empty or not of numbers.
+/// If a lower bound exceeds the upper bound, or a bound is NaN.
 pub fn cloud_outside_box(cloud: &PointCloud, low: [f64; 3], high: [f64; 3]) -> Result<Vec<bool>, ParamError> {
     outside(cloud.len(), |i| [0, 1, 2].map(|axis| cloud.coordinate(axis, i)), low, high)
 }

@@ -1,7 +1,7 @@
 //! Points far from all others.
 //!
-//! Both tests visit the points leaf by leaf of a [`PointIndex`]: the leaves around one are gathered once for its 16
-//! points, whose distances to all that was gathered are computed in vectors, whatever the machine has.
+//! Both tests visit the leaves of a [`PointIndex`]. The leaves around each leaf are gathered once for its 16 points,
+//! whose distances to all gathered points are computed with the machine's SIMD instructions.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -11,10 +11,11 @@ use crate::frame::PointsView;
 use crate::neighbours::{Bounds, LEAF, PointIndex};
 use crate::range::MAX_RANGE_M;
 
-/// Leaves of a task.
+/// Number of leaves per task.
 const LEAVES_PER_TASK: usize = 64;
 
-/// A leaf wider than this many times the reach contains strays, whose neighbours are gathered one by one.
+/// Maximum ratio of a leaf's width to the reach. A wider leaf contains strays, so neighbours are gathered for each of
+/// its points separately.
 const WIDEST_LEAF: f32 = 4.0;
 
 /// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by
@@ -23,7 +24,7 @@ const WIDEST_LEAF: f32 = 4.0;
 /// `neighbours` does not count the point itself, as in PCL; Open3D's `nb_neighbors` does.
 ///
 /// # Errors
-/// If `neighbours` is not 1 to 1000, or `deviations` no positive number.
+/// If `neighbours` is not 1 to 1000, `deviations` is not a positive number, or coordinates exceed 10^18 m.
 pub fn statistical_outliers(
     points: &PointsView<'_>,
     neighbours: usize,
@@ -55,7 +56,7 @@ pub fn statistical_outliers(
 /// Marks the points that have fewer than `least` others within `radius_m`, as PCL and Open3D do.
 ///
 /// # Errors
-/// If the radius is not a positive number, or `least` is 0.
+/// If the radius is not a positive number, `least` is 0, or coordinates exceed 10^18 m.
 pub fn radius_outliers(points: &PointsView<'_>, radius_m: f32, least: usize) -> Result<Vec<bool>, ParamError> {
     check_positive("radius", radius_m)?;
     if least == 0 {
@@ -90,12 +91,12 @@ fn index_of(points: &PointsView<'_>) -> Result<PointIndex, ParamError> {
     Ok(index)
 }
 
-/// The points around some of a leaf.
+/// The points around a leaf, or around one of its points.
 struct Search<'a> {
     index: &'a PointIndex,
     positions: [Vec<f32>; 3],
     counts: Vec<f32>,
-    /// Whether some positions have several points.
+    /// Whether some gathered positions have several points.
     has_repeated: bool,
     squares: Vec<f32>,
     nearest: Vec<f32>,
@@ -107,7 +108,7 @@ impl<'a> Search<'a> {
         Self { index, positions, counts, has_repeated: false, squares, nearest }
     }
 
-    /// Gathers the leaves that come nearer to a box than `reach_m`; whether these are all there are.
+    /// Gathers the leaves that are nearer to a box than `reach_m`. Returns true if these are all leaves.
     #[inline(always)]
     fn gather<S: Simd>(&mut self, simd: S, bounds: &Bounds, reach_m: f32) -> bool {
         let Self { index, positions, counts, .. } = self;
@@ -127,7 +128,7 @@ impl<'a> Search<'a> {
         leaves == index.leaves()
     }
 
-    /// Squares of the distances from a point to all that was gathered; NaN beyond the last of a leaf.
+    /// Computes the squared distances from a point to all gathered points; NaN for the padding of leaves.
     #[inline(always)]
     fn measure(&mut self, point: [f32; 3]) {
         let [x, y, z] = &self.positions;
@@ -184,7 +185,7 @@ impl<'a> Search<'a> {
                     largest_m = largest_m.max(farthest_m);
                 }
             }
-            // A stray's reach would gather far too much for the next.
+            // Limited, since a stray's reach would gather far too many points for the next leaf.
             reach_m = (1.1 * largest_m).clamp(0.5 * reach_m, 2.0 * reach_m);
         }
     }
@@ -230,8 +231,8 @@ impl<'a> Search<'a> {
         Some((((sum + f64::from(farthest_m)) / neighbours as f64) as f32, farthest_m))
     }
 
-    /// Returns true if the points of a leaf have enough neighbours in it and the adjacent leaves. This is cheap and
-    /// true for most leaves.
+    /// Returns true if the points of a leaf have enough neighbours in the leaf and the adjacent ones. This test is
+    /// cheap, and true for most leaves.
     #[inline(always)]
     fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
         let [x, y, z] = &self.index.positions;

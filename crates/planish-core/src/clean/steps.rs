@@ -1,30 +1,30 @@
-//! Several steps of cleaning in their order.
+//! Cleaning steps, applied in order.
 
 use super::{cloud_outside_box, radius_outliers, statistical_outliers, voxel_downsample};
 use crate::cloud::PointCloud;
 use crate::error::{Error, ParamError};
 use crate::frame::PointsView;
 
-/// Steps of cleaning, in the order of these fields; `None` leaves a step out.
+/// Cleaning steps, applied in the order of these fields; `None` skips a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CleanSteps {
     /// Box to keep: smallest and largest x, y, z in metres, in the frame of the cloud's file.
     pub crop_m: Option<[[f64; 3]; 2]>,
     /// Size of voxels in metres; one point is kept per voxel, and the grid is lost.
     pub voxel_m: Option<f64>,
-    /// Number of neighbours, and by how many standard deviations a point's mean distance to them may exceed the
-    /// average.
+    /// Number of neighbours, and the maximum excess of a point's mean distance to them over the average, in standard
+    /// deviations.
     pub statistical: Option<(usize, f32)>,
-    /// Radius in metres, and the fewest neighbours within it.
+    /// Radius in metres, and the minimum number of neighbours within it.
     pub radius: Option<(f32, usize)>,
 }
 
-/// Number of points removed by each step; `None` for steps that were left out.
+/// Number of points removed by each step; `None` for skipped steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct CleanCounts {
-    /// Points of the input that are no holes.
+    /// Points of the input, without holes.
     pub points_in: usize,
     /// Holes of an unorganized cloud, which are dropped.
     pub holes_dropped: usize,
@@ -46,8 +46,8 @@ impl CleanSteps {
         *self == Self::default()
     }
 
-    /// Applies the steps. On a grid (width and height) removed points become holes; without one they are left out, as
-    /// are holes. With voxels, `grid` becomes `None`.
+    /// Applies the steps. On a grid (width and height), removed points become holes. Without a grid, removed points
+    /// and holes are dropped. With voxels, `grid` becomes `None`.
     ///
     /// # Errors
     /// If a value is outside its range; `field` names the step and the value: `crop`, `voxel`,
@@ -91,12 +91,12 @@ impl CleanSteps {
     }
 }
 
-/// Names the step of an error.
+/// Returns a function that sets the field of an error to the name of its step.
 fn named(name: impl Fn(&str) -> &'static str) -> impl Fn(ParamError) -> ParamError {
     move |error| ParamError { field: name(error.field), ..error }
 }
 
-/// Makes holes of marked points on a grid, and leaves them out elsewhere; returns how many.
+/// Turns marked points into holes on a grid, and drops them otherwise. Returns the number of marked points.
 fn remove(points: &mut PointCloud, is_marked: &[bool], is_on_grid: bool) -> usize {
     if is_on_grid {
         let marked = is_marked.iter().enumerate().filter(|(_, marked)| **marked);

@@ -10,10 +10,10 @@ use crate::cloud::PointCloud;
 use crate::error::ParamError;
 use crate::neighbours::Bounds;
 
-/// Voxels along an axis, as 21 bits count them.
+/// Maximum number of voxels along an axis, which 21 bits can count.
 const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 
-/// Points that one task looks at.
+/// Number of points per task.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
 /// The key of holes; voxel keys begin at 1.
@@ -23,10 +23,10 @@ const NO_VOXEL: u64 = 0;
 /// needed.
 const POINTS_OF_A_VOXEL: usize = 8;
 
-/// More shards than this would each look at all keys for few points.
+/// Maximum number of shards. Each shard reads all keys, so more shards would read them for few points each.
 const MOST_SHARDS: usize = 64;
 
-/// The points of each voxel that has any.
+/// The occupied voxels of a cloud, with their points.
 ///
 /// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of
 /// threads.
@@ -41,7 +41,7 @@ pub struct Voxels {
 struct Grid {
     size_m: f64,
     origin_m: [f64; 3],
-    /// The voxel with the least coordinates, in multiples of the size.
+    /// Smallest coordinates of the cloud's voxels, in multiples of the size.
     first: [f64; 3],
     /// Extent of the cloud in voxels.
     along: [u64; 3],
@@ -58,7 +58,7 @@ struct Shard {
 }
 
 impl Voxels {
-    /// Finds the voxels, of `size_m` metres, of a cloud.
+    /// Finds the occupied voxels of a cloud, for voxels of `size_m` metres.
     ///
     /// # Errors
     /// If the size is not a positive number, or so small that the cloud is over 2 million voxels wide.
@@ -90,13 +90,13 @@ impl Voxels {
         Ok(Self { grid, shards, order })
     }
 
-    /// Returns the points of each, in parallel.
+    /// Returns a parallel iterator over the voxels, each as the indices of its points.
     pub fn iter(&self) -> impl IndexedParallelIterator<Item = &[u32]> {
         self.order.par_iter().map(|&(shard, voxel)| self.shards[usize::from(shard)].points_of(voxel))
     }
 }
 
-/// Which voxel is where.
+/// A map from positions to occupied voxels.
 pub struct VoxelMap<'a> {
     voxels: &'a Voxels,
     /// For each shard: the global index of each of its voxels.
@@ -141,7 +141,7 @@ impl<'a> VoxelMap<'a> {
     }
 }
 
-/// Returns the shard of a key, one of a power of two, from other bits of its hash than tables use.
+/// Returns the shard of a key, by other bits of its hash than tables use. `shards` must be a power of two.
 fn shard_of(key: u64, shards: usize) -> u8 {
     ((hash(key) >> 40) as usize & (shards - 1)) as u8
 }
@@ -152,7 +152,7 @@ fn hash(key: u64) -> u64 {
     product ^ (product >> 32)
 }
 
-/// Returns the bounding box of points without holes.
+/// Returns the bounding box of the points, ignoring holes.
 fn bounds_of([x, y, z]: [&[f32]; 3]) -> Bounds {
     let Bounds { mut low, mut high } = Bounds::EMPTY;
     for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
@@ -186,7 +186,7 @@ impl Grid {
         Ok(Self { size_m, origin_m: cloud.origin_m, first, along: last.map(|last| last as u64 + 1) })
     }
 
-    /// Returns the position of a point in voxels from the first.
+    /// Returns the position of a point relative to the first voxel, in voxels.
     fn place(&self, p: [f32; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| (self.origin_m[axis] + f64::from(p[axis])) / self.size_m - self.first[axis])
     }
@@ -198,14 +198,14 @@ impl Grid {
         }
     }
 
-    /// Requires a position within the grid, where a cast rounds down.
+    /// Returns the key of a position, which must be within the grid, where a cast rounds down.
     fn key_at(&self, place: [f64; 3]) -> u64 {
         1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
     }
 }
 
 impl Shard {
-    /// Returns the voxels of those keys that it owns, of about as many points.
+    /// Finds the voxels of the keys that shard `own` owns. `points` is the expected number of points of the shard.
     fn of(keys: &[u64], owners: &[u8], own: u8, points: usize) -> Self {
         let mut found = HashMap::with_capacity_and_hasher(points / POINTS_OF_A_VOXEL, BuildHasherDefault::default());
         let mut counts: Vec<u32> = Vec::with_capacity(points / POINTS_OF_A_VOXEL);
@@ -224,7 +224,8 @@ impl Shard {
             counts[last.1 as usize] += 1;
             members.push((i as u32, last.1));
         }
-        // For each voxel, the index of its next point: at first its beginning, finally its end.
+        // Entry `voxel + 1` is the index at which the voxel's next point goes: at first its beginning, finally its
+        // end.
         let mut starts = Vec::with_capacity(counts.len() + 1);
         starts.push(0);
         let mut total = 0;
@@ -245,7 +246,7 @@ impl Shard {
         self.starts.len() - 1
     }
 
-    /// The shard's voxels whose first point is in the given range.
+    /// Returns the shard's voxels whose first point is in the given range.
     fn begun_within(&self, points: Range<usize>) -> Range<u32> {
         // First points ascend.
         let begun_before = |point: usize| {
@@ -261,7 +262,7 @@ impl Shard {
     }
 }
 
-/// Of keys alone.
+/// A hasher for voxel keys.
 #[derive(Default)]
 struct KeyHasher(u64);
 
@@ -290,7 +291,7 @@ mod tests {
     use super::*;
     use crate::xyz::Xyz;
 
-    /// Points on a wavy sheet, holes among them, of which some have numbers that would be far away.
+    /// Returns points on a wavy sheet with holes, some of which have a finite coordinate that is far away.
     fn sheet() -> PointCloud {
         let point = |i: usize| {
             let (u, v) = ((i % 97) as f32 / 97.0, (i / 97) as f32 / 150.0);

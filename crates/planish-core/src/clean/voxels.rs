@@ -7,19 +7,19 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::ParamError;
 use crate::xyz::Xyz;
 
-/// How a field of a voxel is computed from its points.
+/// The rule by which a field of a voxel is computed from the voxel's points.
 #[derive(Clone, Copy, PartialEq)]
 enum Merge {
     /// The mean, in the field's own type.
     Mean,
     /// The mean of each byte of a packed colour.
     Colour,
-    /// The value of the point nearest the centroid: means of labels and flags mean nothing.
+    /// The value of the point nearest to the centroid, for labels and flags, whose mean is meaningless.
     Nearest,
 }
 
-/// Puts one point into each voxel of `size_m` metres that has any: their centroid, with the means of fields that have
-/// one (colour, intensity, normals, floats with fractions) and otherwise the field of the point nearest the centroid.
+/// Replaces the points of each voxel of `size_m` metres by their centroid. Colour, intensity, normals and floats with
+/// fractions are averaged; other fields are those of the point nearest to the centroid.
 ///
 /// Voxels begin at multiples of their size in the cloud's frame; results have the order of each voxel's first point.
 /// Holes are left out.
@@ -64,7 +64,7 @@ fn nearest_to(centroid: [f32; 3], voxel: &[u32], points: &Xyz) -> usize {
     voxel.iter().copied().min_by(|&a, &b| square(a).total_cmp(&square(b))).map_or(0, |i| i as usize)
 }
 
-/// Averages offsets from the first point, which keeps the precision of the points.
+/// Returns the mean of a voxel's points. Averages offsets from the first point, which keeps their precision.
 fn centroid(positions: &Xyz, voxel: &[u32]) -> [f32; 3] {
     let first = positions.get(voxel[0] as usize).map(f64::from);
     let mut sum = [0.0; 3];
@@ -104,7 +104,7 @@ fn mean(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     Attribute { name: attribute.name.clone(), count, values }
 }
 
-/// Returns the mean of each byte.
+/// Returns the mean colour of each voxel, byte by byte.
 fn mean_colour(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     let packed = crate::colour::packed(attribute).unwrap_or_default();
     let mean = |voxel: &[u32]| {
@@ -123,7 +123,7 @@ fn mean_colour(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     Attribute { name: attribute.name.clone(), count: attribute.count, values }
 }
 
-/// Means of unit vectors are shorter: gives them their length again.
+/// Normalizes normals, since means of unit vectors are shorter than unit vectors.
 fn normalize(attributes: &mut [Attribute]) {
     for names in [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]] {
         let place = |name: &str| attributes.iter().position(|attribute| attribute.name == name && attribute.count == 1);

@@ -1,4 +1,4 @@
-//! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10).
+//! Bending of the surface, within a window and between the planes around a point (docs/method.md, section 10).
 //!
 //! A bend is a symmetric tensor H in 1/m along the plane's [`tangents`](super::eigen::tangents): the surface is x·Hx/2
 //! above its tangent plane, at an offset x along it. For a window, only the trace of H is known.
@@ -14,8 +14,8 @@ use crate::constants::{
     BEND_DAMPING, BEND_EXPLAINED, BEND_SHARED, LEAST_BEND_WEIGHT, LEAST_SPREAD, LEAST_TURN, MOST_BEND, MOST_WINDOW_BEND,
 };
 
-/// Returns how the windows bend, as the sums of their principal curvatures in 1/m: from the mean height of the
-/// neighbours in their middle over their planes, which are fitted to all of them.
+/// Returns the sum of each window's principal curvatures in 1/m, (10.13), from the mean height of the neighbours in
+/// its middle over its plane, which is fitted to all neighbours.
 #[inline(always)]
 pub(super) fn of_window<S: Simd>(
     simd: S,
@@ -88,7 +88,7 @@ impl<S: Simd> Bend<S> {
         Self { uu: self.uu * factor, uv: self.uv * factor, vv: self.vv * factor }
     }
 
-    /// Returns the bends where they count, and none elsewhere.
+    /// Returns the bend in lanes where `counts` is true, and zero elsewhere.
     #[inline(always)]
     pub(super) fn or_none(self, simd: S, counts: Mask<S>) -> Self {
         let zero = splat(simd, 0.0);
@@ -100,7 +100,7 @@ impl<S: Simd> Bend<S> {
         self.uu + self.vv
     }
 
-    /// The sum of the squares of all entries.
+    /// Returns the sum of the squares of all entries.
     #[inline(always)]
     pub(super) fn square(&self) -> S::f32s {
         self.uu.mul_add(self.uu, self.vv.mul_add(self.vv, self.uv * (self.uv + self.uv)))
@@ -119,7 +119,7 @@ impl<S: Simd> Bend<S> {
         x.mul_add(a, y * b)
     }
 
-    /// Converts the tensor from its tangents to other ones.
+    /// Converts the tensor from the tangents `(u, v)` to the tangents `(to_u, to_v)`.
     #[inline(always)]
     pub(super) fn turned(&self, (u, v): (Vec3<S>, Vec3<S>), (to_u, to_v): (Vec3<S>, Vec3<S>)) -> Self {
         let (uu, uv, vu, vv) = (to_u.dot(u), to_u.dot(v), to_v.dot(u), to_v.dot(v));
@@ -130,12 +130,13 @@ impl<S: Simd> Bend<S> {
 
 /// Weighted sums over the planes around a point, for the bend between them.
 pub(super) struct Around<S: Simd> {
-    /// Sums of x and of x x^T, where x is the offset of a plane's centroid from the point.
+    /// Sum of x, the offset of a plane's centroid from the point.
     offset: Vec3<S>,
+    /// Sum of x x^T.
     offsets: Symmetric<S>,
     /// Sum of n x^T + x n^T, where n is the normal.
     slopes: Symmetric<S>,
-    /// Sum of the bends of the windows.
+    /// Sum of the bends of the planes' windows.
     windows: S::f32s,
     /// Sum of the variances along the planes.
     spreads: S::f32s,
@@ -144,24 +145,24 @@ pub(super) struct Around<S: Simd> {
 /// A bend along the tangents of a normal.
 pub(super) struct Measured<S: Simd> {
     pub(super) bend: Bend<S>,
-    /// Mean place of the planes along the tangents; the vote's normal applies there.
+    /// Mean position of the planes along the tangents, in metres; the vote's normal applies there.
     pub(super) centre: [S::f32s; 2],
-    /// Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
+    /// Weighted sum of the surface's height at the point over each plane, in metres.
     pub(super) rise: S::f32s,
 }
 
-/// How the normals of the planes around a point turn.
+/// Variation of the normals of the planes around a point.
 pub(super) struct Turn<S: Simd> {
     per_total: S::f32s,
     mean_normal: Vec3<S>,
     /// The variance of the normals.
     pub(super) variance: S::f32s,
-    /// How far that is beyond what noise does, from 0 to 1.
+    /// Degree to which the variance exceeds that caused by noise, from 0 to 1.
     pub(super) certain: S::f32s,
 }
 
 impl<S: Simd> Turn<S> {
-    /// From the sums of the weights and of the normals.
+    /// Computes the variation from the sums of the weights and of the normals.
     #[inline(always)]
     pub(super) fn new(simd: S, total: S::f32s, normals: Vec3<S>, radius: S::f32s, noise: S::f32s) -> Self {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
@@ -187,7 +188,7 @@ impl<S: Simd> Around<S> {
         }
     }
 
-    /// Adds a plane whose centroid is at an offset x, with its spread and how its window bends.
+    /// Adds a plane with its centroid at offset x, its spread and the bend of its window.
     #[inline(always)]
     pub(super) fn add(
         &mut self,
@@ -224,7 +225,8 @@ impl<S: Simd> Around<S> {
         // In units of the radius, whose square may be as small as 1e-24 m².
         let per_radius = one / radius;
         let scale = per_total * per_radius;
-        // A plane's place, and its slope, the sine of its angle: on a circle the slope grows with the place by 1/r.
+        // The mean place and the mean slope of the planes. A slope is the sine of an angle: on a circle it grows with
+        // the place by 1/r.
         let (t0, t1) = (self.offset.dot(u) * scale, self.offset.dot(v) * scale);
         let (s0, s1) = (-turn.mean_normal.dot(u), -turn.mean_normal.dot(v));
         let squares: Bend<S> = self.offsets.along(u, v);

@@ -15,7 +15,7 @@ use crate::constants::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
 pub(super) struct Block<'a, S: Simd, P> {
     pixels: &'a P,
     half: usize,
-    /// Column and row of the first.
+    /// Column and row of the first pixel or cell.
     place: (usize, usize),
     p: Vec3<S>,
     gate: Gate<S>,
@@ -57,7 +57,7 @@ impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
         Self { pixels, half: kernel.block_half, place, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
     }
 
-    /// Averages its points, each weighted by the gate and by `weigh` of its offset from p.
+    /// Averages the block's points, each weighted by the gate and by `weigh` of its offset from p.
     #[inline(always)]
     fn mean(&self, simd: S, weigh: impl Fn(Vec3<S>) -> S::f32s) -> Vec3<S> {
         let (mut sum, mut total) = (Vec3::splat(simd, 0.0), splat(simd, 0.0));
@@ -75,12 +75,12 @@ impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
                 total = near.select(total + weight, total);
             },
         );
-        // p itself has a weight.
+        // Not 0, since p itself has a weight.
         self.p.add_scaled(splat(simd, 1.0) / total, sum)
     }
 
-    /// Returns the mean of the points that are on the surface of p: they count by how far they are from its plane, in
-    /// widths, of which there are `per_width` in a metre.
+    /// Returns the mean of the points on the surface of p. Points are weighted by their distance from the plane,
+    /// measured in widths; `per_width` is the number of widths per metre.
     #[inline(always)]
     pub(super) fn mean_on_surface(&self, simd: S, plane: &Plane<S>, per_width: S::f32s) -> Vec3<S> {
         let one = splat(simd, 1.0);
@@ -99,7 +99,7 @@ impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
     }
 }
 
-/// The means around the points of some rows.
+/// Computes the block means around the points of some rows.
 #[inline(always)]
 pub(super) fn average<S: Simd, P: BlockPixels>(
     simd: S,

@@ -6,7 +6,7 @@ use fearless_simd::{Simd, SimdBase};
 
 use super::vector::Vec3;
 
-/// The widest vector of f32 that any SIMD level has.
+/// Number of lanes of the widest f32 vector of any SIMD level.
 pub(super) const MAX_LANES: usize = 16;
 
 /// Channels of equal length, one per number.
@@ -17,7 +17,8 @@ pub(super) struct Channels<const N: usize> {
 }
 
 impl<const N: usize> Channels<N> {
-    /// Creates channels of `len` values and [`MAX_LANES`] more, so that a vector can be loaded from each of the `len`.
+    /// Creates channels of `len` values and [`MAX_LANES`] more, so that a vector can be loaded at each of the first
+    /// `len` indices.
     pub(super) fn new(len: usize, value: f32) -> Self {
         Self { values: std::array::from_fn(|_| vec![value; len + MAX_LANES]), last: len }
     }
@@ -34,16 +35,16 @@ impl<const N: usize> Channels<N> {
     /// Returns the values of a channel from an index on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
-        // SAFETY: the index is the first and the last.
+        // SAFETY: the part consists of this index.
         unsafe { self.part(at, at).load(simd, channel, at) }
     }
 
     /// Returns the values of three channels, from the given one on, as vectors.
     ///
-    /// One check for all three: the checks of slices would be a fifth of all instructions of a frame.
+    /// One bounds check covers all three: checking each slice would take a fifth of all instructions of a frame.
     #[inline(always)]
     pub(super) fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
-        // SAFETY: the index is the first and the last.
+        // SAFETY: the part consists of this index.
         unsafe { self.part(at, at).vector(simd, channel, at) }
     }
 
@@ -52,8 +53,8 @@ impl<const N: usize> Channels<N> {
         self.values[channel][at]
     }
 
-    /// Returns the part from which vectors are loaded at the indices from `first` to `last`. Panics unless all of these
-    /// vectors are within the channels.
+    /// Returns the part for loading vectors at indices `first` to `last`. Panics unless all of these vectors are
+    /// within the channels.
     #[inline(always)]
     pub(super) fn part(&self, first: usize, last: usize) -> Part<'_, N> {
         assert!(first <= last && last <= self.last, "a vector is outside its channel");
@@ -73,7 +74,7 @@ impl<const N: usize> Part<'_, N> {
     /// Returns the values of a channel from an index on.
     ///
     /// # Safety
-    /// The index must be one of the part's.
+    /// `at` must be from the part's first to its last index.
     #[inline(always)]
     pub(super) unsafe fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
         const { assert!(S::f32s::LEN <= MAX_LANES) };
@@ -85,7 +86,7 @@ impl<const N: usize> Part<'_, N> {
     /// Returns the values of three channels, from the given one on, as vectors.
     ///
     /// # Safety
-    /// The index must be one of the part's.
+    /// `at` must be from the part's first to its last index.
     #[inline(always)]
     pub(super) unsafe fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
         // SAFETY: the same condition.

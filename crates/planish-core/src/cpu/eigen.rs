@@ -2,9 +2,9 @@
 //!
 //! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
 //! their digits, so each lane first solves for the isolated root: the smallest for planar points, the largest for
-//! points along a line. In the second case the other two come from the matrix restricted to the plane across the line
-//! (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are a few ulp of the largest eigenvalue,
-//! similar to the rounding of the matrix. A zero matrix gives zeros and an arbitrary unit vector.
+//! points along a line. In the second case the other two come from the matrix restricted to the plane perpendicular
+//! to the line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). Errors are a few ulp of the largest
+//! eigenvalue, similar to the rounding of the matrix. A zero matrix gives zeros and an arbitrary unit vector.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -44,7 +44,7 @@ pub(super) struct Smallest<S: Simd> {
     pub(super) vector: Vec3<S>,
 }
 
-/// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
+/// Value of det(B)/2 above which the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 #[inline(always)]
@@ -79,7 +79,7 @@ pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smalle
     let half_alone = sign * cos_third_acos(simd, half_det * sign);
     let axis = null_vector(simd, &b, half_alone + half_alone);
 
-    // The other two lie around minus half of it, sqrt(3) sin apart from there.
+    // The other two roots are minus half the isolated one, plus or minus sqrt(3) times the sine.
     let spread = (splat(simd, 3.0) * minor::<S>(one, one, half_alone, half_alone)).max(zero).sqrt();
     let plane_like = Smallest {
         values: [
@@ -104,7 +104,7 @@ pub(super) fn smallest_eigenvector<S: Simd>(simd: S, m: &Symmetric<S>) -> Smalle
     }
 }
 
-/// a b - c d.
+/// Returns a b - c d.
 #[inline(always)]
 fn minor<S: Simd>(a: S::f32s, b: S::f32s, c: S::f32s, d: S::f32s) -> S::f32s {
     a.mul_add(b, -(c * d))
@@ -128,7 +128,7 @@ fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     longest.scale(one / usable.select(square, one).sqrt()).or(usable, Vec3::new(zero, zero, one))
 }
 
-/// Two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
+/// Returns two unit vectors that complete n to an orthonormal frame (Duff et al. 2017), as in the reference.
 #[inline(always)]
 pub(super) fn tangents<S: Simd>(simd: S, n: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
     let one = splat(simd, 1.0);
@@ -140,7 +140,8 @@ pub(super) fn tangents<S: Simd>(simd: S, n: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
     (u, v)
 }
 
-/// Returns the smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
+/// Returns the smaller two eigenvalues and the eigenvector of the smallest, from B restricted to the plane
+/// perpendicular to `axis`, the eigenvector of the largest.
 #[inline(always)]
 fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S> {
     let (u, v) = tangents(simd, axis);
@@ -148,7 +149,7 @@ fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S>
     let (uu, uv, vv) = (u.dot(mu), u.dot(mv), v.dot(mv));
     let (half_sum, half_difference) = ((uu + vv) * splat(simd, 0.5), (uu - vv) * splat(simd, 0.5));
     let spread = half_difference.mul_add(half_difference, uv * uv).sqrt();
-    // The eigenvector of the smaller one, by the longer of the two rows' normals.
+    // The eigenvector of the smaller eigenvalue, from the longer normal of the two rows.
     let reach = half_difference.abs() + spread;
     let u_larger: Mask<S> = half_difference.simd_ge(splat(simd, 0.0));
     let (a, b) = (u_larger.select(uv, -reach), u_larger.select(-reach, uv));

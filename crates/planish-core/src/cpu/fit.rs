@@ -1,4 +1,4 @@
-//! The last fit: sections 5 to 7 over the surfaces that have been found (docs/method.md), in bands of rows.
+//! The final fit, in bands of rows: sections 5 to 7 of docs/method.md over the surfaces found before.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdMask};
 
@@ -13,25 +13,25 @@ use super::window::{Candidates, Window};
 use super::{Input, Kernel, valid_points};
 use crate::constants::LEAST_NEIGHBOURS;
 
-/// How the surface is fitted over a plane.
+/// Parameters of the fit over a plane.
 #[derive(Clone, Copy)]
 pub(super) struct Fitting {
     pub(super) bandwidth_m: Option<f32>,
     pub(super) ridge: f32,
     /// Whether points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
-    /// The least number of neighbours of a point that is smoothed.
+    /// Minimum number of neighbours of a smoothed point.
     pub(super) least_neighbours: f32,
 }
 
-/// A band of rows of the last fit.
+/// A band of rows of the final fit.
 #[expect(clippy::large_enum_variant, reason = "the larger one is the usual one")]
 pub(super) enum FitRows<'a> {
-    /// Surfaces are the planes of windows; results are written.
+    /// The surfaces are the planes of windows; the results are written to the output.
     Own(OutputRows<'a>),
-    /// Surfaces have been found; results are written.
+    /// The surfaces were found before; the results are written to the output.
     Kept(SurfaceRows<'a>, OutputRows<'a>),
-    /// Surfaces of cells have been found; results replace them.
+    /// The surfaces of cells were found before; the results replace them.
     Cells(SurfaceRows<'a>),
 }
 
@@ -62,7 +62,7 @@ impl SplitRows for FitRows<'_> {
 }
 
 impl<'a> FitRows<'a> {
-    /// The first row's number in the image.
+    /// Returns the first row's number in the image.
     fn first(&self) -> usize {
         match self {
             Self::Own(out) => out.first,
@@ -160,7 +160,7 @@ fn fit_vector<S: Simd, const D: usize>(
 }
 
 impl Fitting {
-    /// Sections 5 to 7 for points over their surfaces.
+    /// Applies sections 5 to 7 to points over their surfaces.
     #[inline(always)]
     pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
         &self,

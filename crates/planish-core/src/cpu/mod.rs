@@ -1,13 +1,15 @@
-//! The CPU engine: docs/method.md in f32, a vector of neighbouring pixels at a time, for organized clouds.
+//! The CPU engine: docs/method.md in f32, on vectors of adjacent pixels, for organized clouds. [`general`] smooths
+//! unorganized ones.
 //!
-//! Stages have the names of the reference, one file each, and are written once for all SIMD levels ([`SimdLevel`]). A
-//! frame is copied into a padded one ([`padded`]), and tasks take bands of rows ([`row_tasks`], [`output`]). Each
-//! vector of pixels passes through [`window`], [`plane`] with [`eigen`], [`polynomial`], [`solve`] and [`project`],
-//! which [`fit`] puts together. If blocks are averaged or edges kept, [`pixels`], [`blocks`] and [`edges`] run up to
-//! four passes before it and one after. Coordinates are in the cloud's frame; [`sensor`] supplies everything that
-//! depends on the sensor. Each pass reads only results of finished passes, so threads change no bit.
+//! Each stage has its own file, named as in the reference, and is written once for all SIMD levels ([`SimdLevel`]).
+//! The frame is copied into a padded buffer ([`padded`]), and each task processes a band of rows ([`row_tasks`],
+//! [`output`]). [`fit`] takes each vector of pixels through [`window`], [`plane`] with [`eigen`], [`polynomial`],
+//! [`solve`] and [`project`]. If blocks are averaged or edges kept, [`pixels`], [`blocks`] and [`edges`] add up to
+//! four passes before it and one after it. Coordinates are in the cloud's frame; [`sensor`] supplies everything that
+//! depends on the sensor. A pass reads only the results of earlier passes, so results are bit-identical for any
+//! number of threads.
 
-// A condition on constants in a loop written out is always true or always false in each copy.
+// In unrolled loops, conditions on constants are always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]
 
 mod bend;
@@ -77,7 +79,7 @@ struct Kernel {
     on_ray: bool,
 }
 
-/// c0 + c1 z + c2 z².
+/// Returns c0 + c1 z + c2 z², where z is the range.
 #[inline(always)]
 fn polynomial_in_range<S: Simd>(simd: S, [c0, c1, c2]: [f32; 3], range: S::f32s) -> S::f32s {
     (range * splat(simd, c2) + splat(simd, c1)) * range + splat(simd, c0)
@@ -100,8 +102,8 @@ impl RangeRules {
 }
 
 impl Kernel {
-    /// Returns the ranges at the end of rays, limited so that squares stay finite; beyond the limit the radius is
-    /// constant anyway.
+    /// Returns the range at the end of each ray, limited so that its square stays finite. Beyond the limit, the
+    /// radius is constant.
     #[inline(always)]
     fn range<S: Simd>(&self, simd: S, ray: Vec3<S>) -> S::f32s {
         let range = if self.rules.by_distance { ray.dot(ray).sqrt() } else { self.sensor.depth(simd, ray).abs() };
@@ -109,7 +111,7 @@ impl Kernel {
     }
 }
 
-/// Returns the instruction set to use: the widest of this machine, or the given one.
+/// Returns the SIMD level to use: the given one, or the widest of this machine.
 fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
     let machine = Level::new();
     let Some(level) = simd else { return Ok(machine) };
@@ -121,7 +123,7 @@ fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
 pub(crate) struct Cpu {
     params: EngineParams,
     level: Level,
-    /// `None` runs on the calling thread.
+    /// The thread pool; `None` to run on the calling thread.
     threads: Option<Threads>,
     buffers: Buffers,
     rays: Rays,
@@ -134,7 +136,7 @@ enum Buffers {
     /// Every pixel has its own surface.
     Pixels {
         measured: PaddedFrame,
-        /// Where blocks are averaged.
+        /// Block means, if blocks are averaged.
         means: Option<PaddedFrame>,
         /// First planes and surfaces, if edges are kept.
         planes: Option<(FirstPlanes, Surfaces)>,
@@ -195,7 +197,8 @@ impl Cpu {
         Ok(Self { params, level, threads, buffers, rays, timings })
     }
 
-    /// Copies the frame and smooths all rows, on the threads of the pool that it is called in or on the calling one.
+    /// Copies the frame and smooths all rows: on the current thread pool if `parallel`, otherwise on the calling
+    /// thread.
     fn smooth_rows(&mut self, frame: &AdmittedFrame<'_>, kernel: &Kernel, out: SmoothedMut<'_>, parallel: bool) {
         let level = self.level;
         let start = Stopwatch::start();
@@ -249,7 +252,7 @@ impl Cpu {
     }
 }
 
-/// How passes run.
+/// Settings shared by all passes.
 #[derive(Clone, Copy)]
 struct Run<'a> {
     level: Level,
@@ -265,7 +268,7 @@ impl Run<'_> {
         run_on_rows(means.rows(), parallel, &average);
     }
 
-    /// Finds the surfaces of all points, and the means of their blocks on them if there are any.
+    /// Finds the surfaces of all points. With `blocks`, also computes the mean of each block's points on its surface.
     fn find_surfaces(
         self,
         input: Input<'_>,
@@ -328,13 +331,13 @@ impl ImmediateEngine for Cpu {
         Some(self.timings)
     }
 
-    /// Includes its padded frames and planes.
+    /// Returns the bytes of the padded frames and planes.
     fn buffer_bytes(&self) -> u64 {
         self.buffers.bytes() as u64
     }
 }
 
-/// What the passes read.
+/// Input of the passes.
 #[derive(Clone, Copy)]
 struct Input<'a> {
     /// The points as measured.
@@ -343,7 +346,7 @@ struct Input<'a> {
     samples: &'a PaddedFrame,
 }
 
-/// Returns the lanes that are no holes: x * 0 is 0 only for finite x.
+/// Returns the mask of lanes that are not holes: x * 0 is 0 only for finite x.
 #[inline(always)]
 fn valid_points<S: Simd>(simd: S, p: Vec3<S>) -> Mask<S> {
     let zero = splat(simd, 0.0);

@@ -8,12 +8,12 @@ use fearless_simd::{Simd, SimdBase, SimdFloat};
 use super::unroll::unroll;
 use super::vector::splat;
 
-/// Number of moments for degree 3, the most.
+/// Maximum number of moments M_ij, for degree 3.
 const MAX_MOMENTS: usize = 28;
 const MAX_RIGHT_SIDES: usize = 10;
 
-/// Contribution of a candidate: its weight (0 outside the gate), and its coordinates. Between the two passes, the
-/// coordinates are the offset from p.
+/// Contribution of a candidate: its weight w (0 outside the gate) and its coordinates a, b and f. Between the two
+/// passes, a, b and f hold its offset from p.
 pub(super) struct Term<S: Simd> {
     pub(super) w: S::f32s,
     pub(super) a: S::f32s,
@@ -43,7 +43,7 @@ impl<S: Simd> Clone for Moments<S> {
 
 impl<S: Simd> Copy for Moments<S> {}
 
-/// Index of M_ij for i + j up to `degree`: for every i a run over j.
+/// Returns the index of M_ij among those with i + j <= `degree`, stored as one run over j for each i.
 #[inline(always)]
 const fn place(degree: usize, i: usize, j: usize) -> usize {
     i * (2 * degree + 3 - i) / 2 + j
@@ -92,14 +92,14 @@ impl<S: Simd> Moments<S> {
     }
 }
 
-/// Returns whether moments are summed in few groups: with the 32 registers of AVX-512 and NEON, and for less code in a
-/// web page.
+/// Returns true if moments are summed in few groups: AVX-512 and NEON have 32 registers, and fewer groups make a web
+/// page smaller.
 const fn in_few_groups<S: Simd>() -> bool {
     <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(any(target_arch = "aarch64", target_family = "wasm"))
 }
 
-/// Sums the moments of terms, in groups that fit the registers. With 16 registers, degree 3 takes 85 instructions per
-/// term; in two groups it took 140, since registers were spilled. Not inlined: several callers share it.
+/// Sums the moments of terms in groups that fit in the registers. With 16 registers, degree 3 takes 85 instructions
+/// per term; in two groups it took 140 because registers were spilled. Not inlined, so that callers share one copy.
 #[inline(never)]
 pub(super) fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], moments: &mut Moments<S>) {
     simd.vectorize(
@@ -127,7 +127,8 @@ pub(super) fn sum_terms<S: Simd, const D: usize>(simd: S, terms: &[Term<S>], mom
     );
 }
 
-/// Sums the moments M_ij and T_ij whose bit i of M and T is set. The bits of T are consecutive.
+/// Sums the moments M_ij for which bit i of `M` is set, and T_ij for which bit i of `T` is set. The bits of `T` must
+/// be consecutive.
 #[inline(always)]
 fn sum_group<S: Simd, const D: usize, const M: u32, const T: u32>(
     simd: S,

@@ -19,7 +19,7 @@ pub(super) struct OutputRows<'a> {
     pub(super) width: usize,
     rows: usize,
     out: SmoothedMut<'a>,
-    /// The camera that defines the raw units of depth, if depth is requested.
+    /// The camera that defines the raw depth unit, if raw depth is requested.
     camera: Option<&'a Camera>,
 }
 
@@ -59,7 +59,7 @@ impl SplitRows for OutputRows<'_> {
 }
 
 impl<'a> OutputRows<'a> {
-    /// All rows of a frame's result.
+    /// Takes all rows of a frame's result.
     pub(super) fn all(admitted: &AdmittedFrame<'a>, out: SmoothedMut<'a>) -> Self {
         let (width, height) = admitted.frame.shape();
         let camera = admitted.frame.camera().filter(|_| out.depth.is_some());
@@ -71,7 +71,7 @@ impl<'a> OutputRows<'a> {
         Self { first: 0, width, rows: height, out, camera: None }
     }
 
-    /// How points are to be put onto the surface.
+    /// Returns the settings for moving points onto the surface, given the requested outputs.
     pub(super) fn projection(&self, on_ray: bool) -> Projection {
         let needs_depth = self.camera.is_some() || self.out.depth_m.is_some();
         Projection {
@@ -83,8 +83,8 @@ impl<'a> OutputRows<'a> {
         }
     }
 
-    /// Writes the results of the pixels from column u of the `row`-th of these rows on, with their measured depths,
-    /// curvatures and numbers of neighbours.
+    /// Writes the results of a vector of pixels that starts at column u of row `row` of this band, with their
+    /// measured depths, curvatures and numbers of neighbours.
     #[inline(always)]
     pub(super) fn store<S: Simd>(
         &mut self,
@@ -134,13 +134,13 @@ impl<'a> OutputRows<'a> {
         }
     }
 
-    /// Fills row `i` of a one-column result from position `place(i)` of another; `None` makes it a hole.
+    /// Fills row `i` of a one-column result from position `place(i)` of `from`; `None` makes it a hole.
     pub(super) fn take_from(&mut self, from: &Smoothed, place: impl Fn(usize) -> Option<usize>) {
         let first = self.first;
         self.out.take_from(self.rows, from, |row| place(first + row));
     }
 
-    /// Writes holes for the pixels from column u on.
+    /// Writes holes for `lanes` pixels from column u on.
     #[inline(always)]
     pub(super) fn store_holes(&mut self, row: usize, u: usize, lanes: usize) {
         let end = self.width.min(u + lanes);
@@ -171,7 +171,7 @@ impl<'a> OutputRows<'a> {
     }
 }
 
-/// Stores vectors; fewer than all lanes at the right border.
+/// Stores the lanes that fit in `at`: fewer than all at the right border.
 #[inline(always)]
 fn put_vectors<S: Simd>(out: &mut VectorsMut<'_>, at: std::ops::Range<usize>, vectors: Vec3<S>) {
     let Vec3 { x, y, z } = vectors;

@@ -1,9 +1,9 @@
 //! The frame with a border: the input of every window load.
 //!
-//! Stage: copy or deproject (docs/method.md, section 1), in the cloud's frame. Layout: x, y and z each as rows of
-//! `row_len` values, with `border` rows and columns of NaN around the image and at least [`MAX_LANES`] - 1 after its
-//! last column. Every load of a window, for every vector of pixels, is then a plain load inside the buffer. NaN and
-//! infinite values fail the gate.
+//! Points are copied or deprojected (docs/method.md, section 1), in the cloud's frame. x, y and z are each stored as
+//! rows of `row_len` values, with `border` rows and columns of NaN around the image, whose width is padded with NaN
+//! to a multiple of [`MAX_LANES`]. Every load of a window, for every vector of pixels, is then a plain load inside
+//! the buffer. NaN and infinite values fail the gate.
 
 use std::ops::Range;
 
@@ -16,16 +16,16 @@ use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
 use crate::frame::{DepthSamples, Frame};
 use crate::smoothing_engine::AdmittedFrame;
 
-/// Rows that one task fills: enough to be worth a task.
+/// Number of rows that one task fills: enough to be worth a task.
 const ROWS_PER_TASK: usize = 32;
 
 pub(super) struct PaddedFrame {
     xyz: Channels<3>,
-    /// Values from one row to the next.
+    /// Number of values from one row to the next.
     pub(super) row_len: usize,
     pub(super) width: usize,
     pub(super) height: usize,
-    /// Columns and rows of border before the image.
+    /// Number of border columns and rows before the image.
     pub(super) border: usize,
 }
 
@@ -39,12 +39,12 @@ pub(super) struct PaddedRows<'a> {
 }
 
 impl PaddedRows<'_> {
-    /// Returns the index of column u in the `row`-th of these rows.
+    /// Returns the index of column u in row `row` of this band.
     pub(super) fn index(&self, row: usize, u: usize) -> usize {
         row * self.row_len + self.border + u
     }
 
-    /// Stores points from an index on. The tail of the last vector falls into the border and is NaN too.
+    /// Stores points from an index on. The tail of a row's last vector falls into the padding and is NaN too.
     #[inline(always)]
     pub(super) fn store<S: Simd>(&mut self, at: usize, points: Vec3<S>) {
         let lanes = at..at + S::f32s::LEN;
@@ -98,8 +98,7 @@ impl PaddedFrame {
         self.xyz.vector(simd, 0, at)
     }
 
-    /// Returns the part from which points are loaded at the indices from `first` to `last`. Panics if these are outside
-    /// the frame.
+    /// Returns the part for loading points at indices `first` to `last`. Panics if these are outside the frame.
     #[inline(always)]
     pub(super) fn part(&self, first: usize, last: usize) -> Part<'_, 3> {
         self.xyz.part(first, last)
@@ -112,7 +111,7 @@ impl PaddedFrame {
         PaddedRows { first: 0, row_len, border, xyz: self.xyz.range_mut(image) }
     }
 
-    /// Copies a frame of the shape that this was created for; `rays` belong to its camera.
+    /// Copies a frame of the shape that this buffer was created for; `rays` must belong to the frame's camera.
     pub(super) fn fill(&mut self, admitted: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
         let (row_len, width, border) = (self.row_len, self.width, self.border);
         let rows = self.rows();
@@ -166,7 +165,7 @@ pub(super) fn points_of_row(
     }
 }
 
-/// Equal bit for bit to [`crate::DepthFrame::deproject`].
+/// Computes x and y from z, bit-identical to [`crate::DepthFrame::deproject`].
 fn deproject_row(rays: RowRays<'_>, columns: Range<usize>, z: &[f32], x: &mut [f32], y: &mut [f32]) {
     x.iter_mut().zip(&rays.x[columns.clone()]).zip(z).for_each(|((x, ray_x), z)| *x = ray_x * z);
     match rays.y {

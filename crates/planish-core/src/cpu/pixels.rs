@@ -13,22 +13,23 @@ use super::vector::{Mask, Vec3};
 use crate::camera::Rays;
 use crate::smoothing_engine::AdmittedFrame;
 
-/// Width and height of a cell.
+/// Width and height of a cell in pixels.
 pub(super) const CELL_PX: usize = 2;
 
-/// Channels of the even and the odd columns.
+/// First of the three channels of even columns.
 pub(super) const EVEN: usize = 0;
+/// First of the three channels of odd columns.
 pub(super) const ODD: usize = 3;
 
-/// Points that are copied at once.
+/// Number of points copied at once.
 const CHUNK: usize = 128;
 
 /// Rows of pixels as points: x, y and z of even columns, then of odd ones, with a border of NaN.
 pub(super) struct Pixels {
     columns: Channels<6>,
-    /// Values from one row to the next.
+    /// Number of values from one row to the next.
     row_len: usize,
-    /// Rows before the image, and values before its first column.
+    /// Number of rows before the image, and of values before its first column.
     border: usize,
     width: usize,
     height: usize,
@@ -57,7 +58,7 @@ impl SplitRows for PixelRows<'_> {
 }
 
 impl Pixels {
-    /// Creates room for a frame whose blocks have `block_half` pixels more than its cells on all sides.
+    /// Allocates a frame whose blocks extend `block_half` pixels beyond its cells on all sides.
     pub(super) fn new((width, height): (usize, usize), block_half: usize) -> Self {
         let border = block_half + CELL_PX;
         let row_len = border + width.div_ceil(CELL_PX).next_multiple_of(MAX_LANES) + border;
@@ -81,7 +82,7 @@ impl Pixels {
         self.columns.vector(simd, columns, at)
     }
 
-    /// Copies a frame of the shape that this was created for; `rays` belong to its camera.
+    /// Copies a frame of the shape that this buffer was created for; `rays` must belong to the frame's camera.
     pub(super) fn fill(&mut self, frame: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
         let (row_len, border, width) = (self.row_len, self.border, self.width);
         let image = border * row_len..(border + self.height) * row_len;
@@ -138,7 +139,8 @@ impl BlockPixels for Pixels {
         let part = self.columns.part(start - more, start + last + more);
         for row in (start..=start + last).step_by(self.row_len) {
             for even in row - less..=row + more {
-                // SAFETY: columns are at most `more` away from a row, and the part has as many on either side.
+                // SAFETY: indices are at most `more` from `row`, and the part extends as far beyond the first and the
+                // last row.
                 visit(unsafe { part.vector(simd, EVEN, even) });
             }
             for odd in row - more..=row + less {

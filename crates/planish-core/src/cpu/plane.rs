@@ -1,6 +1,6 @@
 //! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
 //!
-//! Metres, relative to the point p being smoothed.
+//! Lengths are in metres, relative to the point p being smoothed.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -13,7 +13,7 @@ use crate::constants::{DEGENERATE_RATIO, MAX_DOUBT};
 pub(super) struct Plane<S: Simd> {
     /// Unit normal, towards the sensor.
     pub(super) normal: Vec3<S>,
-    /// c·n: the foot of p on the plane is this times the normal.
+    /// Height of the plane over p along the normal, c·n, in metres.
     pub(super) height: S::f32s,
     /// The mean of the neighbours, c.
     pub(super) centroid: Vec3<S>,
@@ -21,7 +21,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) spread: S::f32s,
     /// Variance along the normal, l0, in m².
     pub(super) residual: S::f32s,
-    /// How little the points determine the normal: l2/(l1 - l0), at most [`MAX_DOUBT`].
+    /// Uncertainty of the normal, l2/(l1 - l0), at most [`MAX_DOUBT`].
     pub(super) doubt: S::f32s,
     /// Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
     pub(super) extent_squared: S::f32s,
@@ -29,7 +29,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) curvature: S::f32s,
     /// Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     pub(super) off_line: S::f32s,
-    /// The neighbours lie on a line; the rest means nothing.
+    /// Whether the neighbours lie on a line; the other fields are then meaningless.
     pub(super) degenerate: Mask<S>,
 }
 
@@ -37,9 +37,9 @@ pub(super) struct Plane<S: Simd> {
 #[derive(Clone, Copy)]
 pub(super) struct Points<S: Simd> {
     pub(super) p: Vec3<S>,
-    /// From the sensor to p.
+    /// Ray from the sensor to p.
     pub(super) ray: Vec3<S>,
-    /// The radius of their neighbourhoods, in metres.
+    /// Radius of the neighbourhood of p, in metres.
     pub(super) radius: S::f32s,
     /// False for holes.
     pub(super) valid: Mask<S>,
@@ -50,17 +50,18 @@ pub(super) struct Surface<S: Simd> {
     pub(super) plane: Plane<S>,
     /// The number of neighbours.
     pub(super) n: S::f32s,
-    /// The distance from the plane within which neighbours count, in metres, infinite without a plane; `None` if edges
+    /// Distance from the plane within which neighbours count, in metres; infinite without a plane, `None` if edges
     /// are not kept.
     pub(super) width: Option<S::f32s>,
-    /// How it bends along the tangents of the plane's normal; `None` for not at all.
+    /// Bend along the tangents of the plane's normal; `None` for a flat surface.
     pub(super) bend: Option<Bend<S>>,
-    /// From 0, if planes around it fit, to 1, if none does; `None` if planes fit everywhere, or edges are not kept.
+    /// Degree to which no plane around the point fits, from 0 to 1; `None` if planes fit everywhere, or edges are not
+    /// kept.
     pub(super) no_plane_fits: Option<S::f32s>,
 }
 
-/// `ray` leads from the sensor to p.
-// A web page has one copy.
+/// Fits planes to the neighbours of points; `ray` leads from the sensor to p.
+// One copy makes a web page smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
@@ -99,7 +100,7 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     }
 }
 
-/// Mean of a product less the product of the means. All are of the size of the neighbourhood, so little cancels.
+/// Returns the mean of a product minus the product of the means. All scale with the neighbourhood, so little cancels.
 #[inline(always)]
 fn covariance<V: SimdFloat<S>, S: Simd>(product_sum: V, inverse_total: V, mean_a: V, mean_b: V) -> V {
     product_sum.mul_add(inverse_total, -(mean_a * mean_b))

@@ -25,9 +25,9 @@ struct Frame<S: Simd> {
     b_axis: Vec3<S>,
     f_axis: Vec3<S>,
     f_offset: S::f32s,
-    /// Extra factor of f² in the weight; 0 without [`edges`](super::edges).
+    /// Extra factor of f² in the weight's exponent; 0 without [`edges`](super::edges).
     narrowing: S::f32s,
-    /// Half the bend in units of a, b and f, subtracted from f; 0 without edges.
+    /// Half the bend, in units of a, b and f, whose paraboloid is subtracted from f; 0 without edges.
     half_bend: Bend<S>,
 }
 
@@ -37,44 +37,47 @@ pub(super) struct Weighting<S: Simd> {
     pub(super) bandwidth: S::f32s,
     /// Maximum distance of a neighbour from the plane; `None` for no limit.
     pub(super) width: Option<S::f32s>,
-    /// How the plane bends along its tangents; `None` for not at all.
+    /// Bend along the plane's tangents; `None` for a flat surface.
     pub(super) bend: Option<Bend<S>>,
-    /// From 0, if planes around the points fit, to 1, if none does; `None` if planes fit everywhere.
+    /// Degree to which no plane around a point fits, from 0 to 1: L of (10.17). `None` if it is 0 in every lane.
     pub(super) no_plane_fits: Option<S::f32s>,
 }
 
-/// Number of candidates whose terms are stored at once; their four values each fit the first-level cache.
+/// Maximum number of candidates whose terms are stored at once. Terms have four vectors each and fit in the L1 cache.
 const CHUNK: usize = 64;
 
 /// The terms of candidates, and their moments.
 ///
-/// Computing all terms first and summing them in a second loop is a third faster than one loop: with so many operations
-/// per candidate the scheduler cannot overlap two of them, and stalls on the chain of exponential and powers.
+/// Computing all terms first and summing them in a second loop is a third faster than one loop: with so many
+/// operations per candidate, the processor cannot overlap two candidates and stalls on the dependency chain of
+/// exponential and powers.
 pub(super) struct Terms<S: Simd> {
     terms: [Term<S>; CHUNK],
-    /// The moments of the neighbours; of those on the surface if edges are kept.
+    /// Moments of the neighbours, or of those on the surface if edges are kept.
     moments: Moments<S>,
-    /// The moments of all neighbours, however far they are off the plane.
+    /// Moments of all neighbours, whatever their distance from the plane.
     of_all: Moments<S>,
 }
 
 /// The polynomial over a plane.
 pub(super) struct Polynomial<S: Simd> {
-    /// Its height over the foot of p, in metres.
+    /// Height over the foot of p, in metres.
     pub(super) height: S::f32s,
-    /// Its slopes there along the axes a and b.
+    /// Slopes at the foot of p along the axes a and b.
     pub(super) slopes: [S::f32s; 2],
-    /// In-plane unit vectors.
+    /// In-plane unit vector of a.
     pub(super) a_axis: Vec3<S>,
+    /// In-plane unit vector of b.
     pub(super) b_axis: Vec3<S>,
 }
 
 /// The frame of a fit, whose moments are in [`Terms`].
 struct Fit<S: Simd> {
-    /// Sum w f² of all neighbours, whose moments are [`Terms::of_all`]; `None` if planes fit everywhere.
+    /// Sum of w f² over all neighbours, whose moments are [`Terms::of_all`]; `None` if planes fit everywhere.
     squares_of_all: Option<S::f32s>,
-    /// In-plane unit vectors.
+    /// In-plane unit vector of a.
     u: Vec3<S>,
+    /// In-plane unit vector of b.
     v: Vec3<S>,
     /// Metres per unit of a, b and f.
     metres: S::f32s,
@@ -82,8 +85,8 @@ struct Fit<S: Simd> {
     extent_squared: S::f32s,
 }
 
-/// Fits the polynomial of degree D, or of the degree that n neighbours support, over their plane. If no plane fits,
-/// the polynomial of all neighbours replaces it, provided that it is close to them.
+/// Fits the polynomial of degree D over the plane, or of the highest degree that n neighbours support. If no plane
+/// fits, the polynomial of all neighbours replaces it, provided that it is close to them.
 #[inline(always)]
 pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
@@ -119,13 +122,13 @@ pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
 /// Source of the second pass's candidates.
 #[derive(Clone, Copy)]
 pub(super) enum Source<C> {
-    /// This many candidates, whose offsets and gate weights the first pass left in the terms.
+    /// The number of candidates whose offsets and gate weights the first pass left in the terms.
     Kept(usize),
-    /// All of these, gated once more.
+    /// Candidates that are gated again.
     Of(C),
 }
 
-/// Second pass over the candidates: sums the moments of degree D over the plane, as [`Terms::moments`] and
+/// Second pass over the candidates: sums the moments of degree D over the plane into [`Terms::moments`] and
 /// [`Terms::of_all`].
 #[inline(always)]
 fn sum_moments<S: Simd, C: Candidates<S>, const D: usize>(
@@ -236,8 +239,8 @@ impl<S: Simd> Terms<S> {
         );
     }
 
-    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, as
-    /// [`fill`](Self::fill).
+    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, for the same reason
+    /// as [`fill`](Self::fill).
     #[inline(never)]
     fn turn(&mut self, simd: S, len: usize, frame: &Frame<S>) {
         simd.vectorize(
@@ -281,7 +284,8 @@ impl<S: Simd> Terms<S> {
         squares
     }
 
-    /// Lowers the weights of the first `len` terms that are off the surface. Returns sum w f² with the weights before.
+    /// Lowers the weights of those of the first `len` terms that are off the surface. Returns the sum of w f² with
+    /// the original weights.
     #[inline(never)]
     fn narrow(&mut self, simd: S, len: usize, narrowing: S::f32s) -> S::f32s {
         simd.vectorize(
@@ -298,7 +302,8 @@ impl<S: Simd> Terms<S> {
         )
     }
 
-    /// First pass: computes the sums over the candidates, and keeps the candidates for the second pass if they fit.
+    /// First pass: computes the sums over the candidates, and keeps the candidates for the second pass if there are
+    /// at most [`CHUNK`].
     #[inline(always)]
     pub(super) fn keep<C: Candidates<S>>(
         &mut self,
@@ -308,7 +313,7 @@ impl<S: Simd> Terms<S> {
         radius: S::f32s,
     ) -> (Sums<S>, Source<C>) {
         let len = candidates.rows() * candidates.row_len();
-        // A web page without this path is smaller.
+        // Left out of web pages to make them smaller.
         if len > CHUNK || cfg!(target_family = "wasm") {
             return (candidates.sums(simd, p, radius), Source::Of(candidates));
         }
@@ -321,8 +326,8 @@ impl<S: Simd> Terms<S> {
         (sums, Source::Kept(len))
     }
 
-    /// Sets terms to the gate weights and offsets of the candidates, and returns the number of neighbours. Not inlined,
-    /// as [`fill`](Self::fill).
+    /// Sets terms to the gate weights and offsets of the candidates, and returns the number of neighbours. Not
+    /// inlined, for the same reason as [`fill`](Self::fill).
     #[inline(never)]
     fn gather<C: Candidates<S>>(&mut self, simd: S, candidates: C, p: &Vec3<S>, radius: S::f32s) -> S::f32s {
         simd.vectorize(

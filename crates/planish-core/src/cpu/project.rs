@@ -9,30 +9,30 @@ use crate::constants::{GRAZING_COSINE, MAX_ALONG, coefficient_count};
 
 pub(super) struct Projected<S: Simd> {
     pub(super) point: Vec3<S>,
-    /// The plane's normal if the surface's is not needed.
+    /// The surface's normal, or the plane's if normals are not needed.
     pub(super) normal: Vec3<S>,
-    /// Codes of [`crate::Status`], as numbers.
+    /// Code of the [`crate::Status`], as a float.
     pub(super) status: S::f32s,
-    /// The depth at which the ray meets the surface over the measured one, if needed; NaN for a hole.
+    /// Ratio of the depth at which the ray meets the surface to the measured depth, if needed; NaN for a hole.
     pub(super) depth_scale: S::f32s,
 }
 
-/// How points move onto the surface.
+/// Settings for moving points onto the surface.
 #[derive(Clone, Copy)]
 pub(super) struct Projection {
-    /// True: along the ray; false: along the plane's normal.
+    /// Whether points move along their rays rather than along the plane's normals.
     pub(super) on_ray: bool,
-    /// True if normals are needed, for the caller or a later stage.
+    /// Whether normals are needed, by the caller or a later stage.
     pub(super) needs_normal: bool,
     /// Whether the depth of the ray's intersection with the surface is needed.
     pub(super) needs_depth: bool,
     /// Whether points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
-    /// With fewer a point has too few.
+    /// Minimum number of neighbours of a smoothed point.
     pub(super) least_neighbours: f32,
 }
 
-/// Puts points on the plane (D = 1, or where `polynomial` does not apply) or on the polynomial.
+/// Moves points onto the polynomial, or onto the plane if D = 1 or `polynomial` does not apply.
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
     simd: S,
@@ -83,8 +83,9 @@ pub(super) fn project<S: Simd, const D: usize>(
     }
 }
 
-/// Returns the distance along the ray, in ray lengths, to the tangent plane, which is `height` from the ray's end along
-/// its normal. At grazing incidence, 1/c is replaced by c/max(c², 0.2²), with c the cosine of the angle of incidence.
+/// Returns the distance from the ray's end to the tangent plane along the ray, in ray lengths. Along `normal`, the
+/// plane is `height` from the ray's end. With c the cosine of the angle of incidence, 1/c is replaced by
+/// c/max(c², 0.2²).
 #[inline(always)]
 pub(super) fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
     // A lower bound, since a point at the sensor has no ray.
@@ -94,7 +95,7 @@ pub(super) fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray:
     let divisor = (across * across).max(square * splat(simd, GRAZING_COSINE * GRAZING_COSINE)).max(least);
     let along = height * across / divisor;
     let limit = (radius / square.sqrt()).min(splat(simd, MAX_ALONG));
-    // False for a NaN, of a point whose squares leave f32: its limit is 0.
+    // False for NaN, which occurs if a point's squares overflow f32; the limit is then 0.
     let within: Mask<S> = along.abs().simd_le(limit);
     within.select(along, limit.copysign(along))
 }

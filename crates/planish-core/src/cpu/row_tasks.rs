@@ -1,14 +1,14 @@
-//! Tasks of a few rows each: rows are halved among threads until they are few.
+//! Tasks of a few rows each: rows are split in half recursively until few are left.
 
 use std::ops::RangeInclusive;
 
 use crate::threads::ONE_THREAD;
 
-/// Rows per task. Enough to make its overhead negligible and to find most candidates in the core's cache; few enough to
-/// keep many threads evenly busy.
+/// Number of rows per task: enough to make its overhead negligible and to find most candidates in the core's cache,
+/// and few enough to keep many threads evenly busy.
 const ROWS_PER_TASK: RangeInclusive<usize> = 4..=8;
 
-/// Tasks per thread, if there are enough rows.
+/// Number of tasks per thread, if there are enough rows.
 const TASKS_PER_THREAD: usize = 8;
 
 /// Rows that can be split into two parts.
@@ -19,7 +19,7 @@ pub(super) trait SplitRows: Send + Sized {
     fn split_at(self, rows: usize) -> (Self, Self);
 }
 
-/// `work` on all rows; if `parallel`, a few at a time, on the threads of the pool that it is called in.
+/// Calls `work` on all rows; if `parallel`, on a few rows at a time, on the current thread pool.
 pub(super) fn run_on_rows<R: SplitRows>(rows: R, parallel: bool, work: &(impl Fn(R) + Sync)) {
     if ONE_THREAD || !parallel {
         work(rows);

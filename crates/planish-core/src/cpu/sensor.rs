@@ -1,4 +1,4 @@
-//! Position of the sensor in the cloud's frame, as kernels need it (docs/method.md, section 11).
+//! Position and viewing direction of the sensor in the cloud's frame, for the kernels (docs/method.md, section 11).
 //!
 //! Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
 //! once more. A *ray* leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
@@ -12,7 +12,7 @@ use crate::frame::FrameGeometry;
 #[derive(Clone, Copy)]
 pub(super) struct Sensor {
     position: [f32; 3],
-    /// The unit vector along which it looks.
+    /// Unit vector of the viewing direction.
     axis: [f32; 3],
 }
 

@@ -1,7 +1,7 @@
 //! The normal equations with their ridge, by LDL^T (docs/method.md, section 6).
 //!
-//! Lanes with too few neighbours for degree 3 leave its unknowns out: since the order is by degree, the solution of
-//! degree 2 remains.
+//! Lanes with too few neighbours for degree 3 leave out the cubic unknowns. Since unknowns are ordered by degree, the
+//! solution of degree 2 remains.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -14,14 +14,15 @@ use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 pub(super) struct Solution<S: Simd> {
     /// c_00, c_10 and c_01.
     pub(super) c: [S::f32s; 3],
-    /// By how much the polynomial lowers (6.1), from sum(w f²) to its minimum.
+    /// Reduction of (6.1) by the polynomial, from sum(w f²) to its minimum.
     pub(super) explained: S::f32s,
 }
 
-/// The square of the neighbourhood's extent is in the units of the moments.
-// In the copies of the loops whose conditions are false, values are set that nothing reads.
+/// Solves the normal equations. `extent_squared` is the square of the neighbourhood's extent in the units of the
+/// moments.
+// Unrolled copies whose conditions are false assign values that are never read.
 #[allow(unused_assignments)]
-// A web page has one copy.
+// One copy makes a web page smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn solve<S: Simd, const D: usize>(
@@ -38,7 +39,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
     let ridges = [zero, linear, quadratic, quadratic * extent_squared];
     let count = coefficient_count(D);
     let carries_cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
-    // L below the diagonal, and the inverse pivots; an unknown left out has zeros.
+    // L below the diagonal, and the inverse pivots; zeros for unknowns that are left out.
     let mut l = [[zero; 10]; 10];
     let mut inverse = [zero; 10];
     // Row by row, so that most of a row stays in registers. Column by column took 12 % more instructions.
@@ -63,7 +64,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
                     row[I] = (-row[J]).mul_add(l[I][J], row[I]);
                 }
             });
-            // Without any weight there is nothing to solve; with some, the ridge keeps pivots positive.
+            // Without any weight, all pivots are 0; otherwise the ridge keeps them positive.
             let mut supported: Mask<S> = row[I].simd_gt(zero);
             if a + b == 3 {
                 supported &= carries_cubic;
@@ -89,7 +90,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
         const J: usize = 9 - R;
         if J < count {
             c[J] = y[J] * inverse[J];
-            // The latest c last, so that as little as possible waits for it.
+            // The most recent c comes last, so that as little as possible waits for it.
             unroll!(Q in 10 {
                 const I: usize = 9 - Q;
                 if I > J && I < count {
@@ -107,7 +108,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
     Solution { c: [c[0], c[1], c[2]], explained }
 }
 
-/// Entry (i, j) of the normal matrix.
+/// Returns entry (i, j) of the normal matrix.
 #[inline(always)]
 fn entry<S: Simd, const D: usize>(moments: &Moments<S>, i: usize, j: usize) -> S::f32s {
     let ((ai, bi), (aj, bj)) = (MONOMIALS[i], MONOMIALS[j]);

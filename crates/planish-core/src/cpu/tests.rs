@@ -1,4 +1,4 @@
-//! The primitives of the kernels alone, at every SIMD level, against f64 on random and nasty inputs.
+//! Tests of the kernels' primitives at every SIMD level, against f64, on random and extreme inputs.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{DMat3, DVec3};
@@ -61,7 +61,7 @@ fn the_cosine_of_a_third_of_the_arc_cosine_keeps_its_error() {
     at_every_level!(test);
 }
 
-/// R diag(values) R^T for a random rotation R.
+/// Returns R diag(values) R^T for a random rotation R, and the first column of R.
 fn with_eigenvalues(random: &mut Random, values: [f64; 3]) -> (DMat3, DVec3) {
     let n = DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
     let u = n.any_orthonormal_vector();
@@ -89,7 +89,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
             let vector = DVec3::new(found.vector.x[0].into(), found.vector.y[0].into(), found.vector.z[0].into());
             let what = format!("{level}: {l0:e} {l1:e} {l2:e} {vector}");
             assert!((vector.length() - 1.0).abs() < 1e-6, "{what}");
-            // The matrix itself is rounded to f32: its eigenvector is only that certain.
+            // Rounding the matrix to f32 limits the accuracy of its eigenvector.
             let off = n.cross(vector).length();
             assert!(off < 2e-6 * l2 / (l1 - l0) + 1e-6, "{what}: off by {off:e}");
             for (value, expected) in found.values.iter().zip([l0, l1, l2]) {
@@ -136,7 +136,7 @@ fn tangents_are_the_references() {
         for _ in 0..1000 {
             let n = DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
             let (u, v) = tangents(simd, Vec3::new(lanes(simd, n.x), lanes(simd, n.y), lanes(simd, n.z)));
-            // Written out as docs/method.md, section 5, has it.
+            // The formula of Duff et al. (docs/method.md, section 5).
             let sign = 1f64.copysign(n.z);
             let c = -1.0 / (sign + n.z);
             let d = n.x * n.y * c;
@@ -149,7 +149,7 @@ fn tangents_are_the_references() {
     at_every_level!(test);
 }
 
-/// Returns the moments of points (a, b) with unit weights and heights, as the second pass sums them.
+/// Returns the moments of points (a, b, f) with unit weights, as the second pass sums them.
 fn moments_of<S: Simd, const D: usize>(simd: S, points: &[(f64, f64, f64)]) -> Moments<S> {
     let sum = |i: usize, j: usize, heights: bool| {
         let term = |&(a, b, f): &(f64, f64, f64)| a.powi(i as i32) * b.powi(j as i32) * if heights { f } else { 1.0 };
@@ -179,7 +179,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
 
-        // In a loop, since every call of the solver is compiled into its caller at every level.
+        // In a loop, since each call of the solver is inlined at every level.
         let cases = [(&spread[..], RIDGE), (&line, RIDGE), (&nine, RIDGE), (&spread, 1e4), (&[], RIDGE)];
         let mut found = [[0.0; 3]; 5];
         for (found, (points, ridge)) in found.iter_mut().zip(cases) {
@@ -193,7 +193,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         for (found, expected) in of_spread.iter().zip([0.3, -0.2, 0.5]) {
             assert!((found - expected).abs() < 1e-4, "{level}: {found} {expected}");
         }
-        // Everything with b is 0, the rest is exact.
+        // Terms with b are 0; the others are exact.
         let [value, slope_a, slope_b] = of_line;
         assert!((value - 0.3).abs() < 1e-4 && (slope_a + 0.2).abs() < 1e-3, "{level}: {value} {slope_a}");
         assert_eq!(slope_b, 0.0, "{level}");
@@ -205,7 +205,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         }
         // A large ridge leaves the plane: height alone, no slopes.
         assert!(stiff[1].abs() < 1e-3 && stiff[2].abs() < 1e-3, "{level}");
-        // No weight at all: nothing is supported, nothing is NaN.
+        // Without any weight, all coefficients are 0 rather than NaN.
         assert_eq!(of_nothing, [0.0; 3], "{level}");
     }
     at_every_level!(test);

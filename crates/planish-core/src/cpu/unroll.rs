@@ -1,6 +1,6 @@
-//! Loops written out, so that every index is a constant and arrays of vectors live in registers.
+//! Unrolled loops, so that every index is a constant and arrays of vectors stay in registers.
 
-/// Repeats the body for I = 0, 1, ..., 6 or 9 as a constant: `unroll!(I in 7 { ... })`.
+/// Repeats the body for each constant I from 0 to 6 in `unroll!(I in 7 { ... })`, or from 0 to 9 with `I in 10`.
 ///
 /// The compiler does not unroll loops over vectors of these sizes; it keeps the arrays in memory and computes an index
 /// for each access, which made the second pass twice as slow.

@@ -1,12 +1,12 @@
 //! Points in space, one for each lane.
 //!
-//! Kernels spell out operations on each of a few vectors. Iterator adapters (`array::map`, `zip` of arrays) are not
-//! compiled with the instructions of a SIMD level: nothing is inlined into them, and every vector passes through
-//! memory, which costs a third of a frame's time.
+//! Kernels spell out operations on each of a few vectors, because iterator adapters (`array::map`, `zip` of arrays)
+//! are not compiled with the instructions of a SIMD level: nothing is inlined into them, and every vector passes
+//! through memory, which costs a third of a frame's time.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
-/// The mask that belongs to the f32 vector of a SIMD level.
+/// Mask type of a SIMD level's f32 vector.
 pub(crate) type Mask<S> = <<S as Simd>::f32s as SimdBase<S>>::Mask;
 
 /// Copies one value to every lane.
@@ -15,13 +15,13 @@ pub(crate) fn splat<S: Simd>(simd: S, value: f32) -> S::f32s {
     S::f32s::splat(simd, value)
 }
 
-/// Clamps to 0 to 1.
+/// Clamps values to the range 0 to 1.
 #[inline(always)]
 pub(super) fn share<S: Simd>(simd: S, value: S::f32s) -> S::f32s {
     value.max(splat(simd, 0.0)).min(splat(simd, 1.0))
 }
 
-/// Returns how far values are from the first of two limits to the second, from 0 to 1.
+/// Returns the position of each value between two limits: 0 up to `from`, 1 from `to` on, and linear in between.
 #[inline(always)]
 pub(super) fn rises<S: Simd>(simd: S, value: S::f32s, [from, to]: [f32; 2]) -> S::f32s {
     share(simd, (value - splat(simd, from)) * splat(simd, 1.0 / (to - from)))
@@ -89,7 +89,7 @@ impl<S: Simd> Vec3<S> {
         Self::new(self.x - other.x, self.y - other.y, self.z - other.z)
     }
 
-    /// Returns vectors whose lanes come from either in turn, in two halves.
+    /// Interleaves the lanes of two vectors, and returns the two halves of the result.
     #[inline(always)]
     pub(super) fn interleave(even: Self, odd: Self) -> [Self; 2] {
         let (x, x_after) = even.x.interleave(odd.x);
@@ -98,7 +98,7 @@ impl<S: Simd> Vec3<S> {
         [Self { x, y, z }, Self { x: x_after, y: y_after, z: z_after }]
     }
 
-    /// self + factor * other.
+    /// Returns self + factor * other.
     #[inline(always)]
     pub(super) fn add_scaled(self, factor: S::f32s, other: Self) -> Self {
         Self::new(factor.mul_add(other.x, self.x), factor.mul_add(other.y, self.y), factor.mul_add(other.z, self.z))

@@ -1,7 +1,7 @@
 //! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
 //!
-//! Offsets e = q - p in metres. Holes and infinities fail the gate by comparison: neither NaN nor an infinite distance
-//! is within it. The number of neighbours of a hole is 0; it does not count itself.
+//! Offsets e = q - p are in metres. Holes and infinite coordinates fail the gate by comparison: neither NaN nor an
+//! infinite distance is within it. A hole has 0 neighbours; it does not count itself.
 
 use std::ops::Range;
 
@@ -16,15 +16,15 @@ use crate::params::EngineParams;
 /// The candidates around a vector of pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
-    /// Surroundings of a pixel or cell: the points as measured, or their block means.
+    /// The samples: the measured points, or their block means.
     samples: &'a PaddedFrame,
     /// Index of the first lane's pixel or cell.
     centre: usize,
-    /// Distances from there to the columns of the window, and to its rows.
+    /// Distances from the centre to the columns of the window, and likewise to its rows, in pixels or cells.
     offsets: &'a [isize],
 }
 
-/// A gate on distance that fades out around its radius, so that nothing changes at once.
+/// A gate on distance that fades out around its radius, so that weights change continuously.
 pub(super) struct Gate<S: Simd> {
     /// Slope of the weight over the squared distance.
     slope: S::f32s,
@@ -54,7 +54,7 @@ impl<S: Simd> Gate<S> {
 
 /// Sums over the neighbours, relative to p.
 pub(super) struct Sums<S: Simd> {
-    /// How many.
+    /// Number of neighbours.
     pub(super) n: S::f32s,
     /// Sum of the weights.
     pub(super) total: S::f32s,
@@ -74,10 +74,10 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Returns the number of candidates in a row.
     fn row_len(&self) -> usize;
 
-    /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate), its
-    /// gate weight, and as how many neighbours it counts.
+    /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate),
+    /// its gate weight, and the number of neighbours that it counts as.
     ///
-    /// `slots` has one element for each candidate. With slots, no index has to be checked against an array's length.
+    /// `slots` must have one element for each candidate. Slots avoid bounds checks on an array of results.
     fn neighbours<T>(
         &self,
         simd: S,
@@ -88,7 +88,7 @@ pub(super) trait Candidates<S: Simd>: Copy {
         visit: impl FnMut(&mut T, Vec3<S>, S::f32s, S::f32s),
     );
 
-    /// First pass: the sums over the neighbours.
+    /// First pass: returns the sums over the neighbours.
     #[inline(always)]
     fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
         self.sums_of_rows(simd, p, radius, 0..self.rows())
@@ -119,7 +119,7 @@ impl<S: Simd> Sums<S> {
         Self { n: zero, total: zero, e, xx: zero, xy: zero, xz: zero, yy: zero, yz: zero, zz: zero }
     }
 
-    /// Adds a candidate: its offset, how much it counts, and how many neighbours it is.
+    /// Adds a candidate: its offset, its weight and the number of neighbours that it counts as.
     #[inline(always)]
     pub(super) fn add(&mut self, e: Vec3<S>, weight: S::f32s, count: S::f32s) {
         let weighted = e.scale(weight);
@@ -149,14 +149,14 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Columns of the widest window.
+/// Number of columns of the widest window.
 const MAX_SIDE: usize = 15;
 
 /// Distances from the centre of a window to its columns, in pixels or cells.
 pub(super) struct Offsets {
     values: [isize; MAX_SIDE],
     len: usize,
-    /// Ratio of two mean squares: of the distances in the middle, and of all.
+    /// Ratio of the mean squared distance in the middle of the window to that in the whole window.
     pub(super) middle_share: f32,
 }
 

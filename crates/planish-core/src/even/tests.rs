@@ -13,7 +13,7 @@ fn settings(text: &str) -> Settings {
     text.parse().unwrap()
 }
 
-/// Points of the unit sphere, displaced in all directions, one of them far away.
+/// Returns points of the unit sphere, displaced in all directions, followed by a stray point and a hole.
 fn noisy_sphere(noise_m: f32) -> Vec<[f32; 3]> {
     let mut random = Random(5);
     let mut in_ball = || loop {
@@ -29,7 +29,7 @@ fn noisy_sphere(noise_m: f32) -> Vec<[f32; 3]> {
     points
 }
 
-/// Returns the share of points that another one is nearer to than 0.3 spacings, and the RMS distance from the sphere.
+/// Returns the share of points within 0.3 spacings of another point, and the RMS distance from the sphere.
 fn clumped_and_off(points: &[Vec3]) -> (f64, f64) {
     let spacing_m = (4.0 * std::f32::consts::PI / points.len() as f32 * 2.0 / 3f32.sqrt()).sqrt();
     let is_clumped = |i: usize| (0..points.len()).any(|j| j != i && points[i].distance(points[j]) < 0.3 * spacing_m);
@@ -78,7 +78,7 @@ fn noiseless_points_hardly_move() {
 
 #[test]
 fn the_sides_of_a_thin_plate_stay_where_they_are() {
-    // As far apart as the points of a side are from each other; these are clumped.
+    // The sides are as far apart as the points of a side, which are clumped.
     let mut random = Random(3);
     let mut jitter = || 0.006 * (random.next() - 0.5);
     let place = |i: usize| (0.01 * (i / 2 % 60) as f32, 0.01 * (i / 2 / 60) as f32, 0.01 * (i % 2) as f32);

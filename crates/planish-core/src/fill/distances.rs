@@ -1,22 +1,22 @@
-//! How far each pixel of a hole is from the first point in each direction.
+//! Distances from each pixel of a hole to the first point in each direction.
 
 use rayon::prelude::*;
 
 use super::pixel::DIRECTIONS;
 
-/// No point in a direction, or one farther away than this.
+/// Number of steps if there is no point in a direction within 254 steps.
 pub(super) const NONE: u8 = u8::MAX;
 
 /// Steps from each pixel to the first point in each of the eight directions; 0 for points.
 #[derive(Default)]
 pub(super) struct Distances {
     steps: [Vec<u8>; 8],
-    /// All bits of holes, none of points.
+    /// All bits set for holes, none for points.
     holes: Vec<u8>,
 }
 
 impl Distances {
-    /// Finds the distances in an image of which holes have the value 0.
+    /// Finds the distances in an image whose holes have the value 0.
     pub(super) fn find(&mut self, inverse: &[f32], (width, height): (usize, usize)) {
         let Self { steps, holes } = self;
         steps.iter_mut().chain([&mut *holes]).for_each(|buffer| buffer.resize(inverse.len(), NONE));
@@ -50,11 +50,11 @@ impl Distances {
     }
 }
 
-/// Follows the directions towards the row before, to its left and to its right, in an order of rows in which that one
-/// is done first.
+/// Finds the steps in the three directions to the previous row: straight, to the left and to the right. `rows` is the
+/// order of the rows, downwards or upwards.
 fn sweep(directions: [&mut Vec<u8>; 3], holes: &[u8], width: usize, rows: impl Iterator<Item = usize> + Clone) {
     for (steps, x) in directions.into_iter().zip([0, -1, 1]) {
-        // With a pixel on both sides: those outside the image count as holes.
+        // Padded by a pixel on both sides: pixels outside the image count as holes.
         let mut before = vec![NONE; width + 2];
         for v in rows.clone() {
             let row = v * width..(v + 1) * width;

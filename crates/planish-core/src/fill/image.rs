@@ -2,28 +2,29 @@
 
 use crate::sensor::SensorModel;
 
-/// A step between points, in standard deviations of the sensor and as a share of the range.
+/// Difference in range above which two points are on different surfaces, in standard deviations of the sensor.
 const STEP_DEVIATIONS: f64 = 8.0;
+/// Difference in range above which two points are on different surfaces, as a share of the range.
 const STEP_SHARE: f64 = 0.02;
 
 /// 1/z of each pixel, which is linear over the pixels of a plane.
 #[derive(Clone, Copy)]
 pub(super) struct Image<'a> {
-    /// 0 for holes.
+    /// 1/z of each pixel; 0 for holes.
     pub(super) inverse: &'a [f32],
     pub(super) shape: (usize, usize),
     pub(super) sensor: SensorModel,
 }
 
 impl Image<'_> {
-    /// Returns this number of deviations of the sensor or this share of the range, whichever is larger, as a difference
-    /// of 1/z.
+    /// Returns `deviations` standard deviations of the sensor or a `share` of the range, whichever is larger, as a
+    /// difference of 1/z.
     pub(super) fn limit(&self, inverse: f32, deviations: f64, share: f64) -> f32 {
         let z_m = f64::from(inverse).recip();
         ((deviations * self.sensor.sigma_m(z_m)).max(share * z_m) / (z_m * z_m)) as f32
     }
 
-    /// Returns the largest difference between points of one surface, near this value.
+    /// Returns the maximum difference of 1/z between points of one surface, near the value `inverse`.
     pub(super) fn step_limit(&self, inverse: f32) -> f32 {
         self.limit(inverse, STEP_DEVIATIONS, STEP_SHARE)
     }
@@ -32,7 +33,7 @@ impl Image<'_> {
         (a - b).abs() > self.step_limit(a.min(b))
     }
 
-    /// Returns whether points near a pixel belong to two surfaces.
+    /// Returns true if points near a pixel belong to two surfaces.
     pub(super) fn has_step_near(&self, (u, v): (usize, usize), reach_px: usize) -> bool {
         let (width, height) = self.shape;
         let (mut least, mut most) = (f32::INFINITY, 0.0f32);

@@ -6,16 +6,16 @@ use rayon::prelude::*;
 
 use super::image::Image;
 
-/// Points up to this many pixels from a pixel of a hole show whether the rim is one surface there.
+/// Distance in pixels from a pixel of a hole within which points show whether the rim is one surface.
 const RIM_PX: usize = 2;
 
-/// Adjacent holes of a row.
+/// A run of adjacent pixels of a hole in a row.
 #[derive(Debug, Clone)]
 struct Run {
     columns: Range<usize>,
-    /// Another run of the same hole, or the run itself for the first.
+    /// An earlier run of the same hole, or the run itself if it is the first.
     parent: usize,
-    /// Whether the hole of a first run has two surfaces at its rim.
+    /// Whether the hole has two surfaces at its rim; set only in the hole's first run.
     has_step: bool,
 }
 
@@ -23,7 +23,7 @@ struct Run {
 #[derive(Default)]
 pub(super) struct Labels {
     runs: Vec<Run>,
-    /// The index of the first run of each row, and the number of runs.
+    /// Index of the first run of each row, followed by the number of runs.
     rows: Vec<usize>,
 }
 
@@ -94,14 +94,14 @@ impl Labels {
         at
     }
 
-    /// Returns the hole of a pixel, which must be in one: the number of its first run.
+    /// Returns the hole of a pixel, identified by the index of its first run. The pixel must be in a hole.
     pub(super) fn hole(&self, (u, v): (usize, usize)) -> usize {
         let row = self.rows[v]..self.rows[v + 1];
         let within = self.runs[row.clone()].partition_point(|run| run.columns.end <= u);
         self.first((row.start + within).min(row.end.saturating_sub(1)))
     }
 
-    /// Returns the number of pixels of each hole, by the number of its first run; 0 for other runs.
+    /// Returns the number of pixels of each hole, at the index of its first run; 0 at the indices of other runs.
     pub(super) fn sizes(&self) -> Vec<usize> {
         let mut sizes = vec![0; self.runs.len()];
         for (k, run) in self.runs.iter().enumerate() {
@@ -110,12 +110,12 @@ impl Labels {
         sizes
     }
 
-    /// Returns whether a hole has two surfaces at its rim.
+    /// Returns true if a hole has two surfaces at its rim.
     pub(super) fn has_step(&self, hole: usize) -> bool {
         self.runs[hole].has_step
     }
 
-    /// Returns the columns of the holes of a row.
+    /// Returns the columns of all hole pixels of a row.
     pub(super) fn columns(&self, v: usize) -> impl Iterator<Item = usize> + '_ {
         self.runs[self.rows[v]..self.rows[v + 1]].iter().flat_map(|run| run.columns.clone())
     }

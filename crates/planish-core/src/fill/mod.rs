@@ -22,10 +22,10 @@ use labels::Labels;
 use pixel::{Holes, Patch};
 use solid::{keep_whole_holes, make_solid};
 
-/// The widest hole that can be filled, in pixels.
+/// Maximum width of a hole that can be filled, in pixels.
 const MOST_PX: u32 = 64;
 
-/// Refuses widths outside their range.
+/// Fails if a width is out of range.
 pub(crate) fn check_width(width_px: Option<u32>) -> Result<(), ParamError> {
     match width_px {
         Some(width_px) if !(1..=MOST_PX).contains(&width_px) => {
@@ -35,14 +35,14 @@ pub(crate) fn check_width(width_px: Option<u32>) -> Result<(), ParamError> {
     }
 }
 
-/// How the holes of one frame are filled.
+/// Settings and input for filling the holes of one frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fill<'a> {
-    /// Holes up to this many pixels wide are filled.
+    /// Maximum width of holes to fill, in pixels.
     pub(crate) width_px: u32,
     pub(crate) geometry: FrameGeometry,
     pub(crate) sensor: SensorModel,
-    /// If its camera is unknown, the points must show it.
+    /// The measured frame. If its camera is unknown, the camera is estimated from the points.
     pub(crate) frame: Frame<'a>,
 }
 
@@ -60,20 +60,20 @@ pub(crate) struct FillBuffers {
 }
 
 impl Fill<'_> {
-    /// Fills holes of a result that has points and status, in all its outputs. Returns false, and does nothing, if the
-    /// points are not on the pixels of a camera.
+    /// Fills the holes of a result that has points and status, in all its outputs. Returns false, without changes, if
+    /// the points are not on the pixels of a camera.
     pub(crate) fn apply(&self, smoothed: &mut Smoothed, buffers: &mut FillBuffers, threads: &Threads) -> bool {
         threads.install(|| match self.find(smoothed, buffers) {
             Some(camera) => {
                 self.write(&camera, smoothed, buffers);
                 true
             }
-            // A frame of holes shows no camera, and has nothing to fill with.
+            // A frame without points shows no camera and cannot be filled, which is not a failure.
             None => smoothed.points.z().iter().all(|z| z.is_nan()),
         })
     }
 
-    /// Finds the pixels to fill.
+    /// Finds the pixels to fill, and returns the camera; `None` if it is unknown.
     fn find(&self, smoothed: &Smoothed, buffers: &mut FillBuffers) -> Option<Camera> {
         let shape @ (width, height) = (smoothed.width, smoothed.height);
         let FillBuffers { inverse, lost, distances, labels, rays, rows } = buffers;
@@ -152,7 +152,7 @@ impl Fill<'_> {
             let [x, y] = [patch.slopes[0] * camera.fx, patch.slopes[1] * camera.fy];
             let normal = -glam::DVec3::new(x, y, patch.inverse - x * ray_x - y * ray_y).normalize_or_zero();
             let transform = self.geometry.cloud_from_sensor;
-            // Too far for the image's unit.
+            // Outside the range of raw depth.
             if smoothed.depth.is_some() && camera.raw_depth(z_m as f32) == 0 {
                 continue;
             }
@@ -186,7 +186,7 @@ impl Fill<'_> {
     }
 }
 
-/// The least and the largest 1/z of no points.
+/// The smallest and the largest 1/z of an empty set of points.
 const NO_EXTENT: [f32; 2] = [f32::INFINITY, 0.0];
 
 /// Returns the least and the largest 1/z of a row.

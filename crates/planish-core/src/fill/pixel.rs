@@ -1,4 +1,4 @@
-//! The surface at one pixel of a hole: from the points at its rim in eight directions, and some behind them.
+//! The surface at one pixel of a hole, fitted to the points at its rim in eight directions and to some behind them.
 
 use rayon::prelude::*;
 
@@ -8,33 +8,37 @@ use super::labels::Labels;
 use crate::camera::solve;
 use crate::frame::Colours;
 
-/// Opposite directions follow each other.
+/// The eight directions, as steps in columns and rows; opposite ones are adjacent.
 pub(super) const DIRECTIONS: [[isize; 2]; 8] = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]];
-/// The rim is searched up to this many times the widest hole.
+/// Maximum number of steps to a rim, as a multiple of the maximum hole width.
 const REACH: usize = 2;
-/// Samples at the rim and behind it, and their distance in pixels.
+/// Number of samples in each direction, at the rim and behind it.
 const SAMPLES: usize = 4;
+/// Distance between the samples of a direction, in pixels.
 const SPACING_PX: isize = 2;
-/// Number and distance of samples for surfaces that are extended into a shadow.
+/// Number of samples in each direction, for surfaces that are extended into a shadow.
 const SHADOW_SAMPLES: usize = 6;
+/// Distance between the samples of a direction in pixels, for surfaces that are extended into a shadow.
 const SHADOW_SPACING_PX: isize = 3;
 /// Ridge of the second-order terms, as a share of the weights.
 const RIDGE: f64 = 0.3;
-/// The rim is one surface if it is within this of the fit, in the same units.
+/// Distance from the fit within which a rim belongs to the surface, in standard deviations of the sensor.
 const RIM_DEVIATIONS: f64 = 4.0;
+/// Distance from the fit within which a rim belongs to the surface, as a share of the range.
 const RIM_SHARE: f64 = 0.01;
-/// A run of holes is a shadow if its width is between these shares of the width that the step explains, give or take
-/// these pixels.
+/// Minimum and maximum width of a shadow, as shares of the width that the step explains.
 const SHADOW_SHARES: [f32; 2] = [0.7, 1.25];
+/// Pixels that are added to the minimum and the maximum width of a shadow.
 const SHADOW_PX: [f32; 2] = [-2.0, 3.0];
-/// Pixels next to the near surface could belong to it: this many, and as many as the run is too wide.
+/// Width of the strip next to the near surface that stays a hole, since it could belong to that surface, in pixels.
+/// The strip is wider by as many pixels as the run of holes is too wide.
 const SHADOW_MARGIN_PX: f32 = 2.0;
-/// A surface is not extended to values of 1/z that differ by more than this share from that at its rim.
+/// Maximum change of 1/z over a surface that is extended into a shadow, as a share of 1/z at its rim.
 const SHADOW_CHANGE: f32 = 0.1;
-/// The standard error at the rim, as a share of what residuals and standard errors there give, and its growth per pixel
-/// from the nearest rim. Measured on simulated frames.
+/// Ratio of the standard error at the rim to that given by the residuals and standard errors there, and the increase
+/// of this ratio per pixel from the nearest rim. Measured on simulated frames.
 const GROWTH: [f64; 2] = [0.95, 0.03];
-/// Colours that differ by more, in the largest of their channels, are of different things.
+/// Maximum difference between the colours of one object, in the channel that differs most.
 const OTHER_COLOUR: i16 = 50;
 
 /// The holes of a frame.
@@ -66,15 +70,16 @@ pub(super) enum Side {
     Right,
 }
 
-/// A direction without a rim.
+/// Value in `Patch::rims` of a direction without a rim.
 const NO_RIM: u32 = u32::MAX;
 
 /// A filled pixel of a row.
 #[derive(Clone)]
 pub(super) struct Patch {
     pub(super) u: usize,
-    /// 1/z, and its differences from column to column and from row to row.
+    /// 1/z.
     pub(super) inverse: f64,
+    /// Differences of 1/z from column to column and from row to row.
     pub(super) slopes: [f64; 2],
     pub(super) sigma_m: f64,
     /// Number of points that the surface was fitted to.
@@ -83,7 +88,7 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// The pixels at the rim that the surface was fitted to.
+    /// Returns the pixels at the rim that the surface was fitted to.
     pub(super) fn rims(&self) -> impl Iterator<Item = usize> + '_ {
         self.rims.iter().filter(|&&rim| rim != NO_RIM).map(|&rim| rim as usize)
     }
@@ -142,7 +147,7 @@ impl Fit {
         Some(Surface { scale_px: self.scale_px, coefficients: solve(self.matrix(), self.t)? })
     }
 
-    /// Returns the variance of the fit at the pixel, relative to a weighted mean of the samples.
+    /// Returns the variance of the fit at the pixel, relative to that of a weighted mean of the samples.
     fn leverage(&self) -> f64 {
         let inverse = solve(self.matrix(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         inverse.map_or(f64::INFINITY, |inverse| inverse[0] * self.a[0][0])
@@ -163,7 +168,7 @@ impl Surface {
 }
 
 impl Holes<'_> {
-    /// Returns the first point in a direction, which is this number of steps away.
+    /// Returns the first point in a direction, which is `steps` steps away; `None` if that is too far.
     fn rim(&self, (u, v): (usize, usize), direction: [isize; 2], steps: u8) -> Option<Rim> {
         let (steps, [x, y]) = (usize::from(steps), direction);
         if steps > REACH * self.most_px || steps == usize::from(NONE) {
@@ -174,7 +179,7 @@ impl Holes<'_> {
         Some(Rim { direction, steps, pixel, inverse: self.image.inverse[pixel] })
     }
 
-    /// Adds a point at the rim, and those behind it on the same surface.
+    /// Adds a point at the rim to the fit, and points behind it on the same surface.
     fn add(&self, fit: &mut Fit, (u, v): (usize, usize), rim: &Rim, samples: usize, spacing_px: isize) {
         let [x, y] = rim.direction;
         let (mut last, limit) = (rim.inverse, self.image.step_limit(rim.inverse));
@@ -214,9 +219,10 @@ impl Holes<'_> {
         spanned.or_else(|| if is_narrow(0) { self.shadowed(at, &rims) } else { None })
     }
 
-    /// Returns the surface through all points at the rim, if it is one.
+    /// Returns the surface through all points at the rim, if they are on one surface.
     fn spanned(&self, at: (usize, usize), rims: &[Option<Rim>; 8]) -> Option<Patch> {
-        // Lines between opposite points of a plane meet at the pixel: most rims of two surfaces need no fit.
+        // On a plane, lines between opposite points meet at the pixel. This test rejects most rims of two surfaces
+        // without a fit.
         let (mut least, mut most) = (f32::INFINITY, 0.0f32);
         for axis in rims.chunks_exact(2) {
             if let [Some(one), Some(other)] = axis {
@@ -242,7 +248,7 @@ impl Holes<'_> {
         self.patch(at, &surface, rims, fit.samples)
     }
 
-    /// Returns the far surface of a hole in the shadow of a near one.
+    /// Returns the far surface, if the pixel is in the shadow of a near one.
     fn shadowed(&self, at: (usize, usize), rims: &[Option<Rim>; 8]) -> Option<Patch> {
         let (shadow, right, left) = (self.shadow?, rims[0]?, rims[1]?);
         let (near, far) = match shadow.side {
@@ -257,7 +263,7 @@ impl Holes<'_> {
         if near.steps as f32 <= SHADOW_MARGIN_PX + excess_px {
             return None;
         }
-        // Towards the near surface the rim belongs to anything.
+        // Rims towards the near surface may belong to any surface.
         let towards_near = near.direction[0];
         let is_other = |rim: &Rim| self.image.is_step(rim.inverse, far.inverse);
         let rims = rims.map(|rim| rim.filter(|rim| rim.direction[0] != towards_near));
@@ -283,7 +289,7 @@ impl Holes<'_> {
         if (inverse - far.inverse).abs() > SHADOW_CHANGE * far.inverse {
             return None;
         }
-        // Behind what casts the shadow.
+        // The surface must be behind the one that casts the shadow.
         (inverse < near.inverse && self.image.is_step(inverse, near.inverse))
             .then(|| Patch { sigma_m: fit.leverage().max(1.0).sqrt() * patch.sigma_m, ..patch })
     }
@@ -335,7 +341,7 @@ impl Holes<'_> {
         self.colours.map(|colours| colours.at(i))
     }
 
-    /// Returns on which side of near objects the shadows of this frame are; `None` if it has none.
+    /// Returns the side of near objects on which the shadows of this frame are; `None` if it has no shadows.
     pub(super) fn find_shadow(&self, shift: f64) -> Option<Shadow> {
         let (width, height) = self.image.shape;
         let shift = shift as f32;

@@ -1,21 +1,22 @@
-//! Makes the filled parts of holes solid: neighbouring rows and columns may have decided differently.
+//! Makes the filled parts of holes solid, since each pixel is filled or left independently of its neighbours.
 
 use rayon::prelude::*;
 
 use super::labels::Labels;
 use super::pixel::{Holes, Patch};
 
-/// A hole with one surface at its rim is filled if this share of its pixels can be.
+/// Minimum share of fillable pixels for a hole with one surface at its rim to be filled.
 const LEAST_SHARE: f64 = 0.7;
-/// Rounds in which gaps are closed.
+/// Number of rounds in which gaps are closed.
 const ROUNDS: usize = 2;
-/// A gap is closed if it has at least this number of neighbours (of eight) that are not holes, and that were filled.
+/// Minimum number of neighbours of a gap (of eight) that are not holes, for the gap to be closed.
 const LEAST_NEIGHBOURS: usize = 4;
+/// Minimum number of neighbours of a gap that were filled, for the gap to be closed.
 const LEAST_FILLED: usize = 3;
-/// Filled stripes that are narrower than this many pixels, between holes, are removed.
+/// Minimum width in pixels of a filled stripe between holes; narrower ones are removed.
 const LEAST_PX: usize = 4;
 
-/// Leaves holes as they are of which only parts could be filled, though their rim is one surface.
+/// Discards the patches of holes that could be filled only in part although their rim is one surface.
 pub(super) fn keep_whole_holes(rows: &mut [Vec<Patch>], labels: &Labels) {
     let hole_of = |u: usize, v: usize| Some(labels.hole((u, v))).filter(|&hole| !labels.has_step(hole));
     let sizes = labels.sizes();
@@ -72,7 +73,7 @@ impl<'a> Neighbour<'a> {
     }
 }
 
-/// Returns the pixels of a row that can be filled because those around them are.
+/// Returns the patches that close gaps in a row, where surrounding pixels are filled.
 fn closed_gaps(holes: &Holes<'_>, rows: &[Vec<Patch>], v: usize) -> Vec<Patch> {
     let beside = rows[v.saturating_sub(1)..(v + 2).min(rows.len())].iter().flatten();
     let mut candidates: Vec<usize> = beside.flat_map(|patch| [patch.u.wrapping_sub(1), patch.u, patch.u + 1]).collect();

@@ -2,17 +2,18 @@
 
 use std::time::{Duration, Instant};
 
-/// Weight of the last frame's time in the estimate for the next.
+/// Weight of the last frame's time in the estimate for the next frame.
 const NEWEST_SHARE: f64 = 0.2;
 
-/// A device that had no frame for this long is tried again: what slowed it down may be over.
+/// Time without results after which a device's pace is forgotten and the device is tried again: the cause of a slow
+/// pace may be gone.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
-/// Results are in order, so others wait for a slow device: one that needs more than this share of the time in which the
-/// fastest does all frames in flight is only tried now and then.
+/// Maximum time per frame of a device, as a share of the time in which the fastest device computes all frames in
+/// flight. Since results are in order, others would wait for a slower device, so it is only tried now and then.
 const SLOWEST_SHARE: f64 = 0.5;
 
-/// How fast a device is, as far as its last frames say.
+/// The pace of a device, estimated from its last frames.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pace {
     /// Seconds between results while it is busy.
@@ -21,9 +22,9 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    /// Updates the pace with a result received now, of a frame submitted at `since`.
+    /// Updates the pace with a result received at `now`, of a frame submitted at `since`.
     pub(super) fn add(&mut self, since: Instant, now: Instant) {
-        // Frames overlap: busy with this one alone it was since the one before.
+        // Frames overlap, so only the time since the previous result counts for this frame.
         let began = self.last_result.map_or(since, |last| last.max(since));
         let seconds = now.saturating_duration_since(began).as_secs_f64();
         let before = self.known(now).unwrap_or(seconds);
@@ -31,7 +32,7 @@ impl Pace {
         self.last_result = Some(now);
     }
 
-    /// Returns the current estimate.
+    /// Returns the estimated seconds per frame; `None` without a recent result.
     fn known(&self, now: Instant) -> Option<f64> {
         let is_recent = |last: Instant| now.saturating_duration_since(last) < FORGOTTEN_AFTER;
         self.seconds_a_frame.filter(|_| self.last_result.is_some_and(is_recent))
@@ -83,7 +84,7 @@ mod tests {
         assert_eq!(choose(&[(slow, 0), (fast, 8)]), Some(1));
         assert_eq!(choose(&[(slow, 0), (fast, 10)]), Some(0));
         assert_eq!(choose(&[(fast, 2), (fast, 1)]), Some(1));
-        // Unknown ones are tried with one frame each, in turn.
+        // Devices of unknown pace are tried with one frame each, in turn.
         let unknown = Pace::default();
         assert_eq!(choose(&[(fast, 0), (unknown, 0)]), Some(1));
         assert_eq!(choose(&[(fast, 5), (unknown, 1)]), Some(0));
@@ -99,7 +100,7 @@ mod tests {
         let start = Instant::now();
         let at = |milliseconds| start + Duration::from_millis(milliseconds);
         let mut pace = Pace::default();
-        // Given at 0, back at 10, 12 and 14: 2 ms a frame.
+        // Submitted at 0 ms, received at 10, 12, 14 ms and so on: 2 ms per frame.
         for back in 0..40 {
             pace.add(start, at(10 + 2 * back));
         }

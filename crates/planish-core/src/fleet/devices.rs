@@ -15,8 +15,8 @@ pub enum FleetDevice {
 }
 
 impl FleetDevice {
-    /// Returns the devices of a list separated by commas: indices or parts of names of GPUs, `all` for every real GPU,
-    /// `cpu` for the CPU as one more.
+    /// Parses a list of devices separated by commas: indices or parts of names of GPUs, `all` for every real GPU, and
+    /// `cpu` for the CPU.
     ///
     /// # Errors
     /// If the list is empty, names an unknown device, or names one twice.
@@ -36,7 +36,7 @@ impl FleetDevice {
                 "all" => {
                     // Fails with the list of adapters if there is no GPU.
                     let first = choose(adapters, None)?;
-                    // If there are several interfaces, each lists every GPU.
+                    // Each backend lists every GPU, so only one backend counts.
                     let is_listed = |adapter: &&GpuAdapter| adapter.backend == first.backend;
                     adapters.iter().filter(is_real).filter(is_listed).map(Self::of).collect()
                 }
@@ -66,7 +66,7 @@ impl FleetDevice {
         }
     }
 
-    /// Returns the options with which its smoother opens: these, of which it replaces engine and adapter.
+    /// Returns the options for its smoother: `options` with engine and adapter replaced.
     pub fn options(&self, options: &SmootherOptions) -> SmootherOptions {
         match self {
             Self::Cpu => options.clone().with_engine(Engine::Cpu),

@@ -4,8 +4,8 @@ use crate::engines::Engine;
 use crate::error::{EngineError, FrameError};
 use crate::frame::{Frame, IntoFrame};
 
-/// A frame that several threads own: [`Fleet`](crate::Fleet) takes it in an [`Arc`](std::sync::Arc). Implemented for
-/// every type whose reference converts to a [`Frame`].
+/// A frame that several threads own, passed to a [`Fleet`](crate::Fleet) in an [`Arc`](std::sync::Arc). Implemented
+/// for every type whose reference converts to a [`Frame`].
 pub trait SharedFrame: Send + Sync + 'static {
     /// Returns the frame.
     ///
@@ -33,6 +33,6 @@ pub struct FleetMember {
     pub engine: Engine,
     /// Number of frames it has computed.
     pub frames: u64,
-    /// Why it is out; `None` while it works.
+    /// The error that removed it from the fleet; `None` while it works.
     pub lost: Option<EngineError>,
 }

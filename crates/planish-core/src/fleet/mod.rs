@@ -23,13 +23,14 @@ pub use devices::FleetDevice;
 pub use member::{FleetMember, SharedFrame};
 use worker::{Job, Shared, Worker};
 
-/// Frames queued at a device per slot, in addition to those in the slots: its thread never waits for the caller's.
+/// Number of frames queued per slot of a device, in addition to the frame in the slot, so that the device's thread
+/// never waits for the caller's.
 const WAITING_PER_SLOT: usize = 1;
 
-/// Threads that a GPU occupies in addition to the CPU engine's: one for submission, and the copies of results.
+/// Number of CPU threads that a GPU occupies: one for submission, the others for copying results.
 const THREADS_OF_A_GPU: usize = 4;
 
-/// Returns the number of threads of the CPU engine if GPUs work too; `None`, one per core, without GPUs.
+/// Returns the number of threads for the CPU engine if GPUs work too; `None`, which means one per core, without GPUs.
 fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
     let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
     let cores = thread::available_parallelism().map_or(1, usize::from);
@@ -38,7 +39,7 @@ fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
 
 /// Smoothers on several devices, for frames of one grid, or for unorganized clouds.
 ///
-/// Used as a [`Smoother`] with frames in flight is: submit while there is room, receive in the same order.
+/// Used like a [`Smoother`] with frames in flight: submit while there is room, and receive in the same order.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -72,18 +73,20 @@ pub struct Fleet {
     grid: Option<(usize, usize)>,
     /// Maximum number of frames in flight while a device works.
     room: usize,
-    /// The window of pixels as long as no frame has shown its resolution, and its size from that frame on.
+    /// The window, if its size depends on the resolution and no frame has shown it yet.
     undecided: Option<Window>,
+    /// The size of the window, once a frame has shown its resolution.
     size: Option<WindowSize>,
     scratch: GeometryScratch,
-    /// Numbers of the frame that is submitted next, and of the one that is received next.
+    /// Number of the next frame to be submitted.
     next_in: u64,
+    /// Number of the next frame to be received.
     next_out: u64,
 }
 
 impl Fleet {
-    /// Opens a smoother on each device, as [`Smoother::open_with`] does with the options, of which the devices replace
-    /// engine and adapter.
+    /// Opens a smoother on each device, as [`Smoother::open_with`] does. Each device replaces the engine and adapter
+    /// of the options.
     ///
     /// # Errors
     /// If there are no devices, one does not open, or the parameters are invalid.
@@ -99,7 +102,7 @@ impl Fleet {
     /// Opens a smoother for unorganized clouds on each device.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// Same as [`open`](Self::open).
     pub fn open_clouds(params: CloudParams, options: &SmootherOptions, devices: &[FleetDevice]) -> Result<Self, Error> {
         Self::open_any(params.into(), options, devices, None)
     }
@@ -117,7 +120,7 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Opens a fleet whose window is decided.
+    /// Opens a fleet whose window is already decided.
     pub(crate) fn open_decided(
         params: EngineParams,
         options: &SmootherOptions,
@@ -187,7 +190,7 @@ impl Fleet {
         Ok(())
     }
 
-    /// Decides the window by the first frame that shows its resolution, for all devices alike.
+    /// Decides the size of the window for all devices, by the first frame that shows its resolution.
     fn decide_window(&mut self, frame: Frame<'_>) {
         let Some(window) = self.undecided else { return };
         let geometry = FrameGeometry::of(frame, true, &mut self.scratch);
@@ -199,7 +202,7 @@ impl Fleet {
     /// Waits for the oldest frame in flight; `None` if no frame is in flight.
     ///
     /// # Errors
-    /// If something is wrong with that frame, or every device is lost.
+    /// If that frame cannot be smoothed, or every device is lost.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         if self.in_flight() == 0 {
             return Ok(None);
@@ -214,8 +217,8 @@ impl Fleet {
         (self.next_in - self.next_out) as usize
     }
 
-    /// Returns the maximum number of frames in flight; one more is an [`EngineError::Full`]. 0 once every device is
-    /// lost.
+    /// Returns the maximum number of frames in flight; submitting more fails with [`EngineError::Full`]. 0 once every
+    /// device is lost.
     pub fn max_in_flight(&self) -> usize {
         // The room of all devices while one of them works: it must not shrink while the caller uses it.
         if self.shared.works() { self.room } else { 0 }
@@ -226,7 +229,7 @@ impl Fleet {
         self.shared.members()
     }
 
-    /// Returns its engine: the GPU's while one works.
+    /// Returns the engine: the GPU's while a GPU works, otherwise that of the first working device.
     pub fn engine(&self) -> Engine {
         let members = self.members();
         let mut working = members.iter().filter(|member| member.lost.is_none()).map(|member| member.engine);

@@ -18,10 +18,10 @@ use crate::view::SmoothedView;
 pub(super) struct Job {
     number: u64,
     frame: Arc<dyn SharedFrame>,
-    /// Whether the result is copied out; a lost device has taken the buffer with it.
+    /// Whether the result is copied out. Stored separately, since a lost device takes the buffer with it.
     is_copied: bool,
     buffer: Option<Smoothed>,
-    /// The window, once it is decided.
+    /// The size of the window, once it is decided.
     size: Option<WindowSize>,
     since: Instant,
 }
@@ -56,8 +56,9 @@ struct State {
 struct Device {
     name: String,
     engine: Engine,
-    /// Frames queued for it, oldest first, and frames that its thread has taken.
+    /// Frames queued for the device, oldest first.
     waiting: VecDeque<Job>,
+    /// Frames that the device's thread has taken, oldest first.
     taken: VecDeque<Job>,
     pace: Pace,
     frames: u64,
@@ -158,13 +159,13 @@ impl Shared {
         self.lock().devices.iter().map(member).collect()
     }
 
-    /// Ends all threads; frames in flight are not received any more.
+    /// Ends all threads, and discards the frames in flight.
     pub(super) fn close(&self) {
         self.lock().is_closed = true;
         self.given.iter().for_each(Condvar::notify_all);
     }
 
-    /// Returns the next frame of a device, to be submitted to it.
+    /// Takes the next frame of a device, to be submitted to it. If `may_wait` is set, waits until there is one.
     fn take(&self, device: usize, may_wait: bool) -> Next {
         let mut state = self.lock();
         loop {
@@ -186,7 +187,8 @@ impl Shared {
         }
     }
 
-    /// Stores the result of a frame taken by a device: of the newest if it was refused, otherwise of the oldest.
+    /// Stores the result of a frame taken by a device: of the newest if `is_newest` is set, as after a failed
+    /// submission, otherwise of the oldest.
     fn put(&self, device: usize, result: Result<SmoothedView, Error>, is_newest: bool) {
         let mut state = self.lock();
         let Device { taken, pace, frames, .. } = &mut state.devices[device];
@@ -198,7 +200,7 @@ impl Shared {
             pace.add(job.since, Instant::now());
         }
         let number = job.number;
-        // The one who receives the result may be the only owner of the frame.
+        // Dropped first, so that the receiver of the result may be the only owner of the frame.
         drop(job);
         state.results.insert(number, result);
         self.done.notify_all();
@@ -232,14 +234,14 @@ impl Worker {
         Ok(Self(Some(thread.spawn(work).map_err(failed)?)))
     }
 
-    /// Waits until it has ended, once the fleet is closed.
+    /// Waits until the thread has ended. The fleet must be closed.
     pub(super) fn join(&mut self) {
         // A panic has already printed its message.
         let _ = self.0.take().map(JoinHandle::join);
     }
 }
 
-/// Removes a device when its thread ends, also by a panic.
+/// Removes a device from the fleet if its thread ends with an error or a panic.
 struct EndOf<'a> {
     shared: &'a Shared,
     device: usize,
@@ -295,7 +297,7 @@ fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Er
     }
 }
 
-/// Returns true if another frame may be smoothed where this one was not: it is wrong, or too large.
+/// Returns true if only this frame fails, because it is malformed or too large, and the device can continue.
 fn is_of_frame(error: &Error) -> bool {
     match error {
         Error::Frame(_) => true,

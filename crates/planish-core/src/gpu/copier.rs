@@ -1,5 +1,5 @@
-//! The thread that waits for the frames in flight on a queue and copies their results out, so that the one that submits
-//! need not.
+//! The thread that waits for the frames in flight on a queue and copies out their results, so that the submitting
+//! thread does not have to.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};
@@ -12,7 +12,7 @@ use crate::smoothed::Smoothed;
 use crate::threads::Threads;
 use crate::timings::FrameTimings;
 
-/// The channels of the points are copied at once: one thread alone is slower than the bus.
+/// Number of threads that copy the channels of the points in parallel; one thread is slower than the bus.
 const COPY_THREADS: usize = 3;
 
 type CopyResult = Result<(Smoothed, Option<FrameTimings>), EngineError>;
@@ -23,9 +23,9 @@ struct Job {
     done: Sender<CopyResult>,
 }
 
-/// The thread; dropping this waits until it has done the jobs that it has.
+/// The copying thread. Dropping it waits for the queued jobs.
 pub(super) struct Copier {
-    /// Dropped before the thread is waited for.
+    /// The job queue. It is dropped before the thread is joined, so that the thread ends.
     jobs: Option<Sender<Box<Job>>>,
     thread: Option<JoinHandle<()>>,
 }

@@ -1,8 +1,9 @@
 //! Devices: listing and opening adapters, compiled kernels, device loss.
 //!
-//! An adapter is opened once for frames smoothed one at a time (fast), and a second time for overlapping frames, with
-//! one wgpu device per queue. All smoothers of the process on that adapter share these devices; they are closed with
-//! the last smoother. After a device is lost, every call returns that error, and the next smoother opens a new one.
+//! An adapter is opened once for frames smoothed one at a time, which is fast, and a second time for overlapping
+//! frames, with one wgpu device per queue. All smoothers of the process on that adapter share these devices; they are
+//! closed with the last smoother. After a device is lost, every call returns that error, and the next smoother opens
+//! a new device.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,13 +17,13 @@ use super::sigma_kernels::SigmaPass;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
-/// A device that has not responded for this long is considered hung.
+/// Time without a response after which a device is considered hung.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Time for which a waiter sleeps to let other threads take the lock.
+/// Maximum time for which a waiter polls before it releases the lock to other threads.
 const STEP: Duration = Duration::from_millis(1);
 
-/// Time to poll a failing device for its loss.
+/// Time for which a failing device is polled to find out whether it is lost.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Time for which a waiter spins before it blocks: most frames finish before, and waking up costs 30 to 60 µs. Not used
@@ -34,18 +35,18 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Use for which an adapter is opened.
+/// The purpose for which an adapter is opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// One submission at a time, on one queue.
     OneAtATime,
-    /// Frames in flight, on several queues; there may be none.
+    /// Frames in flight, on several queues. Not every adapter has them.
     InFlight,
 }
 
 /// An open adapter.
 pub(super) struct OpenAdapter {
-    /// One per queue, at least one; they share one fault.
+    /// The devices: one per queue, at least one. They share one fault.
     pub(super) devices: Vec<Arc<GpuDevice>>,
 }
 
@@ -58,19 +59,19 @@ pub(super) struct GpuDevice {
     pub(super) bind_group_layout: wgpu::BindGroupLayout,
     pub(super) pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
-    /// By pass, and whether bounds are checked.
+    /// Kernels for standard errors, by pass and whether bounds are checked.
     sigma_kernels: Mutex<HashMap<(SigmaPass, bool), wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
-    /// Serializes polling. If two threads poll at once, wgpu 30 may see an empty queue in one before it records the
-    /// last submission as done in the other, and panics.
+    /// Serializes polling. If two threads poll at once, wgpu 30 may panic: one thread can see an empty queue before
+    /// the other records the last submission as done.
     turn: Mutex<()>,
-    /// Threads waiting to submit; pollers let them go first.
+    /// Number of threads waiting to submit; polling threads let them go first.
     submitting: AtomicUsize,
     spin: Duration,
 }
 
-/// Returns the adapters of this machine, in order of their indices. Enumerated once, as that takes longer than opening
-/// a device.
+/// Returns the adapters of this machine, in order of their indices. They are enumerated once, since that takes longer
+/// than opening a device.
 pub(super) fn adapters() -> &'static [wgpu::Adapter] {
     static ADAPTERS: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
     ADAPTERS.get_or_init(|| {
@@ -99,7 +100,7 @@ fn describe(index: usize, info: &wgpu::AdapterInfo) -> GpuAdapter {
     }
 }
 
-/// Returns what [`crate::gpu_adapters`] lists.
+/// Returns the adapters that [`crate::gpu_adapters`] lists.
 pub(crate) fn list() -> Vec<GpuAdapter> {
     adapters().iter().enumerate().map(|(index, adapter)| describe(index, &adapter.get_info())).collect()
 }
@@ -149,7 +150,7 @@ impl OpenAdapter {
         Ok(opened)
     }
 
-    /// Has the devices record their faults in one place.
+    /// Wraps opened devices, which record their faults in one place.
     pub(super) fn new(adapter: &wgpu::Adapter, name: &str, opened: Vec<(wgpu::Device, wgpu::Queue)>) -> Self {
         let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let spin = if is_software { Duration::ZERO } else { SPIN };
@@ -237,7 +238,7 @@ impl GpuDevice {
         }
     }
 
-    /// Refuses time stamps on devices without them.
+    /// Returns an error if timestamps are requested but the device does not support them.
     pub(super) fn check_timestamps(&self, options: &GpuOptions) -> Result<(), EngineError> {
         let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         if options.timestamps && !self.features.contains(needed) {
@@ -247,7 +248,7 @@ impl GpuDevice {
         Ok(())
     }
 
-    /// Returns the fault of this device, if any.
+    /// Returns an error if this device has a fault.
     pub(super) fn check(&self) -> Result<(), EngineError> {
         let fault = lock(&self.fault).clone();
         match fault {
@@ -263,8 +264,8 @@ impl GpuDevice {
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// Returns the loss of the device, if it is lost. wgpu reports it only when polled on an idle queue, and later
-    /// still if another thread polls at the same time.
+    /// Returns the loss of the device; `None` if it is not lost. wgpu reports a loss only when polled on an idle
+    /// queue, and later still if another thread polls at the same time.
     fn loss(&self) -> Option<EngineError> {
         let until = Instant::now() + LOSS_TIMEOUT;
         loop {
@@ -298,7 +299,7 @@ impl GpuDevice {
         }
     }
 
-    /// Records the loss of the device, unless a fault is known already.
+    /// Records the loss of the device, unless a loss is already recorded, and returns the recorded one.
     fn lose(&self, reason: impl ToString) -> EngineError {
         let mut fault = lock(&self.fault);
         match &*fault {
@@ -338,7 +339,7 @@ impl GpuDevice {
         })
     }
 
-    /// As [`kernel`](Self::kernel), for standard errors.
+    /// Same as [`kernel`](Self::kernel), for standard errors.
     pub(super) fn sigma_kernel(&self, pass: SigmaPass, checks: bool) -> Result<wgpu::ComputePipeline, EngineError> {
         cached(&self.sigma_kernels, (pass, checks), || {
             self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, checks)
@@ -351,7 +352,7 @@ impl GpuDevice {
         self.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation })
     }
 
-    /// Creates a uniform with these contents.
+    /// Creates a uniform buffer with these contents.
     pub(super) fn uniform(&self, label: &str, contents: &[u8]) -> wgpu::Buffer {
         let uniform = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -366,7 +367,7 @@ impl GpuDevice {
         uniform
     }
 
-    /// Binds the buffers of a frame's kernel: uniform, input, and three that it may write.
+    /// Creates the bind group of a frame's kernel: uniform, input, and three buffers that it may write.
     pub(super) fn bind(&self, buffers: [&wgpu::Buffer; 5]) -> wgpu::BindGroup {
         let entries: Vec<_> = buffers
             .into_iter()
@@ -418,7 +419,7 @@ impl GpuDevice {
         })
     }
 
-    /// Submits; wgpu polls while doing so.
+    /// Submits commands, with the lock for polling held, since wgpu polls while submitting.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer) -> wgpu::SubmissionIndex {
         self.submitting.fetch_add(1, Ordering::Relaxed);
         let _alone = lock(&self.turn);
@@ -426,7 +427,7 @@ impl GpuDevice {
         self.queue.submit([commands])
     }
 
-    /// Waits until a submission is done and its buffers are mapped.
+    /// Waits until a submission is done. Its buffers may be mapped a little later.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
         let spin_until = Instant::now() + self.spin;
         let look =
@@ -457,7 +458,7 @@ impl GpuDevice {
     }
 }
 
-/// Returns a kernel from a cache, or adds it.
+/// Returns a kernel from a cache; compiles and adds it if it is missing.
 fn cached<K: Eq + std::hash::Hash>(
     cache: &Mutex<HashMap<K, wgpu::ComputePipeline>>,
     key: K,

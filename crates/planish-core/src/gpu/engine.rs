@@ -42,18 +42,19 @@ enum Pending {
     Copied(Copied),
 }
 
-/// Opens an adapter with all its queues.
+/// A function that opens an adapter with all its queues.
 type OpenSeveral = Box<dyn FnOnce() -> Result<Arc<OpenAdapter>, EngineError> + Send>;
 
-/// Limits of a submission of several frames: bytes per buffer, and frames.
+/// Maximum number of bytes per buffer in a submission of several frames.
 const MAX_BATCH_BYTES: u64 = 256 << 20;
+/// Maximum number of frames per submission.
 const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
     /// The devices of the slots: one until frames overlap, then one per queue.
     pub(super) adapter: Arc<OpenAdapter>,
-    /// The adapter with all its queues, until that has been tried; `None` for a device of the host program's.
+    /// Opens the adapter with all its queues; `None` once tried, and for a device of the host program.
     pub(super) several: Option<OpenSeveral>,
     params: EngineParams,
     outputs: Outputs,
@@ -66,15 +67,15 @@ pub(crate) struct Gpu {
     /// The filter over time, if frames are a video.
     over_time: Option<OverTime>,
     pending: VecDeque<Pending>,
-    /// At least one, if possible one for each device.
+    /// The copying threads: at least one, and one per device if the system allows it.
     copiers: Vec<Copier>,
     timings: Option<FrameTimings>,
-    /// Bytes of all slots, wherever they are.
+    /// Size of all slots in bytes, both free and in use.
     bytes: Arc<AtomicU64>,
 }
 
 impl Gpu {
-    /// Opens an adapter by the options.
+    /// Opens the adapter that the options select.
     pub(crate) fn open(
         params: EngineParams,
         outputs: Outputs,
@@ -89,7 +90,7 @@ impl Gpu {
         Ok(engine)
     }
 
-    /// Opens on a device of the host program's.
+    /// Opens the engine on a device of the host program.
     #[cfg(feature = "wgpu-interop")]
     pub(crate) fn open_on(
         device: &wgpu::Device,
@@ -149,8 +150,8 @@ impl Gpu {
         Ok(engine)
     }
 
-    /// Distributes frames over several queues from now on, if the adapter supports it and this has not been tried.
-    /// Otherwise frames in flight share the open queue.
+    /// Distributes later frames over several queues, if the adapter supports it. This is tried only once; if it
+    /// fails, frames in flight share the open queue.
     fn open_several(&mut self) {
         let Some(open) = self.several.take().filter(|_| self.options.slots > 1) else { return };
         let Ok(several) = open() else { return };
@@ -201,7 +202,7 @@ impl Gpu {
         Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes, cell: self.params.cell_px() }
     }
 
-    /// Returns the kernels of a frame's passes, in order.
+    /// Returns the keys of the kernels of a frame's passes, in order.
     fn kernel_keys(&self, kind: InputKind) -> impl Iterator<Item = KernelKey> {
         let workgroup_bytes = self.gpu().limits.max_compute_workgroup_storage_size as usize;
         let key = move |&pass| {
@@ -210,44 +211,45 @@ impl Gpu {
         Pass::of(&self.params).iter().map(key)
     }
 
-    /// Returns the kernels of a frame's passes in order.
+    /// Returns the compiled kernels of a frame's passes, in order, with their workgroups.
     pub(super) fn kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
-    /// Returns the kernels that estimate a frame's standard errors, in order; none unless they are an output.
+    /// Returns the kernels that estimate a frame's standard errors, in order; empty unless `sigma` is among the
+    /// outputs.
     fn sigma_kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
         let passes = SigmaPass::of(kind).into_iter().filter(|_| self.outputs.sigma);
         let checks = self.options.bounds_checks;
         passes.map(|pass| Ok((gpu.sigma_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
     }
 
-    /// Returns the most workgroups of a frame, across or down.
+    /// Returns the maximum number of workgroups of a frame's kernels, across or down.
     fn most_workgroups(&self, kind: InputKind) -> usize {
         self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
     }
 
-    /// Returns the device's limit of bytes per buffer.
+    /// Returns the device's maximum number of bytes per buffer.
     fn buffer_limit(&self) -> u64 {
         let limits = &self.gpu().limits;
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
-    /// Returns the bytes of a frame's largest buffer.
+    /// Returns the size of a frame's largest buffer in bytes.
     fn frame_bytes(layout: Layout) -> u64 {
         let [points, planes] = layout.kept_words();
         let scratch = layout.sigma().map_or(0, |_| scratch_words(&layout));
         4 * layout.input_words().max(layout.output_words()).max(points).max(planes).max(scratch) as u64
     }
 
-    /// Returns how many frames of a batch one submission holds: within the device's limits, and short enough for its
-    /// other users and for desktop watchdogs.
+    /// Returns the maximum number of frames of a batch per submission: within the device's limits, and short enough
+    /// not to block other users of the device or trigger a desktop watchdog.
     fn frames_at_once(&self, layout: Layout) -> usize {
         let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
         (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
     }
 
-    /// Refuses frames whose layout exceeds the device's limits.
+    /// Returns an error if this many frames of a layout exceed the device's limits.
     fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
         let limits = [
             ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
@@ -265,16 +267,16 @@ impl Gpu {
         }
     }
 
-    /// Returns the slot for this many frames of a layout that has been free for longest, or a new one.
+    /// Returns a slot for this many frames of a layout: the matching one that has been free longest, or a new one.
     fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
         {
             let mut free = lock(&self.free);
-            // Views return slots of the device before, too.
+            // Views may also have returned slots of a device that is no longer used.
             free.retain(|slot| self.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu)));
             if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
                 return Ok(free.remove(at));
             }
-            // Only one batch is processed at a time, so slots of other sizes are not kept.
+            // Only one batch is processed at a time, so slots for other batch sizes are dropped.
             free.retain(|slot| slot.frames == 1);
         }
         let devices = &self.adapter.devices;
@@ -352,7 +354,7 @@ impl SmoothingEngine for Gpu {
             None => Pending::InPlace(Box::new(flight)),
             Some(buffer) => {
                 let queue = self.adapter.devices.iter().position(|gpu| Arc::ptr_eq(gpu, &flight.slot.gpu)).unwrap_or(0);
-                // There may be fewer if the system had no more threads.
+                // There are fewer copiers than devices if the system allowed no more threads.
                 let copier = &self.copiers[queue.min(self.copiers.len() - 1)];
                 Pending::Copied(copier.copy(flight, buffer))
             }
@@ -364,7 +366,8 @@ impl SmoothingEngine for Gpu {
         self.open_several();
     }
 
-    /// Refuses videos whose holes are bridged, and those whose state does not fit: the session filters them.
+    /// Returns false for videos whose holes are bridged, and if the state does not fit the device; the session then
+    /// filters the results.
     fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
         let layout = self.layout(InputKind::Depth);
         if video.params.hold_frames > 0 || OverTime::largest_buffer(video, layout) > self.buffer_limit() {
@@ -390,8 +393,8 @@ impl SmoothingEngine for Gpu {
         }
     }
 
-    /// Returns false if points, status or neighbours are not among the outputs, with smoothing over time, and if the
-    /// device lacks workgroups or memory.
+    /// Returns false if points, status or neighbours are not among the outputs, if frames are smoothed over time, or
+    /// if the device lacks workgroups or memory.
     fn enable_sigma(&mut self) -> Result<bool, Error> {
         let Outputs { points, status, neighbours, .. } = self.outputs;
         let workgroups = SigmaPass::CorrelateRows.workgroups(self.shape)[0];
@@ -438,12 +441,12 @@ impl SmoothingEngine for Gpu {
         self.options.slots
     }
 
-    /// On the device.
+    /// Returns the times measured on the device.
     fn timings(&self) -> Option<FrameTimings> {
         self.timings
     }
 
-    /// Counts all slots and the state over time.
+    /// Returns the size in bytes of all slots and of the state over time.
     fn buffer_bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed) + self.over_time.as_ref().map_or(0, OverTime::bytes)
     }

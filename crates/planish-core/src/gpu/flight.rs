@@ -5,10 +5,10 @@ use std::sync::{Arc, Mutex};
 use super::slot::Slot;
 use crate::error::EngineError;
 
-/// Free slots; views return theirs from any thread.
+/// Free slots; a view returns its slot from any thread.
 pub(super) type FreeSlots = Arc<Mutex<Vec<Slot>>>;
 
-/// A submission that runs, or waits for its result to be received.
+/// A submission that is running, or whose result has not been received.
 pub(super) struct Flight {
     pub(super) slot: Slot,
     pub(super) submission: wgpu::SubmissionIndex,

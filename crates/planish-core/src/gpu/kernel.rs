@@ -15,13 +15,13 @@ use crate::params::{Edges, EngineParams};
 /// The kernels of a frame (docs/method.md, sections 2 and 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Pass {
-    /// The points of cells, and the means of blocks.
+    /// Computes the points of cells, and the means of blocks.
     Blocks,
     /// Fits the first planes, if edges are kept.
     FirstPlanes,
-    /// Finds the surfaces from them, and the means of the points on these surfaces.
+    /// Finds the surfaces from the first planes, and the means of the points on these surfaces.
     Surfaces,
-    /// The results, each on its own surface.
+    /// Computes the results, each on its own surface.
     Smooth,
     /// Finds the results of pixels from the results of the cells around them, if pixels share cells.
     Pixels,
@@ -61,32 +61,32 @@ pub(super) struct KernelKey {
     /// Distance in cells to the planes that are considered.
     edge_shift: u32,
     pub(super) pass: Pass,
-    /// Whether its points are on surfaces found by earlier passes.
+    /// Whether it moves points to surfaces found by earlier passes.
     keeps_edges: bool,
     averages_blocks: bool,
-    /// Whether it keeps results for the pass of pixels.
+    /// Whether it keeps results for [`Pass::Pixels`].
     keeps_results: bool,
     /// Whether its windows read samples kept by an earlier pass: block means or points of cells.
     reads_means: bool,
-    /// Whether it reads the input; otherwise only data kept by earlier passes.
+    /// Whether it reads the input, not only data kept by earlier passes.
     reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
     /// Whether the bounds of every memory access are checked.
     pub(super) bounds_checks: bool,
-    /// Whether the candidates of a tile fit workgroup memory.
+    /// Whether the candidates of a tile fit in workgroup memory.
     pub(super) tiled: bool,
 }
 
-/// Columns and rows of pixels per workgroup, one per thread: 32 columns, so that a store is a whole line of 128 bytes
-/// (over the bus, narrower ones cost a tenth of the throughput), and half as many threads for degree 3, whose moments
-/// fill the registers.
+/// Returns the columns and rows of pixels per workgroup, one pixel per thread. With 32 columns, a store is a whole
+/// line of 128 bytes; narrower stores over the bus cost a tenth of the throughput. Degree 3, whose moments fill the
+/// registers, gets half as many threads.
 const fn tile_of(degree: u32) -> [usize; 2] {
     if degree == 3 { [32, 4] } else { [32, 8] }
 }
 
 impl KernelKey {
-    /// Generates the kernel of a pass for these parameters and this much workgroup memory.
+    /// Returns the key of the kernel of a pass, for these parameters and this much workgroup memory.
     pub(super) fn new(
         params: &EngineParams,
         pass: Pass,
@@ -129,7 +129,7 @@ impl KernelKey {
             (_, true) => (tile_width * cell as usize + block) * (tile_height * cell as usize + block),
             (_, false) => (tile_width + 2 * params.reach()) * (tile_height + 2 * params.reach()),
         };
-        // Results are packed there.
+        // Workgroup memory in which results are packed.
         let codes_bytes = if of_blocks || pass == Pass::FirstPlanes { 0 } else { 4 * tile_width * tile_height };
         // The pass of pixels reads no samples.
         let tiled = pass != Pass::Pixels && 12 * tile_area + codes_bytes <= workgroup_bytes;
@@ -158,7 +158,8 @@ impl KernelKey {
         if self.cell > 1 { 1 } else { self.stride }
     }
 
-    /// Returns workgroups for a frame of this many pixels, across and down: each has the rows of a tile.
+    /// Returns the number of workgroups for a frame of this many pixels, across and down; each handles the rows of a
+    /// tile.
     pub(super) fn workgroups(&self, (width, height): (usize, usize)) -> [usize; 2] {
         let [tile_width, tile_height] = tile_of(self.degree);
         let cell = if self.pass == Pass::Pixels { 1 } else { self.cell as usize };
@@ -253,7 +254,8 @@ impl KernelKey {
 }
 
 impl KernelKey {
-    /// Returns the ratio of two mean squares of distances to columns: in the middle of a window, and in all of it.
+    /// Returns the mean squared distance to the columns in the middle of a window, divided by that to all columns of
+    /// the window.
     fn middle_share(&self) -> f32 {
         let mean_square = |half: u32| {
             let squares = (1..=half).map(|i| 2 * (i * self.stride).div_ceil(self.cell).pow(2)).sum::<u32>();
@@ -263,7 +265,7 @@ impl KernelKey {
     }
 }
 
-/// The loop over the candidates of a window, up to its body and after it.
+/// The WGSL loop over the candidates of a window: the text before its body, and the text after it.
 const WINDOW_LOOP: [&str; 2] = [
     "for (var row = 0u; row < SIDE; row++) { for (var column = 0u; column < SIDE; column++) {
         let e = candidate(window, column, row) - p;
@@ -286,19 +288,19 @@ pub(super) fn surface(degree: usize, [before, after]: [&str; 2]) -> String {
     text + shader!("shaders/project_polynomial.wgsl")
 }
 
-/// Returns the exponents with i + j <= degree.
+/// Returns the pairs of exponents with i + j <= degree.
 fn exponents(degree: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..=degree).flat_map(move |i| (0..=degree - i).map(move |j| (i, j)))
 }
 
-/// `struct Moments`: a variable for each m_ij and t_ij.
+/// Generates `struct Moments`, with a field for each m_ij and t_ij.
 pub(super) fn moments_struct(degree: usize) -> String {
     let m = exponents(2 * degree).map(|(i, j)| format!("    m{i}{j}: f32,\n"));
     let t = exponents(degree).map(|(i, j)| format!("    t{i}{j}: f32,\n"));
     format!("struct Moments {{\n{}}}\n", m.chain(t).collect::<String>())
 }
 
-/// Adds one candidate, given by w, a, b and f, to the moments s.
+/// Generates the statements that add one candidate, given by w, a, b and f, to the moments s.
 fn moment_sums(degree: usize) -> String {
     let mut text = String::from("let wa0 = w;\nlet wa1 = w * a;\nlet a2 = a * a;\nlet b1 = b;\nlet b2 = b * b;\n");
     for i in 2..2 * degree {
@@ -324,8 +326,8 @@ fn moment_sums(degree: usize) -> String {
     text
 }
 
-/// `fn solve`: c_00, c_10 and c_01 by LDL^T of the normal equations with their ridge; and by how much the polynomial
-/// lowers (6.1), from sum(w f²) to its minimum.
+/// Generates `fn solve`. It returns c_00, c_10 and c_01, found by LDL^T of the normal equations with their ridge, and
+/// the amount by which the polynomial lowers (6.1), from sum(w f²) to its minimum.
 ///
 /// With too few neighbours for degree 3, the cubic unknowns are left out; since unknowns are ordered by degree, the
 /// solution of degree 2 remains.

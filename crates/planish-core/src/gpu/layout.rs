@@ -25,33 +25,35 @@ use crate::status::Status;
 pub(super) struct FrameHeader {
     pub(super) metres_per_unit: f32,
     pub(super) units_per_metre: f32,
-    /// With the range z, r = max(linear z, radius polynomial).
+    /// Linear coefficient of the radius: at range z, r = max(linear z, radius polynomial).
     pub(super) radius_linear: f32,
     pub(super) radius: [f32; 3],
-    /// With the range z, the gate of a block is max(linear z, block polynomial).
+    /// Linear coefficient of the gate of a block: at range z, the gate is max(linear z, block polynomial).
     pub(super) block_linear: f32,
     pub(super) block: [f32; 3],
     /// Coefficients of the standard deviation of depth, if edges are kept.
     pub(super) sigma: [f32; 3],
-    /// 0 means the radius.
+    /// Bandwidth in metres; 0 means the radius.
     pub(super) bandwidth: f32,
     pub(super) ridge: f32,
-    /// The sum of the flags below.
+    /// Sum of the flags [`BY_DISTANCE`] and [`ON_RAY`].
     pub(super) flags: u32,
-    /// Position of the sensor in the cloud's frame, and its unit viewing direction.
+    /// Position of the sensor in the cloud's frame.
     pub(super) position: [f32; 3],
+    /// Unit viewing direction of the sensor in the cloud's frame.
     pub(super) axis: [f32; 3],
 }
 
-/// The range is the distance from the sensor.
+/// Flag for ranges that are distances from the sensor.
 pub(super) const BY_DISTANCE: u32 = 1;
-/// Points move along their rays.
+/// Flag for points that move along their rays.
 pub(super) const ON_RAY: u32 = 2;
 
-/// Channels of the points and the planes that passes leave for one another (kept.wgsl).
+/// Number of channels of the planes that passes keep for later passes (kept.wgsl).
 const PLANE_CHANNELS: usize = 22;
 
-/// Points and block means; if pixels share cells, also the means of blocks on the cells' surfaces.
+/// Returns the number of channels of the points that passes keep for later passes: points and block means; if pixels
+/// share cells, also the means of the points on the cells' surfaces.
 const fn point_channels(cell: usize) -> usize {
     if cell == 1 { 6 } else { 9 }
 }
@@ -85,8 +87,8 @@ impl InputKind {
     #[cfg(feature = "gpu")]
     pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
 
-    /// Returns how a frame is uploaded. Depth from a distorted lens is deprojected by the host, which has a ray per
-    /// pixel.
+    /// Returns the kind of samples that a frame is uploaded as. The host deprojects depth from a distorted lens,
+    /// which has one ray per pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
             Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,
@@ -104,10 +106,11 @@ pub(super) struct Layout {
     pub(super) height: usize,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    /// Whether passes keep points and planes for later passes.
+    /// Whether passes keep points for later passes.
     pub(super) keeps_points: bool,
+    /// Whether passes keep planes for later passes.
     pub(super) keeps_planes: bool,
-    /// Width in pixels of the cells that these belong to.
+    /// Width in pixels of the cells that the kept points and planes belong to.
     pub(super) cell: usize,
 }
 
@@ -116,12 +119,12 @@ impl Layout {
         self.width * self.height
     }
 
-    /// Range of the rays: of the columns, then of the rows.
+    /// Returns the range of the rays: of the columns, then of the rows.
     pub(super) fn rays(&self) -> Range<usize> {
         HEADER_WORDS..HEADER_WORDS + self.width + self.height
     }
 
-    /// Words per frame of the input.
+    /// Returns the number of words per frame of the input.
     pub(super) fn input_words(&self) -> usize {
         let samples = match self.kind {
             InputKind::Depth => self.pixels().div_ceil(2),
@@ -131,7 +134,7 @@ impl Layout {
         self.rays().end + samples
     }
 
-    /// Ranges of the points' x, y and z in the output.
+    /// Returns the ranges of the points' x, y and z in the output.
     pub(super) fn points(&self) -> Option<[Range<usize>; 3]> {
         self.outputs.points.then(|| self.three_channels(channels(self.outputs).points))
     }
@@ -168,13 +171,13 @@ impl Layout {
         self.packed()[2].clone()
     }
 
-    /// Words per frame of the output.
+    /// Returns the number of words per frame of the output.
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
         packed.unwrap_or(channels(self.outputs).count * self.pixels())
     }
 
-    /// Words per frame of the points and the planes that passes leave for one another.
+    /// Returns the number of words per frame of the points and of the planes that passes keep for later passes.
     pub(super) fn kept_words(&self) -> [usize; 2] {
         let cells = self.width.div_ceil(self.cell) * self.height.div_ceil(self.cell);
         let [points, planes] = [(self.keeps_points, point_channels(self.cell)), (self.keeps_planes, PLANE_CHANNELS)]
@@ -200,7 +203,7 @@ impl Layout {
         [first, first + 1, first + 2].map(|channel| self.channel(channel))
     }
 
-    /// Status, neighbours, depth.
+    /// Returns the ranges of status, neighbours and depth in the output.
     fn packed(&self) -> [Option<Range<usize>>; 3] {
         let mut at = channels(self.outputs).count * self.pixels();
         let Outputs { status, neighbours, depth, .. } = self.outputs;
@@ -214,7 +217,8 @@ impl Layout {
     }
 }
 
-/// Indices of the channels in the output; meaningless for those not requested.
+/// Index of the first channel of each output, undefined for outputs that were not requested, and the number of
+/// channels.
 pub(super) struct Channels {
     points: usize,
     pub(super) normals: usize,
@@ -254,7 +258,7 @@ pub(super) fn write_numbers(text: &mut String, numbers: &[(&str, f32)]) {
     }
 }
 
-/// Returns the constants in WGSL by which results are written (`output.wgsl`, `result_depth.wgsl`).
+/// Returns the WGSL constants for writing results (`output.wgsl`, `result_depth.wgsl`).
 pub(super) fn result_constants(outputs: Outputs) -> String {
     let mut text = String::new();
     let Channels { points, normals, curvature, depth_m, count, .. } = channels(outputs);
@@ -290,7 +294,7 @@ pub(super) fn result_constants(outputs: Outputs) -> String {
     text
 }
 
-/// Returns the constants of this layout in WGSL, for cells this many pixels wide.
+/// Returns the WGSL constants of a layout whose cells are `cell` pixels wide.
 pub(super) fn constants(kind: InputKind, outputs: Outputs, cell: u32) -> String {
     let mut text = result_constants(outputs);
     let words = [

@@ -5,14 +5,14 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use super::device::{GpuDevice, TIMEOUT, lock};
 use crate::error::EngineError;
 
-/// The buffers requested after a submission.
+/// The buffers whose mapping was requested after a submission.
 #[derive(Default)]
 pub(super) struct Mapped(Arc<Counts>);
 
-/// Number of buffers that are not mapped yet, and whether mapping one of the others has failed.
+/// Number of buffers that are not mapped yet, and whether a mapping has failed.
 ///
-/// Any thread that calls the device may run the callbacks that count, also a little after another has seen the
-/// submission done: a thread that needs the buffers waits for the counts.
+/// The callbacks that update it run on any thread that calls the device, possibly a little after another thread has
+/// seen the submission finish. A thread that needs the buffers therefore waits for the count.
 #[derive(Default)]
 struct Counts {
     missing: Mutex<(usize, bool)>,
@@ -20,7 +20,7 @@ struct Counts {
 }
 
 impl Mapped {
-    /// Requests buffers; they are mapped as soon as earlier submissions have finished.
+    /// Requests the mapping of buffers, which takes place once earlier submissions have finished.
     pub(super) fn ask_for<'a>(&self, buffers: impl Iterator<Item = (&'a wgpu::Buffer, wgpu::MapMode)>) {
         let buffers: Vec<_> = buffers.collect();
         *lock(&self.0.missing) = (buffers.len(), false);
@@ -35,12 +35,12 @@ impl Mapped {
         }
     }
 
-    /// Waits until every buffer is the host's again, after a submission that has run.
+    /// Waits until all buffers are mapped for the host. The submission must have finished.
     pub(super) fn wait(&self, gpu: &GpuDevice) -> Result<(), EngineError> {
         let missing = lock(&self.0.missing);
         let waited = self.0.changed.wait_timeout_while(missing, TIMEOUT, |&mut (missing, _)| missing > 0);
         let (missing, has_failed) = *waited.unwrap_or_else(PoisonError::into_inner).0;
-        // Nothing is locked here, since callbacks, which update the count, may run next.
+        // The lock is no longer held: `failed` polls the device, which may run callbacks that update the count.
         if missing == 0 && !has_failed { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
     }
 }

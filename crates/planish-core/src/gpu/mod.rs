@@ -1,4 +1,4 @@
-//! The GPU engine: docs/method.md in f32, one thread per pixel, through wgpu: Vulkan, Metal or DirectX 12.
+//! The GPU engine: docs/method.md in f32, with one thread per pixel, on Vulkan, Metal or DirectX 12 through wgpu.
 //!
 //! For each setting, a kernel ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested
 //! outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute points and planes for

@@ -1,8 +1,8 @@
-//! Smoothing over time on the device (docs/method.md, section 16): three passes after those of a frame, or four if the
-//! camera moves.
+//! Smoothing over time on the device (docs/method.md, section 16): three passes that run after the passes of a frame,
+//! or four if the camera moves.
 //!
-//! The state of the video stays in one buffer of the device; the result in space stays in the slot, and only the result
-//! over time is read back. Frames reach the state in the order of their submissions, so all are on one queue.
+//! The state of the video stays in one buffer of the device, the result in space stays in the slot, and only the
+//! result over time is read back. Frames update the state in the order of submission, so all of them use one queue.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 
@@ -15,12 +15,14 @@ use crate::smoothing_engine::{Video, VideoStep};
 use crate::status::Status;
 use crate::temporal::{CameraMotion, Domain, constants};
 
-/// Words per pixel of the state, and of its changes; words per tile.
+/// Words per pixel of the state.
 const STATE_WORDS: usize = 3;
+/// Words per pixel of the changes.
 const CHANGE_WORDS: usize = 2;
+/// Words per tile.
 const TILE_WORDS: usize = 5;
 
-/// The uniform of a frame, as `over_time/buffers.wgsl` has it.
+/// The uniform of a frame, as declared in `over_time/buffers.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 struct Step {
@@ -71,7 +73,7 @@ impl Pass {
         }
     }
 
-    /// Returns the WGSL of its kernel, for an engine with these results in space and over time.
+    /// Returns the WGSL of its kernel, for these outputs in space and over time.
     fn wgsl(self, in_space: Outputs, over_time: Outputs) -> String {
         let mut text = temporal_constants(in_space);
         text += shader!("shaders/over_time/buffers.wgsl");
@@ -119,7 +121,7 @@ fn temporal_constants(in_space: Outputs) -> String {
     ];
     write_words(&mut text, &words);
     let numbers = [
-        // The change of a pixel without one: finite, unlike NaN.
+        // Marks a pixel without a change; finite, unlike NaN.
         ("NO_CHANGE", 4.0e18),
         ("MOST_DEPTH_M", constants::MOST_DEPTH_M),
         ("LEAST_NOISE", constants::LEAST_NOISE),
@@ -168,7 +170,7 @@ pub(super) struct OverTime {
     shape: (usize, usize),
     memory: wgpu::Buffer,
     kernels: Vec<(Pass, wgpu::ComputePipeline, [usize; 2])>,
-    /// Place of the current state, in words.
+    /// Offset of the current state in `memory`, in words.
     state_at: usize,
     bytes: u64,
 }
@@ -199,21 +201,21 @@ impl OverTime {
         Ok(Self { video, shape, memory, kernels, state_at: 0, bytes })
     }
 
-    /// Words of the state, twice if it is moved, of the changes, and of tiles.
+    /// Returns the number of words of the state (two copies if the camera moves), of the changes, and of the tiles.
     fn words(video: &Video, (width, height): (usize, usize)) -> usize {
         let tiles = width.div_ceil(constants::TILE) * height.div_ceil(constants::TILE);
         let states = if video.moves { 2 } else { 1 };
         (STATE_WORDS * states + CHANGE_WORDS) * width * height + TILE_WORDS * tiles
     }
 
-    /// Returns the bytes of the largest buffer that it needs for frames whose results in space have this layout.
+    /// Returns the size in bytes of the largest buffer needed for frames whose results in space have this layout.
     pub(super) fn largest_buffer(video: &Video, layout: Layout) -> u64 {
         let results = Layout { outputs: video.outputs, ..layout };
         let words = Self::words(video, (layout.width, layout.height)).max(results.output_words());
         4 * words.max(layout.output_words()) as u64
     }
 
-    /// Returns the bytes of its buffer.
+    /// Returns the size of the state's buffer in bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -223,7 +225,7 @@ impl OverTime {
         Layout { outputs: self.video.outputs, ..in_space }
     }
 
-    /// Creates the buffers that a slot needs for it.
+    /// Creates the buffers of a slot for the passes. `bound` are the slot's input and result.
     pub(super) fn slot(&self, gpu: &GpuDevice, layout: &Layout, bound: [&wgpu::Buffer; 2]) -> SlotOverTime {
         use wgpu::BufferUsages as Usage;
         let step = gpu.buffer("step", size_of::<Step>() as u64, Usage::UNIFORM | Usage::COPY_DST);
@@ -271,7 +273,7 @@ impl OverTime {
         moved.is_some()
     }
 
-    /// Adds the passes.
+    /// Encodes the passes, including the one that moves the state if `moves` is set.
     pub(super) fn encode(&self, pass: &mut wgpu::ComputePass<'_>, slot: &SlotOverTime, moves: bool) {
         pass.set_bind_group(0, &slot.bind_group, &[]);
         for (which, kernel, [across, down]) in &self.kernels {

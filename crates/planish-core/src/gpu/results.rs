@@ -1,4 +1,4 @@
-//! The words of a result (layout.rs) as the values that they are.
+//! The words of a result (layout.rs) as typed values.
 
 use std::ops::Range;
 
@@ -16,7 +16,7 @@ pub(super) struct Results<'a> {
 }
 
 impl<'a> Results<'a> {
-    /// Selects a frame of a batch with these bytes; with empty bytes, the frame has no values.
+    /// Selects a frame of a batch. If `batch` is empty, the frame has no values.
     pub(super) fn of_frame(layout: &'a Layout, batch: &'a [u8], frame: usize) -> Self {
         let bytes = 4 * layout.output_words();
         Self { layout, bytes: batch.get(frame * bytes..(frame + 1) * bytes).unwrap_or_default() }
@@ -55,17 +55,17 @@ impl<'a> Results<'a> {
         Some(self.rows(self.layout.depth()?))
     }
 
-    /// Returns rows of codes, one for each status.
+    /// Returns the rows of status codes.
     pub(super) fn status_rows(self) -> Option<Rows<'a, u8>> {
         Some(self.rows(self.layout.status()?))
     }
 
-    /// Returns rows of counts.
+    /// Returns the rows of neighbour counts.
     pub(super) fn neighbours_rows(self) -> Option<Rows<'a, u8>> {
         Some(self.rows(self.layout.neighbours()?))
     }
 
-    /// Returns rows of packed values, each of the image's width without the padding of up to 3 bytes after it.
+    /// Returns rows of packed values, each as wide as the image, without the padding of up to 3 bytes.
     fn rows<T: bytemuck::AnyBitPattern>(self, words: Range<usize>) -> Rows<'a, T> {
         let values: &[T] = self.values(words);
         Rows::new(values, self.layout.width, values.len() / self.layout.height)
@@ -117,7 +117,7 @@ impl<'a> Results<'a> {
     }
 }
 
-/// Vectors interleaved per task.
+/// Number of vectors copied per task.
 const VECTORS_PER_TASK: usize = 1 << 16;
 
 /// Copies vectors, channels in parallel.

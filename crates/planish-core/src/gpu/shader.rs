@@ -1,6 +1,6 @@
-//! The files of `shaders/` without their comments and indentation, which a browser need not load.
+//! Strips comment lines and indentation from the files of `shaders/`, so that a browser does not have to load them.
 
-/// Includes a shader file, without the lines that are comments and without indentation.
+/// Includes a shader file without its comment lines and indentation.
 macro_rules! shader {
     ($path:literal) => {{
         const SOURCE: &[u8] = include_str!($path).as_bytes();
@@ -14,8 +14,8 @@ macro_rules! shader {
 }
 pub(super) use shader;
 
-/// Returns the indices of the first character of the line that starts at an index, and after the line, and whether it
-/// is a comment.
+/// Returns the index of the first character after the indentation of the line that starts at `start`, the index after
+/// the line, and whether the line is a comment.
 const fn line(source: &[u8], start: usize) -> (usize, usize, bool) {
     let mut at = start;
     while at < source.len() && source[at] == b' ' {
@@ -29,7 +29,7 @@ const fn line(source: &[u8], start: usize) -> (usize, usize, bool) {
     (first, if at < source.len() { at + 1 } else { at }, is_comment)
 }
 
-/// Bytes of the lines that are no comments.
+/// Returns the number of bytes of all lines except comments, without indentation.
 pub(super) const fn code_len(source: &[u8]) -> usize {
     let (mut at, mut len) = (0, 0);
     while at < source.len() {
@@ -42,7 +42,7 @@ pub(super) const fn code_len(source: &[u8]) -> usize {
     len
 }
 
-/// Returns the lines that are no comments.
+/// Returns all lines except comments, without indentation.
 pub(super) const fn code<const LEN: usize>(source: &[u8]) -> [u8; LEN] {
     let mut code = [0; LEN];
     let (mut at, mut len) = (0, 0);

@@ -1,5 +1,5 @@
-//! Standard errors on the device (docs/method.md, section 17): four passes after those of a frame. They read its input
-//! and its result, and add a channel to the result.
+//! Standard errors on the device (docs/method.md, section 17): four passes that run after the passes of a frame. They
+//! read the frame's input and result, and add a channel to the result.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 
@@ -9,7 +9,7 @@ use super::sigma_kernels::scratch_words;
 use crate::params::EngineParams;
 use crate::sigma::ErrorScale;
 
-/// The uniform of a slot, as `sigma/buffers.wgsl` has it.
+/// The uniform of a slot, as declared in `sigma/buffers.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 struct Uniform {

@@ -36,7 +36,7 @@ impl SigmaPass {
         }
     }
 
-    /// Returns workgroups for a frame of this many pixels, across and down.
+    /// Returns the number of workgroups for a frame of this many pixels, across and down.
     pub(super) fn workgroups(self, (width, height): (usize, usize)) -> [usize; 2] {
         match self {
             Self::SetResiduals(_) | Self::EstimateSigma => [width.div_ceil(TILE[0]), height.div_ceil(TILE[1])],
@@ -105,7 +105,8 @@ pub(super) fn sampled_rows(height: usize) -> usize {
     height.div_ceil(constants::ROW_STRIDE_PX)
 }
 
-/// Returns the scratch words per frame of a layout: of pixels, of sampled rows, and the area of correlation.
+/// Returns the number of scratch words per frame of a layout: for pixels, for sampled rows, and one for the area of
+/// correlation.
 pub(super) fn scratch_words(layout: &Layout) -> usize {
     PIXEL_WORDS * layout.pixels() + ROW_WORDS * sampled_rows(layout.height) + 1
 }

@@ -1,4 +1,5 @@
-//! A slot: the buffers of one frame, or one batch of frames, in flight: upload, kernel, readback.
+//! A slot holds the buffers of one frame, or one batch of frames, in flight, from upload through the kernel to
+//! readback.
 //!
 //! There are two kinds of transfer. *Staged*: the host writes an upload buffer, the device copies it, the kernel runs
 //! on device memory, and the result is copied to a buffer that the host reads. *Direct*: the kernel reads and writes
@@ -26,11 +27,11 @@ use crate::timings::FrameTimings;
 /// Bytes in a word.
 const WORD: u64 = 4;
 
-/// A kernel, with its workgroups for a frame, across and down.
+/// A kernel and its number of workgroups for a frame, across and down.
 pub(super) type Dispatch = (wgpu::ComputePipeline, [usize; 2]);
 
 pub(super) struct Slot {
-    /// Where it is submitted.
+    /// The device that the slot is submitted to.
     pub(super) gpu: Arc<GpuDevice>,
     pub(super) layout: Layout,
     /// The layout of the results to read back.
@@ -38,13 +39,13 @@ pub(super) struct Slot {
     pub(super) frames: usize,
     /// Written by the host; mapped whenever the slot is free.
     upload: wgpu::Buffer,
-    /// Input buffer of the kernel, unless it is `upload`.
+    /// Input buffer of the kernel; `None` if the kernel reads `upload`.
     input: Option<wgpu::Buffer>,
-    /// Output buffer of the kernel, unless it is `readback`.
+    /// Output buffer of the kernel; `None` if the kernel writes `readback`.
     output: Option<wgpu::Buffer>,
     /// Read by the host; mapped once its submission has run.
     pub(super) readback: wgpu::Buffer,
-    /// Points and planes that passes leave for one another.
+    /// Points and planes that passes keep for later passes.
     _kept: [wgpu::Buffer; 2],
     bind_group: wgpu::BindGroup,
     over_time: Option<SlotOverTime>,
@@ -90,7 +91,7 @@ impl Slot {
         let output_bytes = (results.output_words() * frames) as u64 * WORD;
         let in_space_bytes = over_time.map_or(0, |_| layout.output_words() as u64 * WORD);
         let direct = options.transfer == Transfer::Direct;
-        // The kernels have places for them whether they use them or not.
+        // Every kernel binds them, even if it does not use them.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
         let scratch_bytes = layout.sigma().map_or(0, |_| (scratch_words(&layout) * frames) as u64 * WORD);
         let total = kept_bytes.iter().sum::<u64>()
@@ -150,8 +151,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the kernels of the frames, then the kernels of standard errors or of the filter over time. Requests the
-    /// buffers for when they are done.
+    /// Submits the kernels of the frames, then the kernels for standard errors or for the filter over time. Requests
+    /// the mapping of the buffers once these have run.
     pub(super) fn submit(
         &self,
         kernels: &[Dispatch],
@@ -206,12 +207,13 @@ impl Slot {
         }
     }
 
-    /// Waits until every buffer of a submission that has run is the host's again.
+    /// Waits until all buffers of a finished submission are mapped for the host.
     pub(super) fn wait_mapped(&self) -> Result<(), EngineError> {
         self.mapped.wait(&self.gpu)
     }
 
-    /// Returns the times of the last submission, whose stamps are mapped; gives the stamps back to the device.
+    /// Returns the times of the last submission, whose timestamps must be mapped, and unmaps them. `None` unless
+    /// timestamps were requested.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         self.stamps.as_ref()?.timings()
     }

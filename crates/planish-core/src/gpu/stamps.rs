@@ -1,11 +1,11 @@
-//! Time stamps of a submission.
+//! Timestamps of a submission.
 
 use std::time::Duration;
 
 use super::device::GpuDevice;
 use crate::timings::FrameTimings;
 
-/// Before the upload, around the kernels, after the readback.
+/// Number of timestamps: before the upload, before and after the kernels, and after the readback.
 const STAMPS: u32 = 4;
 
 pub(super) struct Stamps {
@@ -43,7 +43,7 @@ impl Stamps {
         encoder.write_timestamp(&self.queries, index);
     }
 
-    /// Returns the stamps that a pass of all kernels writes.
+    /// Returns the timestamp writes for the compute pass of all kernels.
     pub(super) fn around_kernels(&self) -> wgpu::ComputePassTimestampWrites<'_> {
         wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
@@ -57,7 +57,7 @@ impl Stamps {
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readback, 0, None);
     }
 
-    /// Returns the times of the last submission, whose stamps are mapped; gives them back to the device.
+    /// Returns the times of the last submission, whose timestamps must be mapped, and unmaps them.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         let ticks: [u64; STAMPS as usize] = {
             let range = self.readback.get_mapped_range(..).ok()?;

@@ -1,4 +1,5 @@
-//! The shader's primitives alone against f64, and the faults of a device. On the first adapter, be it software.
+//! Compares the shader's primitives with f64, and tests device faults. Runs on the first adapter, even a software
+//! adapter.
 
 use std::sync::Arc;
 
@@ -18,7 +19,8 @@ use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated, simulated_frame};
 
-/// Returns the device of the tests; prints SKIP if there is none.
+/// Opens the first adapter, and returns it with its description. Without an adapter, prints SKIP and returns `None`,
+/// or panics if PLANISH_REQUIRE_GPU is set.
 pub(super) fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     let Some(adapter) = adapters().into_iter().next() else {
         assert!(std::env::var_os("PLANISH_REQUIRE_GPU").is_none(), "no GPU adapter, and one is required");
@@ -29,8 +31,8 @@ pub(super) fn device(test: &str) -> Option<(Arc<OpenAdapter>, GpuAdapter)> {
     Some((OpenAdapter::open(&adapter, Purpose::OneAtATime).unwrap(), adapter))
 }
 
-/// Runs `body` once for each `inputs` values of `input`, with `at` the index of the first; it writes `outputs` values
-/// from `to` on.
+/// Runs the WGSL `body` once per `inputs` values of `input` and returns all outputs. `at` is the index of the first
+/// value; `body` writes `outputs` values, the first at index `to`.
 fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     let count = input.len() / inputs;
     let text = format!(
@@ -87,7 +89,7 @@ fn run(gpu: &GpuDevice, functions: &str, body: &str, input: &[f32], inputs: usiz
     bytemuck::cast_slice(&mapped).to_vec()
 }
 
-/// Precede it with the constants that it expects from a layout.
+/// `eigen.wgsl`, preceded by the constant that it expects from a layout.
 const EIGEN: &str = concat!("const MIN_POSITIVE: f32 = 1.1754944e-38;\n", include_str!("shaders/eigen.wgsl"));
 
 #[test]
@@ -108,7 +110,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
     let mut cases = Vec::new();
     let mut input = Vec::new();
     for case in 0..20_000 {
-        // From a plane through a line to a ball, at the scales of a window.
+        // Planes, lines, balls and shapes in between, at the scales of a window.
         let l2 = 10f64.powf(random.between(-10.0, 0.0));
         let l1 = l2 * 10f64.powf(random.between(-3.0, 0.0));
         let l0 = l1 * if case % 5 == 0 { 0.0 } else { random.between(0.0, 0.9) };
@@ -119,7 +121,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
         input.extend([m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z].map(|v| v as f32));
         cases.push((n, [l0, l1, l2]));
     }
-    // Matrices without one smallest eigenvector: some unit vector is all that can be had.
+    // Matrices whose smallest eigenvector is ambiguous, exactly or in f32: any unit vector is accepted.
     let nasty = [[0.0; 6], [1.0, 0.0, 0.0, 1.0, 0.0, 1.0], [1.0; 6], [1e-30, 0.0, 0.0, 1e-30, 0.0, 1e-36]];
     input.extend(nasty.as_flattened());
     let body = "
@@ -133,7 +135,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
         assert!((vector.length() - 1.0).abs() < 2e-6, "case {i}: {vector}");
         let Some((n, values)) = cases.get(i) else { continue };
         let [l0, l1, l2] = *values;
-        // The matrix itself is rounded to f32: its eigenvector is only that certain.
+        // Rounding the matrix to f32 limits the accuracy of its eigenvector.
         let off = n.cross(vector).length();
         assert!(off < 4e-6 * l2 / (l1 - l0) + 1e-6, "case {i}, {values:?}: off by {off:e}");
         for (value, expected) in found.iter().zip(values) {
@@ -144,7 +146,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
     }
 }
 
-/// Moments of points (a, b, f) of weight 1, in the order of the struct.
+/// Returns the moments of points (a, b, f) with weight 1, in the order of `struct Moments`.
 fn moments(points: &[[f64; 3]], degree: usize) -> Vec<f32> {
     let sum = |i: usize, j: usize, k: i32| {
         let term = |[a, b, f]: &[f64; 3]| a.powi(i as i32) * b.powi(j as i32) * f.powi(k);

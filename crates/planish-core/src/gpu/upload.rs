@@ -1,4 +1,4 @@
-//! Frames as words of the upload buffer (layout.rs).
+//! Conversion of frames to words of the upload buffer (layout.rs).
 
 use bytemuck::{bytes_of, cast_slice};
 
@@ -9,7 +9,7 @@ use crate::params::{Edges, EngineParams};
 use crate::range::RangeRules;
 use crate::smoothing_engine::AdmittedFrame;
 
-/// Writes frames; keeps its scratch buffers between them.
+/// Writes frames, reusing its scratch buffers.
 pub(super) struct Uploader {
     params: EngineParams,
     rays: Rays,
@@ -44,7 +44,7 @@ impl Uploader {
         }
     }
 
-    /// Writes an unorganized cloud: its header, and its points from `samples` on.
+    /// Writes an unorganized cloud: its header, and its points starting at word `samples`.
     #[cfg(feature = "gpu")]
     pub(super) fn write_general(
         &mut self,
@@ -102,7 +102,7 @@ impl Uploader {
         }
     }
 
-    /// Writes depth seen through a distorted lens, as points.
+    /// Writes depth from a distorted lens as points.
     fn write_deprojected(
         &mut self,
         layout: &Layout,

@@ -11,7 +11,7 @@ use crate::smoothed::Smoothed;
 use crate::timings::FrameTimings;
 use crate::view::{ResultInPlace, Rows};
 
-/// The mapped result of a submission. Returns its slot when dropped.
+/// The mapped result of a submission. Dropping it frees its slot.
 pub(super) struct MappedView {
     layout: Layout,
     timings: Option<FrameTimings>,
@@ -34,7 +34,7 @@ impl MappedView {
         self.timings
     }
 
-    /// Returns a frame of the batch.
+    /// Returns the results of one frame of the batch.
     fn results(&self, frame: usize) -> Results<'_> {
         Results::of_frame(&self.layout, self.mapped.as_ref().map_or(&[][..], |(bytes, _)| bytes), frame)
     }

@@ -5,9 +5,9 @@ use std::ops::Range;
 use fearless_simd::{Simd, SimdBase, SimdMask, f32x8};
 use rayon::prelude::*;
 
-/// Nodes under a node.
+/// Number of children of a node.
 pub(super) const CHILDREN: usize = 8;
-/// Enough for 2^28 points.
+/// Maximum number of levels: enough for 2^32 points in 2^28 leaves.
 const MAX_LEVELS: usize = 10;
 
 /// A box: the least and the largest coordinates.
@@ -18,10 +18,10 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// Of no point.
+    /// The box of no points.
     pub(crate) const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
 
-    /// Returns the box of both.
+    /// Returns the smallest box that contains both boxes.
     pub(crate) fn union(self, other: Self) -> Self {
         let of = |pick: fn(f32, f32) -> f32, [a, b]: [[f32; 3]; 2]| std::array::from_fn(|axis| pick(a[axis], b[axis]));
         // If one operand is NaN, min and max return the other.
@@ -32,12 +32,12 @@ impl Bounds {
         Self { low: point, high: point }
     }
 
-    /// Returns the box that is larger by this on every side.
+    /// Returns the box enlarged by `by` on every side.
     pub(crate) fn grown(self, by: f32) -> Self {
         Self { low: self.low.map(|value| value - by), high: self.high.map(|value| value + by) }
     }
 
-    /// The square of a point's distance from it.
+    /// Returns the squared distance from a point to the box; 0 inside it.
     pub(crate) fn distance_squared(&self, point: [f32; 3]) -> f32 {
         let outside = |axis: usize| (self.low[axis] - point[axis]).max(point[axis] - self.high[axis]).max(0.0).powi(2);
         outside(0) + outside(1) + outside(2)
@@ -65,7 +65,8 @@ impl Boxes {
         Bounds { low: [low[0][i], low[1][i], low[2][i]], high: [high[0][i], high[1][i], high[2][i]] }
     }
 
-    /// Returns a bit for each child whose box touches another box. Written out, as in cpu/vector.rs.
+    /// Returns a bit mask of the children whose boxes touch another box. The axes are written out for the reason
+    /// given in cpu/vector.rs.
     #[inline(always)]
     fn touching<S: Simd>(&self, simd: S, Bounds { low, high }: &Bounds) -> u64 {
         let x = is_touched(simd, &self.low[0], &self.high[0], low[0], high[0]);
@@ -88,7 +89,7 @@ fn is_touched<S: Simd>(
     low.simd_le(f32x8::splat(simd, to)) & high.simd_ge(f32x8::splat(simd, from))
 }
 
-/// The boxes of leaves, of nodes over them, and so on, up to eight nodes or fewer.
+/// The boxes of leaves, of the nodes over them, and so on up to a level of at most eight nodes.
 #[derive(Debug, Default)]
 pub(super) struct BoxTree {
     leaves: usize,
@@ -157,7 +158,7 @@ impl BoxTree {
         }
     }
 
-    /// Bytes of its buffers.
+    /// Returns the size of the buffers in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.levels.iter().map(Vec::capacity).sum::<usize>() * size_of::<Boxes>()
     }

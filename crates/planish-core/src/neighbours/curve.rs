@@ -4,9 +4,9 @@ use fearless_simd::{Level, Simd, SimdBase, SimdCvtTruncate, dispatch};
 
 use super::middle;
 
-/// The curve visits 2^16 cells along each axis.
+/// Bits of a cell's number along each axis: the curve visits 2^16 cells along each.
 const BITS: u32 = 16;
-/// Points whose keys are computed together: the lanes of the widest vector.
+/// Number of points whose keys are computed together: the lanes of the widest vector.
 pub(super) const KEYS_AT_ONCE: usize = 16;
 
 /// A Hilbert curve through the box of most points.
@@ -16,8 +16,9 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    /// Covers the middle of a sample, without strays, and half its width on either side. Points outside are moved to
-    /// the border, which affects only the order. Also returns the extent of the middle, in metres.
+    /// Creates a curve over the box of a sample without strays, extended by half the box's width on either side.
+    /// Points outside are moved to the border, which affects only the order. Also returns the box's diagonal before
+    /// the extension, in metres.
     pub(super) fn of(raw: &[Vec<f32>; 3]) -> (Self, f64) {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
@@ -27,19 +28,19 @@ impl Curve {
         (Self { low: range.map(|[low, _]| low as f32), cells_per_metre }, extent_m)
     }
 
-    /// Covers a cube from its lowest corner on.
+    /// Creates a curve over the cube with the lowest corner `low`.
     pub(super) fn over(low: [f32; 3], extent_m: f32) -> Self {
         Self { low, cells_per_metre: ((1u32 << BITS) as f32 / extent_m).min(f32::MAX) }
     }
 
-    /// Returns the positions of the cells of points along the curve.
+    /// Returns the positions along the curve of the cells that contain the points.
     #[inline(never)]
     pub(super) fn keys(&self, level: Level, points: &[[f32; KEYS_AT_ONCE]; 3]) -> [u64; KEYS_AT_ONCE] {
         dispatch!(level, simd => self.keys_of(simd, points))
     }
 
-    /// Skilling's transposition ("Programming the Hilbert curve", 2004), without branches, since half of them would be
-    /// mispredicted.
+    /// Computes keys by Skilling's transposition ("Programming the Hilbert curve", 2004), without branches, since
+    /// half of them would be mispredicted.
     #[inline(always)]
     fn keys_of<S: Simd>(&self, simd: S, [x, y, z]: &[[f32; KEYS_AT_ONCE]; 3]) -> [u64; KEYS_AT_ONCE] {
         let mut keys = [0; KEYS_AT_ONCE];
@@ -56,7 +57,7 @@ impl Curve {
             }
             y ^= x;
             z ^= y;
-            // Each bit is the parity of those over it.
+            // Each bit becomes the parity of the bits above it.
             let mut flips = z >> 1;
             flips ^= flips >> 1;
             flips ^= flips >> 2;
@@ -82,14 +83,14 @@ impl Curve {
     }
 }
 
-/// Returns all bits where one bit of a cell is set, otherwise none.
+/// Returns all ones in lanes where bit `bit` of the cell is set, otherwise zero.
 #[inline(always)]
 fn inverts<S: Simd>(simd: S, cell: S::u32s, bit: u32) -> S::u32s {
     S::u32s::splat(simd, 0) - ((cell >> bit) & S::u32s::splat(simd, 1))
 }
 
-/// Returns the cells along two axes after one step of the transposition: if `bit` is set in the other, the lower bits
-/// of the first are inverted; if not, the two swap their lower bits.
+/// Returns the cells along two axes after one step of the transposition. If `bit` is set in `other`, the lower bits
+/// of `first` are inverted; otherwise the two swap their lower bits.
 #[inline(always)]
 fn turned<S: Simd>(simd: S, first: S::u32s, other: S::u32s, bit: u32) -> (S::u32s, S::u32s) {
     let below = S::u32s::splat(simd, (1 << bit) - 1);
@@ -98,7 +99,7 @@ fn turned<S: Simd>(simd: S, first: S::u32s, other: S::u32s, bit: u32) -> (S::u32
     (first ^ exchanged ^ inverted, other ^ exchanged)
 }
 
-/// Returns the low 8 bits, each after two zeros.
+/// Spreads the low 8 bits, with two zeros between adjacent bits.
 #[inline(always)]
 fn spread<S: Simd>(simd: S, value: S::u32s) -> S::u32s {
     let value = value & S::u32s::splat(simd, 0xff);

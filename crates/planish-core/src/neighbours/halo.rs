@@ -1,8 +1,9 @@
-//! The halo of a part of a cloud: the surrounding points that give its points the same result as in the whole cloud.
+//! The halo of a part of a cloud: the surrounding points with which its points get the same results as in the whole
+//! cloud.
 //!
-//! A fixed radius determines its width. Radii by density are known only after they have been computed, and come out too
-//! large if neighbours are missing. If too many points of a part reach beyond its halo, the part is computed again with
-//! a wider one.
+//! A fixed radius determines the width of the halo. Radii by density are known only after they have been computed,
+//! and come out too large if neighbours are missing. If too many points of a part reach beyond its halo, the part is
+//! computed again with a wider one.
 
 use rayon::prelude::*;
 
@@ -14,19 +15,20 @@ pub const OWN_SHARE: f64 = 0.6;
 /// Reach of the gate, in radii.
 const GATE_REACH: f64 = 1.02;
 
-/// How wide a halo has to be.
+/// The required width of a halo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeededHalo {
-    /// Enough for all points but the few that reach farthest.
+    /// Width in metres that suffices for all points but the few that reach farthest.
     pub halo_m: f64,
     /// Number of points that reach beyond the present halo.
     pub beyond: usize,
-    /// Whether these are too many, so that the halo must be wider.
+    /// Whether too many points reach beyond the present halo, so that it must be wider.
     pub is_wider: bool,
 }
 
-/// Returns how far away, in radii, other points influence a result. Radii by density follow the neighbours' radii. If
-/// edges are kept, planes of points twice as far away count, whose radii may be larger by the same factor.
+/// Returns the distance, in radii, within which other points influence a result. With radii by density it is twice as
+/// large, since a radius depends on the neighbours' radii. If edges are kept, the planes of points up to two radii
+/// away count too.
 pub(crate) fn reach(params: &EngineParams) -> f64 {
     let by_density = matches!(params.radius, Radius::Neighbours { .. });
     let growth = if by_density { 2.0 } else { 1.0 };
@@ -34,8 +36,8 @@ pub(crate) fn reach(params: &EngineParams) -> f64 {
     GATE_REACH * (growth + of_planes)
 }
 
-/// Returns the initial width for a part with this many points over an area: exact for a fixed radius, otherwise about
-/// twice the reach at that density.
+/// Returns the initial width in metres of the halo of a part with `points` points on an area: exact for a fixed
+/// radius, otherwise about twice the reach at that density.
 pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),
@@ -43,7 +45,7 @@ pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> 
             let radius_m = (f64::from(count) * area_m2 / (std::f64::consts::PI * points.max(1) as f64)).sqrt();
             2.0 * reach(params) * radius_m
         }
-        // Clouds have no such radius.
+        // Unorganized clouds never have this radius.
         Radius::Sensor => 1.0,
     }
 }
@@ -58,14 +60,14 @@ pub fn first_cloud_halo_m(params: &CloudParams, points: u64, area_m2: f64) -> f6
     first_halo_m(&(*params).into(), points, area_m2)
 }
 
-/// Returns the halo that a part needs, given the width that each of its points needs. `may_reach_beyond` points may
-/// exceed it.
+/// Returns the halo that a part needs, given the width that each of its points needs. Up to `may_reach_beyond` points
+/// may reach beyond the halo.
 pub fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> NeededHalo {
     let beyond = needed_m.par_iter().filter(|needed_m| **needed_m > halo_m).count();
     let above = |least_m: f64| -> Vec<f64> {
         needed_m.par_iter().copied().filter(|needed_m| needed_m.is_finite() && *needed_m > least_m).collect()
     };
-    // Points far from the border, the majority, do not count.
+    // Points far from the border, the majority, are not counted.
     let may_be_farther = (may_reach_beyond / 2.0) as usize;
     let mut farthest_m = above(0.0);
     if farthest_m.len() <= may_be_farther {

@@ -16,21 +16,21 @@ use super::curve::{Curve, KEYS_AT_ONCE};
 use crate::frame::PointsView;
 use crate::threads::ONE_THREAD;
 
-/// Points in a leaf: the lanes of the widest vector.
+/// Number of points in a leaf: the lanes of the widest vector.
 pub(crate) const LEAF: usize = 16;
-/// More points than this in a cell of the curve are sorted once more.
+/// Number of points in a cell of the curve above which they are sorted along a finer curve.
 const CROWDED: usize = 4 * LEAF;
-/// Points handled by a task.
+/// Number of points per task.
 const TASK: usize = 1 << 14;
 /// The key of a point that is a hole: beyond the end of the curve.
 const NO_KEY: u64 = u64::MAX;
 /// The place of a point that is a hole.
 const HOLE: u32 = u32::MAX;
 
-/// The points of a leaf together.
+/// The moments of a leaf's points.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LeafMoments {
-    /// How many.
+    /// Number of points.
     pub(crate) count: f32,
     pub(crate) mean: [f32; 3],
     /// Sums of the products xx, xy, xz, yy, yz, zz of their offsets from the mean.
@@ -40,11 +40,11 @@ pub(crate) struct LeafMoments {
 /// The distinct positions of a cloud, sorted.
 #[derive(Debug, Default)]
 pub(crate) struct PointIndex {
-    /// x, y and z, with NaN after the last point up to a whole leaf.
+    /// x, y and z, padded with NaN to a whole leaf.
     pub(crate) positions: [Vec<f32>; 3],
     /// Number of points of the cloud at each position.
     pub(crate) counts: Vec<f32>,
-    /// The place of each point of the cloud among the positions.
+    /// Place among the positions of each point of the cloud.
     places: Vec<AtomicU32>,
     /// The boxes of leaves and of nodes over them.
     boxes: BoxTree,
@@ -160,7 +160,7 @@ impl PointIndex {
         self.len
     }
 
-    /// Returns the points of a leaf together.
+    /// Returns the moments of a leaf's points.
     #[inline(always)]
     pub(crate) fn moments(&self, leaf: usize) -> &LeafMoments {
         &self.moments[leaf]
@@ -194,7 +194,7 @@ impl PointIndex {
         self.boxes.for_each_leaf(simd, bounds, visit);
     }
 
-    /// Returns the squared distances from a point to the positions, and their places, nearest first: computed on
+    /// Returns an iterator over the positions, nearest to a point first: squared distances and places, computed on
     /// demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
@@ -204,7 +204,7 @@ impl PointIndex {
         nearest
     }
 
-    /// Bytes of its buffers.
+    /// Returns the size of the buffers in bytes.
     pub(crate) fn bytes(&self) -> usize {
         let values: usize = self.positions.iter().map(Vec::capacity).sum();
         4 * (values + self.counts.capacity() + self.places.capacity())
@@ -232,11 +232,13 @@ impl LeafMoments {
     }
 }
 
-/// The nearest positions first: nodes and positions wait in one queue, by how near they can be.
+/// Iterator over positions, nearest first. Nodes and positions share a queue, ordered by their least possible
+/// distance.
 pub(crate) struct Nearest<'a> {
     index: &'a PointIndex,
     point: [f32; 3],
-    /// Bits of a square (which sort as its value does), level + 1, number; level 0 is a position.
+    /// Bits of the squared distance (which sort as its value does), level + 1 of a node or 0 for a position, and its
+    /// number.
     queue: std::collections::BinaryHeap<std::cmp::Reverse<(u32, u32, u32)>>,
 }
 
@@ -274,7 +276,7 @@ impl Iterator for Nearest<'_> {
     }
 }
 
-/// A point of three channels. Written out, since `array::map` is called out of line in kernels; see cpu/vector.rs.
+/// Returns a point of three channels. Written out, since `array::map` is not inlined in kernels; see cpu/vector.rs.
 #[inline]
 fn point_of([x, y, z]: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
     [x[i], y[i], z[i]]
@@ -302,7 +304,7 @@ fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
         }
         chunk.iter_mut().zip(curve.keys(level, &points)).for_each(|((key, _), of_curve)| *key = of_curve);
     }
-    // Equal keys stay in the order of coordinates that they are in.
+    // The sort is stable: points with equal keys stay in the order of their coordinates.
     if ONE_THREAD {
         cell.sort_by_key(|&(key, _)| key)
     } else {
@@ -313,7 +315,7 @@ fn refine(cell: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
     }
 }
 
-/// Sorts the points of each cell.
+/// Sorts the points of each crowded cell along a finer curve.
 fn refine_cells(keys: &mut [(u64, u32)], raw: &[Vec<f32>; 3]) {
     if ONE_THREAD {
         keys.chunk_by_mut(|a, b| a.0 == b.0).for_each(|cell| refine(cell, raw));

@@ -1,4 +1,5 @@
-//! Neighbours in unorganized clouds: sorted for the fast engines ([`PointIndex`]), and a k-d tree for the reference.
+//! Neighbours in unorganized clouds: a sorted index for the fast engines ([`PointIndex`]), and a k-d tree for the
+//! reference.
 
 mod boxes;
 mod curve;
@@ -16,11 +17,11 @@ pub(crate) use index::{LEAF, LeafMoments, PointIndex};
 #[cfg(feature = "kd-tree")]
 pub use search::NeighbourSearch;
 
-/// Number of sampled points for an extent.
+/// Maximum number of points sampled for an extent.
 const SAMPLE: usize = 10_000;
 
-/// Returns the smallest and largest of some values without one percent of strays at either end. `None` if none is
-/// finite.
+/// Returns the smallest and largest of a sample of values, without one percent of strays at either end. `None` if no
+/// sampled value is finite.
 pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     let step = len.div_ceil(SAMPLE).max(1);
     let mut sample: Vec<f64> = (0..len).step_by(step).map(value).filter(|value| value.is_finite()).collect();
@@ -39,7 +40,7 @@ pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    /// Numbers from 0 to 1, the same in every run.
+    /// Random numbers from 0 to 1, the same in every run.
     pub(crate) struct Random(pub(crate) u64);
 
     impl Random {

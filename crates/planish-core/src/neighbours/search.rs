@@ -1,4 +1,4 @@
-//! Neighbours by a k-d tree, for the reference and for measures.
+//! Neighbour search by a k-d tree, for the reference and for metrics.
 
 use std::num::NonZero;
 
@@ -30,7 +30,8 @@ impl NeighbourSearch {
         Ok(Self { tree, index })
     }
 
-    /// Indices of all points within `radius_m` of p, ascending, so that sums do not depend on the tree.
+    /// Finds the indices of all points within `radius_m` of p, in ascending order, so that sums do not depend on the
+    /// tree.
     #[cfg(feature = "reference")]
     pub fn within(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) {
         found.clear();
@@ -40,7 +41,7 @@ impl NeighbourSearch {
         found.sort_unstable();
     }
 
-    /// Returns the indices of up to `count` points nearest to p, in ascending order of distance.
+    /// Returns the indices of up to `count` points nearest to p, in ascending order.
     pub fn nearest(&self, p: DVec3, count: usize) -> Vec<usize> {
         let (Some(tree), Some(count)) = (&self.tree, NonZero::new(count)) else { return Vec::new() };
         let nearest = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();

@@ -1,5 +1,6 @@
-//! How the surface bends: within a window, and between the planes around a point (docs/method.md, section 10). Tensors
-//! in 1/m: a surface with normal n and tensor T is x·Tx/2 above its tangent plane, at an offset x along it.
+//! Bending of the surface, within a window and between the planes around a point (docs/method.md, section 10).
+//! Tensors are in 1/m: a surface with normal n and tensor T is x·Tx/2 above its tangent plane, at an offset x along
+//! it.
 
 use glam::{DMat3, DVec3};
 
@@ -8,26 +9,26 @@ use super::polynomial::tangents;
 use super::window::{Neighbour, fading_gate, sample_offset};
 use crate::params::EngineParams;
 
-/// The variance along a plane is taken to be at least this share of the squared radius.
+/// Minimum variance along a plane, as a share of the squared radius.
 const LEAST_SPREAD: f64 = 0.01;
-/// A window bends by at most this much over the radius.
+/// Maximum bend of a window, in units of 1/radius.
 const MOST_WINDOW_BEND: f64 = 4.0;
 
-/// The bend is not estimated if the planes' weights sum to less.
+/// Sum of the planes' weights up to which the bend is not estimated.
 const LEAST_WEIGHT: f64 = 1e-12;
-/// Damps the bend between planes, as a share of the squared radius.
+/// Damping of the bend between planes, as a share of the squared radius.
 const DAMPING: f64 = 0.009;
-/// If normals spread by less than this many times the noise over the radius, the surface is flat. Twice as much counts
-/// fully.
+/// Spread of the normals up to which the surface is flat, in units of the noise over the radius. From twice this
+/// spread on, the bend counts fully.
 const LEAST_TURN: f64 = 1.0;
-/// The share of that spread which a bend must explain, and the share from which on it counts fully.
+/// Share of the normals' variance that a bend must explain to count, and the share from which it counts fully.
 const EXPLAINED: [f64; 2] = [0.65, 0.85];
-/// The share of the bend between planes that must also be within their windows, and the share from which on it counts
-/// fully. Windows on a round object bend too, but windows beside a crease are flat.
+/// Share of the bend between planes that must also be within their windows for the bend to count, and the share from
+/// which it counts fully. Windows on a round object bend too, but windows beside a crease are flat.
 const SHARED: [f64; 2] = [0.2, 0.4];
-/// A surface bends by at most this much over the radius.
+/// Maximum bend of a surface, in units of 1/radius.
 const MOST_BEND: f64 = 1.2;
-/// Returns how far values are from the first of two limits to the second, from 0 to 1.
+/// Returns the position of a value between two limits: 0 up to `from`, 1 from `to` on, and linear in between.
 pub(super) fn rises(value: f64, [from, to]: [f64; 2]) -> f64 {
     ((value - from) / (to - from)).clamp(0.0, 1.0)
 }
@@ -37,7 +38,7 @@ fn outer(x: DVec3, y: DVec3) -> DMat3 {
     DMat3::from_cols(x * y.x, x * y.y, x * y.z)
 }
 
-/// The sum of the products of all entries.
+/// Returns the sum of the products of corresponding entries.
 fn inner(a: DMat3, b: DMat3) -> f64 {
     a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis)
 }
@@ -50,8 +51,8 @@ fn trace(a: DMat3) -> f64 {
     a.x_axis.x + a.y_axis.y + a.z_axis.z
 }
 
-/// Returns how a window bends, as the sum of the principal curvatures in 1/m: from the mean height of the neighbours in
-/// its middle over its plane, which is fitted to all of them.
+/// Returns the sum of a window's principal curvatures in 1/m, (10.13), from the mean height of the neighbours in its
+/// middle over its plane, which is fitted to all neighbours.
 pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, params: &EngineParams) -> f64 {
     let half = params.window as isize;
     let middle = half / 2;
@@ -71,13 +72,13 @@ pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, 
     bend.clamp(-MOST_WINDOW_BEND / radius_m, MOST_WINDOW_BEND / radius_m)
 }
 
-/// A plane near p, as the bend is measured from it.
+/// A plane near p, from which the bend is estimated.
 pub(super) struct Slope {
     pub weight: f64,
     /// Offset of its centroid from p.
     pub offset: DVec3,
     pub normal: DVec3,
-    /// How its window bends.
+    /// Sum of its window's principal curvatures, in 1/m.
     pub window_bend: f64,
 }
 
@@ -147,12 +148,12 @@ impl Bend {
     }
 }
 
-/// Returns how much higher the bent surface is at p than a plane fitted to it, whose centroid is at this offset.
+/// Returns the height at p of the bent surface over a plane fitted to it, whose centroid is at `offset`, in metres.
 pub(super) fn rise_m(tensor: DMat3, offset: DVec3, plane: &Plane) -> f64 {
     0.5 * offset.dot(tensor * offset) - 0.25 * spread(plane) * trace(tensor)
 }
 
-/// The variance of the points along the plane, in m².
+/// Returns the variance of the points along the plane, in m².
 fn spread(plane: &Plane) -> f64 {
     plane.middle_variance + plane.largest_variance
 }

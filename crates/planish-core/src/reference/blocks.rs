@@ -9,13 +9,15 @@ use super::window::{Grid, fading_gate};
 use crate::frame::FrameGeometry;
 use crate::params::EngineParams;
 
-/// The gate of a block, in depth steps and in half widths of the block.
+/// Minimum gate of a block, in depth steps of the sensor.
 const STEPS: f64 = 2.5;
+/// Minimum gate of a block, in half-widths of the block.
 const HALF_WIDTHS: f64 = 3.0;
 
-/// If edges are kept, points of a block count up to this many times the width within which neighbours count.
+/// Distance from the surface up to which points of a block count if edges are kept, in widths within which neighbours
+/// count.
 const SURFACE_WIDTH: f64 = 1.5;
-/// The root of the weight of a point that is farther off.
+/// Square root of the minimum weight of a block's point by its distance from the surface.
 const MIN_WEIGHT: f64 = 0.02;
 
 /// Returns the maximum distance between a cell's point p and the points of its block.

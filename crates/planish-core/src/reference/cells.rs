@@ -8,41 +8,44 @@ use super::project;
 use super::window::{Grid, fading_gate};
 use super::{PointResult, Status, Surface};
 
-/// The share of a cell falls to 0 at this distance from a pixel along either axis, in finding the surface of its point.
+/// Distance from a pixel along either axis at which a cell's share falls to 0 when the surface of the pixel's point
+/// is found.
 const FIND_REACH_PX: usize = 3;
-/// The same distance, in averaging the surfaces like it.
+/// Distance from a pixel along either axis at which a cell's share falls to 0 when surfaces are averaged.
 const REACH_PX: usize = 4;
-/// Sum of these shares within [`REACH_PX`], wherever the pixel is in its cell.
+/// Sum of the shares within [`REACH_PX`], wherever the pixel is in its cell.
 const ALL_SHARES: f64 = 4.0;
-/// The same distance, in averaging block means.
+/// Distance from a pixel along either axis at which a cell's share falls to 0 when block means are averaged.
 const MEAN_REACH_PX: usize = 2;
-/// If the weights of the surfaces around a point sum to no more, it is on none of them.
+/// Sum of the weights of the surfaces around a point up to which the point is on none of them.
 const LEAST_WEIGHT: f64 = 1e-12;
-/// Surfaces count up to this many standard deviations of the noise from the point on its own surface.
+/// Distance of a surface from the point up to which it counts in the mean, in standard deviations of the noise.
 const MEAN_WIDTH: f64 = 1.5;
-/// Surfaces count from the first cosine between their normals on, and fully from the second on.
+/// Cosine between the normals of two surfaces above which one counts in the mean of the other, and the cosine from
+/// which it counts fully.
 const ALIKE: [f64; 2] = [0.9, 0.95];
-/// If less than the first share of the surfaces count, they may be on one side of an edge, and only their tangent
-/// planes matter. From the second share on, so does how they bend.
+/// Share of the surfaces around a point that must count for their bend to matter, and the share from which the bend
+/// matters fully. With fewer, surfaces may be on one side of an edge, and only their tangent planes matter.
 const AROUND: [f64; 2] = [0.6, 0.9];
-/// Added to the certainty of surfaces where their normals are averaged, so that a normal is defined even if all are
-/// uncertain.
+/// Value added to the certainty of surfaces where their normals are averaged, so that a normal is defined even if all
+/// are uncertain.
 const LEAST_CERTAINTY: f64 = 1e-6;
-/// Points move less where the mean of the normals of the surfaces around them is shorter: where they disagree, are
-/// uncertain or seen edge-on.
+/// Length of the mean normal of the surfaces around a point below which the point moves less: the surfaces disagree,
+/// are uncertain or are seen edge-on.
 const AGREEING: f64 = 0.5;
-/// If the weights of the block means around a pixel sum to less, their mean is drawn towards its point.
+/// Sum of the weights of the block means around a pixel below which their mean is drawn towards the pixel's point.
 const LEAST_MEANS: f64 = 0.1;
 /// Weight of a zero displacement, relative to the surfaces around a point that are like its own.
 const MEAN_STAY: f64 = 0.05;
-/// If the mean of the normals of the surfaces around a point is shorter, rounding decides its direction.
+/// Length of the mean normal of the surfaces around a point below which rounding decides its direction.
 const LEAST_NORMAL: f64 = 1e-15;
-/// If the cosine between a surface's normal and a point's ray is smaller, the surface counts in proportion to it, since
-/// rounding decides which side faces the sensor...
+/// Cosine between a surface's normal and a point's ray below which the surface counts in proportion to the cosine,
+/// since rounding decides which side faces the sensor.
 const SIDE_COSINE: f64 = 0.1;
-/// ...but at least this much...
+/// Minimum factor by which a surface counts, however small the cosine between its normal and the ray.
 const LEAST_SIDE: f64 = 1e-6;
-/// ...and fully if the ray is shorter than this, because its direction is then only rounding.
+/// Length of a ray in metres below which surfaces count fully, because the direction of the ray is then only
+/// rounding.
 const LEAST_RAY_M: f64 = 1e-4;
 
 /// The surfaces of all cells.
@@ -64,7 +67,7 @@ pub(super) struct Point {
     pub(super) p: DVec3,
     pub(super) radius_m: f64,
     pub(super) noise_m: f64,
-    /// The maximum distance of block means from it.
+    /// Maximum distance of block means from the point.
     pub(super) block_gate_m: f64,
 }
 
@@ -74,7 +77,7 @@ struct Found {
     /// Distance from the point along the normal.
     height_m: f64,
     trust: f64,
-    /// The result of the cell that counts most.
+    /// The result of the cell with the largest weight.
     best: PointResult,
 }
 
@@ -145,13 +148,13 @@ impl CellSurfaces<'_> {
         }
         let height_m = height_m / certain.max(f64::MIN_POSITIVE);
         let trust = (sum.length() / (AGREEING * total)).min(1.0).powi(2);
-        // Equal surfaces that face both sides cancel.
+        // Normals of equal surfaces that face opposite sides cancel.
         let normal = if sum.length() < LEAST_NORMAL * total { best.normal } else { sum.normalize() };
         (total > LEAST_WEIGHT).then_some(Found { normal, height_m: height_m * trust, best, trust })
     }
 
-    /// Returns the height over P of the mean of the surfaces around it that are like its own, and the normal of the
-    /// mean.
+    /// Returns the height over `point` of the mean of the surfaces around it that are like its own, and the normal of
+    /// the mean.
     fn mean(&self, pixel: (usize, usize), point: DVec3, own_normal: DVec3, noise_m: f64) -> (f64, DVec3) {
         let (mut total, mut height_m, mut offset) = (0.0, 0.0, DVec3::ZERO);
         let mut normal = STAY_WEIGHT * own_normal;

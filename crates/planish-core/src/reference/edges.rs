@@ -10,34 +10,36 @@ use super::window::{Grid, fading_gate, sample_offset};
 use crate::params::EngineParams;
 use crate::sensor::SensorModel;
 
-/// A plane whose points count less than this together is not used, and wholly from one more on.
+/// Sum of the weights of a plane's points up to which the plane is not used. From 1 more on, it counts fully.
 pub(super) const MIN_TOTAL: f64 = 5.0;
-/// The noise is at least this share of the radius.
+/// Minimum noise, as a share of the radius.
 pub(super) const MIN_NOISE: f64 = 0.01;
 /// Weight of a plane's squared distance from p, relative to its squared residual.
 const DISTANCE_WEIGHT: f64 = 0.3;
-/// Neighbours count up to this many standard deviations of the noise from the surface.
+/// Distance from the surface within which neighbours count, in standard deviations of the noise.
 pub(super) const WIDTH: f64 = 1.0;
-/// If the planes around a point together fit no better than the first value, no plane fits; from the second on, planes
-/// suffice. A plane without any residual fits by 1.
+/// Sum of the fits of the planes around a point up to which no plane fits, and the sum from which planes suffice. A
+/// plane without any residual has a fit of 1.
 const FITTING: [f64; 2] = [0.6, 1.6];
-/// Planes around a point count fully in how their normals turn from this nearness on.
+/// Gate weight of a plane from which its normal counts fully in the turn of the normals.
 const NEAR_ENOUGH: f64 = 0.05;
-/// Every plane that is missing of the nine around a point counts like normals that turn by this much.
+/// Turn that each missing plane of the nine around a point adds to that of their normals.
 const MISSING_PLANE: f64 = 0.1 / 9.0;
-/// If the normals of the planes around a point turn by less than the first value, planes suffice, however badly they
-/// fit. From the second value on, that decides. 1 - cos of an angle.
+/// Turn of the normals of the planes around a point, as 1 - cos of an angle: up to the first value, planes suffice,
+/// however badly they fit; from the second on, only their fit decides.
 const TURNING: [f64; 2] = [0.02, 0.07];
 
-/// Planes of points up to this many radii away are considered: on oblique surfaces a window reaches as far.
+/// Distance in radii up to which the planes of other points are considered: on oblique surfaces a window reaches as
+/// far.
 pub(super) const PLANE_REACH: f64 = 2.0;
 
-/// A plane that its points hardly determine counts as noisier: by this share of the noise's variance for a disc.
+/// Share of the noise's variance that is added to a plane's residual for each unit of doubt (1 for a disc), so that
+/// planes which their points hardly determine count as noisier.
 pub(super) const DOUBT_WEIGHT: f64 = 0.01;
 
-/// No camera measures a surface steeper than this; what looks like one is a row of points far apart.
+/// Minimum cosine of the angle of incidence: what looks like a steeper surface is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
-/// Beyond this excess, the plane counts fully.
+/// Excess over [`MIN_INCIDENCE_COSINE`] from which a plane counts fully.
 const COSINE_FADE: f64 = 0.01;
 
 /// Weight of a zero displacement of p, relative to the surrounding planes.
@@ -61,7 +63,8 @@ pub(super) struct FirstPlanes<'a, N> {
 
 impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
     /// Returns a cell's first plane as a candidate for the surface of p. Its variance grows without limit if
-    /// neighbours are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or at the limit.
+    /// neighbours are too few, nearly collinear, or on a plane seen edge-on. `None` for a hole, or if the variance
+    /// would be infinite.
     fn candidate(&self, u: usize, v: usize, p: DVec3, radius_m: f64) -> Option<Candidate> {
         let first = self.surfaces[v * self.grid.width + u].as_ref()?;
         let (q, plane) = (self.grid.point(u, v)?, first.plane?);
@@ -81,8 +84,8 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         })
     }
 
-    /// Finds the surface of p from its first plane and the eight around it; without neighbours, its first plane.
-    /// `mean_offset`, the offset of p's block mean, is used to measure its distance from planes.
+    /// Finds the surface of p from its first plane and the eight around it. If p has no plane, its first surface is
+    /// returned unchanged. Distances from planes are measured from p's block mean, whose offset is `mean_offset`.
     pub(super) fn surface(
         &self,
         (u, v): (usize, usize),
@@ -109,12 +112,12 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         let side = side_to_sensor(vote.normal, p);
         let normal = side * vote.normal.normalize();
         let bend = Bend::between(&voters.slopes(&vote), normal, radius_m, noise_m);
-        // Planes that disagree may lie further away than a point may move.
+        // Planes that disagree may be farther away than a point may move.
         let height_m = side * (voters.height_m(&vote, bend.tensor) / vote.total).clamp(-radius_m, radius_m);
-        // In the middle of the planes, where this normal is, the slope differs from that at p.
+        // The normal applies to the middle of the planes, where the slope differs from that at p.
         let normal = bend.normal_at_p(normal);
         let tensor = bend.along(normal);
-        // The other way round it is the same surface.
+        // A flipped normal with the opposite tensor describes the same surface.
         let side = side_to_sensor(normal, p);
         let foot = height_m * normal;
         // Curvature and the extent that scales the fit come from the cell's window.
@@ -145,20 +148,20 @@ struct Candidate {
 struct Voters {
     around: Vec<Candidate>,
     own_normal: DVec3,
-    /// Of p's block mean.
+    /// Offset of p's block mean.
     mean_offset: DVec3,
     noise_m: f64,
 }
 
-/// Their decision: weighted sums, not yet divided by the total.
+/// The vote of the planes: weighted sums, not yet divided by the total.
 struct Vote {
     normal: DVec3,
     total: f64,
-    /// Of the candidates around p.
+    /// Weights of the candidates around p.
     weights: Vec<f64>,
-    /// How well the candidates fit their own points, wherever p is.
+    /// Sum of the candidates' fits to their own points, F of (10.17).
     fitting: f64,
-    /// By how much their normals turn, and how many are missing.
+    /// Turn of the candidates' normals, increased for missing candidates: T of (10.17).
     turning: f64,
 }
 
@@ -185,8 +188,8 @@ impl Voters {
         Vote { normal, total, weights, fitting, turning }
     }
 
-    /// Returns the weighted sum of the distances from p to the surface along the planes' normals, if it bends like
-    /// this.
+    /// Returns the weighted sum of the distances from p, along the planes' normals, to a surface with the bend
+    /// `tensor`.
     fn height_m(&self, vote: &Vote, tensor: DMat3) -> f64 {
         let height_m = |candidate: &Candidate| {
             candidate.centroid.dot(candidate.plane.normal) + bend::rise_m(tensor, candidate.centroid, &candidate.plane)

@@ -20,15 +20,15 @@ use crate::threads::Threads;
 /// Maximum ratio of a radius to the mean of those around it.
 const MAX_RADIUS_RATIO: f64 = 1.5;
 
-/// No radius is smaller.
+/// Minimum radius.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// The cloud to smooth.
 pub(super) struct Cloud<'a> {
     pub(super) points: &'a [DVec3],
-    /// Extent of the larger cloud, if this is a part of one.
+    /// Extent of the whole cloud, if this is a part of one.
     pub(super) extent_m: Option<f64>,
-    /// With fewer a point is isolated.
+    /// Number of neighbours below which a point is isolated.
     pub(super) least_neighbours: u32,
 }
 
@@ -117,7 +117,7 @@ fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<
 }
 
 impl Positions {
-    /// Returns the points within the radius of p, as offsets from it; `found` is room for the search.
+    /// Returns the neighbours of p as offsets from it; `found` is a buffer for the search.
     fn neighbours(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) -> Vec<DVec3> {
         self.search.within(p, reach_m(radius_m), found);
         let repeated = found.iter().flat_map(|&i| std::iter::repeat_n(self.points[i] - p, self.counts[i] as usize));
@@ -129,7 +129,7 @@ impl Positions {
         let count = match params.radius {
             Radius::Neighbours { count } => count,
             Radius::Fixed { radius_m } => return vec![f64::from(radius_m); self.points.len()],
-            // `Smoother::open` refuses it.
+            // `Smoother::open` rejects this radius.
             Radius::Sensor => return vec![MIN_RADIUS_M; self.points.len()],
         };
         let own_m: Vec<f64> =
@@ -148,7 +148,7 @@ impl Positions {
             let squares = self.search.nearest_squares(p, wanted);
             let mut sum = 0.0;
             for (i, &square) in squares.iter().enumerate() {
-                // With the first `n` positions within the radius.
+                // Assumes that exactly the first `n` positions are within the radius.
                 sum += square;
                 let n = (i + 1) as f64;
                 let next = squares.get(i + 1).copied().unwrap_or(f64::INFINITY);
@@ -164,7 +164,8 @@ impl Positions {
         }
     }
 
-    /// Returns the mean of the radii of the other positions within one of them, each weighing 1 - d²/r².
+    /// Returns the mean of the radii of the other positions within `radius_m` of one, with weights 1 - d²/r²;
+    /// infinite without any.
     fn mean_radius_m(&self, place: usize, radius_m: f64, own_m: &[f64]) -> f64 {
         let mut found = Vec::new();
         self.search.within(self.points[place], radius_m, &mut found);

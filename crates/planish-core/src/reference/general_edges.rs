@@ -8,14 +8,16 @@ use super::edges::{DOUBT_WEIGHT, MIN_NOISE, MIN_TOTAL, OWN_NORMAL_WEIGHT, PLANE_
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::fading_gate;
 
-/// The mean of positions within this share of the radius replaces p when its distance from a plane is measured.
+/// Distance, as a share of the radius, within which positions are averaged to the point from which distances to
+/// planes are measured.
 const MEAN_REACH: f64 = 0.4;
 
-/// Weight of that squared distance, relative to the plane's squared residual.
+/// Weight of the squared distance from a plane to the mean of the positions, relative to the plane's squared
+/// residual.
 const DISTANCE_WEIGHT: f64 = 0.2;
 
-/// Planes whose normals make a smaller cosine with p's own count less and less, since it is unclear which side they
-/// face.
+/// Cosine between a plane's normal and that of p's own plane below which the plane counts less, since it is unclear
+/// which side it faces.
 const FACING_COSINE: f64 = 0.1;
 
 /// First plane of a position, fitted to its neighbours.
@@ -23,7 +25,7 @@ const FACING_COSINE: f64 = 0.1;
 pub(super) struct FirstPlane {
     pub(super) surface: Surface,
     pub(super) radius_m: f64,
-    /// How badly the plane fits its points, and how little they determine it, in m²: infinite for too few or collinear
+    /// Misfit of the plane to its points and its uncertainty, R of (10.22), in m²; infinite for too few or collinear
     /// points.
     residual: f64,
 }
@@ -34,13 +36,13 @@ impl FirstPlane {
         Self { surface, radius_m, residual }
     }
 
-    /// Finds the surface of position p from the first planes `around` it, including its first plane, each with its
-    /// offset from p.
+    /// Finds the surface of position p from the first planes `around` it, including its own, each with its offset
+    /// from p.
     pub(super) fn surface(&self, around: &[(DVec3, &Self)], from_sensor: DVec3) -> Surface {
         let Some(own_plane) = self.surface.plane else { return self.surface };
         let radius_squared = self.radius_m * self.radius_m;
         let gate = |offset: DVec3| fading_gate(offset, PLANE_REACH * self.radius_m);
-        // The noise is the harmonic mean of the residuals, which planes that fit well dominate.
+        // The noise is the harmonic mean of the residuals, which is dominated by planes that fit well.
         let (mut total, mut inverse) = (0.0, 0.0);
         let (mut near, mut mean) = (0.0, DVec3::ZERO);
         for &(offset, first) in around {
@@ -64,13 +66,13 @@ impl FirstPlane {
             let from_mean_m = to_plane_m - mean.dot(plane.normal);
             let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
             let weight = gate(offset) * (1.0 + residual / noise_squared).powi(-4);
-            // Normals that point the other way are turned round.
+            // Normals that point the other way are flipped.
             let facing = (plane.normal.dot(own_plane.normal) / FACING_COSINE).clamp(-1.0, 1.0);
             normal += weight * facing * plane.normal;
             height_m += weight * facing * to_plane_m;
             total += weight * facing.abs();
         }
-        // Planes that disagree may lie further away than a point may move.
+        // Planes that disagree may be farther away than a point may move.
         let height_m = (height_m / total).clamp(-self.radius_m, self.radius_m);
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();

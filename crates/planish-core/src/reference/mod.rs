@@ -1,9 +1,10 @@
-//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle of the fast
-//! engines, so it shares no code with them and is never optimised.
+//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle for the fast
+//! engines, so it shares no inner loops and no constants with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
-//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`cells`] (10). Unorganized clouds differ in the
-//! neighbours only: [`general`] (8). All compute in the sensor's frame (11); results are turned back at the end.
+//! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`cells`] (10). Unorganized clouds have their own radii
+//! and neighbours ([`general`], 8) and edges ([`general_edges`], 10). All stages compute in the sensor's frame (11);
+//! results are rotated back at the end.
 
 mod bend;
 mod blocks;
@@ -41,7 +42,7 @@ use window::{Grid, Neighbour};
 struct PointResult {
     /// Displacement from the measured to the smoothed point; NaN for a hole.
     displacement: DVec3,
-    /// The depth at which the point's ray meets the surface, over the measured one; NaN for a hole.
+    /// Ratio of the depth at which the point's ray meets the surface to the measured depth; NaN for a hole.
     depth_scale: f64,
     normal: DVec3,
     curvature: f64,
@@ -64,19 +65,19 @@ impl PointResult {
 /// The surface of a point, relative to it.
 #[derive(Debug, Clone, Copy)]
 struct Surface {
-    /// Of its own window.
+    /// Number of neighbours in the point's own window.
     neighbours: u32,
-    /// `None` if they lie on a line.
+    /// The plane; `None` if the neighbours are too few or lie on a line.
     plane: Option<Plane>,
     /// Distance from the plane within which a neighbour counts (section 10).
     width_m: f64,
-    /// How it bends, in 1/m (section 10).
+    /// Bend tensor, in 1/m (section 10).
     bend: DMat3,
     /// The sum of its window's principal curvatures, in 1/m (section 10).
     window_bend: f64,
-    /// From 0, if planes around it fit, to 1, if none does (section 10).
+    /// Degree to which no plane around the point fits, from 0 to 1 (section 10).
     no_plane_fits: f64,
-    /// From 0, if no plane near the point fits it, to 1 (section 10).
+    /// Certainty of the surface, from 0, if no plane near the point fits it, to 1 (section 10).
     certainty: f64,
 }
 
@@ -148,7 +149,7 @@ impl Reference {
         Ok(Self { params, threads: Threads::open(threads)?, progress: Arc::default() })
     }
 
-    /// Returns the points as measured, in the cloud's frame, and their results in the sensor's.
+    /// Returns the points as measured, in the cloud's frame, and their results, in the sensor's frame.
     fn results(&self, frame: &AdmittedFrame<'_>) -> Result<(Vec<DVec3>, Vec<PointResult>), Error> {
         let points: Vec<DVec3> = match frame.frame {
             Frame::Depth(depth) => {
@@ -175,7 +176,7 @@ impl Reference {
                     None => points.clone(),
                     Some(transform) => points.iter().map(|&p| transform.to_sensor(p)).collect(),
                 };
-                // Counts only the fit, which takes by far the longest.
+                // Progress counts only the fit, which takes by far the longest.
                 let (columns, rows) = self.params.cells_of((width, height));
                 self.progress.begin(columns * rows);
                 self.smooth_grid(&Grid { points, width, height }, &frame.geometry)
@@ -242,7 +243,7 @@ impl Reference {
         radius::radius_m(&self.params, geometry, p)
     }
 
-    /// Returns the neighbours of p of a cell.
+    /// Returns the neighbours of a cell's point p.
     fn neighbours(&self, samples: &Grid, geometry: &FrameGeometry, p: DVec3, cell: (usize, usize)) -> Vec<Neighbour> {
         window::neighbours(samples, cell, p, &self.params, self.radius_m(geometry, p))
     }
@@ -252,7 +253,7 @@ impl Reference {
         Grid { points: self.for_each_pixel(grid, DVec3::NAN, mean), width: grid.width, height: grid.height }
     }
 
-    /// Applies `work` to every valid point and its pixel or cell; gives `hole` for the others.
+    /// Applies `work` to every valid point and its pixel or cell; returns `hole` for the others.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
         grid: &Grid,
@@ -317,8 +318,8 @@ mod tests {
         frame.deproject().unwrap().positions().iter().map(|p| p.map(f64::from)).collect()
     }
 
-    /// Section 11: a cloud and its pose that are moved together give the same result, moved; here in f64, on a grid and
-    /// without.
+    /// Section 11: moving a cloud together with its pose moves the result in the same way; tested in f64, with and
+    /// without a grid.
     #[test]
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
         let own = noisy_points(Scene::room(2));
@@ -365,7 +366,7 @@ mod tests {
                     if !found.status.has_point() {
                         continue;
                     }
-                    // Compares with the result for the original cloud, moved.
+                    // Compares with the moved result of the original cloud.
                     let found_m = points[i] + rotation * found.displacement;
                     let own_m = DVec3::from_array(own[i]) + expected.displacement;
                     let off_m = (found_m - (transform.rotation * own_m + transform.translation)).length();

@@ -1,13 +1,13 @@
 //! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
 //!
-//! All lengths in metres, relative to the point p being smoothed: no cancellation far from the origin.
+//! All lengths are in metres, relative to the point p being smoothed, to avoid cancellation far from the origin.
 
 use glam::{DMat3, DVec3};
 
 use super::window::fading_gate;
 use crate::eigen::symmetric_eigen;
 
-/// A neighbourhood whose second extent is below this share of its first (as variances) is a line.
+/// Ratio of the middle to the largest variance up to which a neighbourhood is a line.
 pub(super) const DEGENERATE_RATIO: f64 = 1e-4;
 
 /// Upper bound of the doubt.
@@ -36,8 +36,8 @@ pub(super) struct Plane {
     pub total: f64,
 }
 
-/// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor` is
-/// p as the sensor sees it.
+/// Fits the plane to the neighbours `offsets` = q - p within the radius; `None` if they lie on a line. `from_sensor`
+/// is the ray from the sensor to p.
 pub(super) fn fit(offsets: &[DVec3], radius_m: f64, from_sensor: DVec3) -> Option<Plane> {
     let weighted = || offsets.iter().map(|&offset| (fading_gate(offset, radius_m), offset));
     let total: f64 = weighted().map(|(weight, _)| weight).sum();

@@ -10,29 +10,31 @@ use super::solve::solve;
 use super::window::fading_gate;
 use crate::params::EngineParams;
 
-/// The height of the surface over the plane, f(a, b), by its value and slopes at the foot of p.
+/// The height f(a, b) of the surface over the plane, as its value and slopes at the foot of p.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Polynomial {
     /// The degree that the number of neighbours supports: 2 or 3.
     pub degree: u32,
     /// Height over the foot along the normal, c_00, in metres.
     pub height: f64,
-    /// Gradient at the foot as a vector in the plane, (c_10 u + c_01 v)/h: metres in a metre.
+    /// Gradient at the foot as a vector in the plane, (c_10 u + c_01 v)/h, in metres per metre.
     pub gradient: DVec3,
 }
 
-/// A neighbour far from the surface keeps at least exp(-8) of its weight, which f32 still represents well.
+/// Maximum exponent by distance from the surface: a neighbour far away keeps exp(-8) of its weight, which f32 still
+/// represents well.
 const MAX_OFF_SURFACE: f64 = 8.0;
-/// The ridge is at most this if no plane fits.
+/// Maximum ridge of the fit to all neighbours, which applies if no plane fits.
 const LOW_RIDGE: f64 = 3e-4;
-/// The limit with six neighbours: a polynomial of degree 2 has six coefficients, and would fit them exactly.
+/// Maximum ridge of the fit to all neighbours if there are six: a polynomial of degree 2 has six coefficients, and
+/// would fit them exactly.
 const FEWEST_RIDGE: f64 = 3e-3;
 const FEWEST: u32 = 6;
-/// The polynomial of all neighbours counts fully if their variance about it is up to the first value times the noise's,
-/// and not at all from the second on.
+/// Ratio of the neighbours' variance about the polynomial of all neighbours to the noise's variance, up to which that
+/// polynomial counts fully, and the ratio from which it does not count.
 const CLOSE: [f64; 2] = [0.3, 0.8];
 
-/// Number of coefficients of a polynomial of degree d in two variables: 3, 6, 10.
+/// Returns the number of coefficients of a polynomial of a degree in two variables: 3, 6, 10.
 fn coefficient_count(degree: u32) -> usize {
     ((degree + 1) * (degree + 2) / 2) as usize
 }
@@ -43,8 +45,8 @@ fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
 }
 
-/// Returns the weight of a monomial in the ridge, so that the ridge is the same in every frame: the binomial norm of
-/// the derivatives.
+/// Returns the weight of a monomial in the ridge, R of (6.2): the binomial norm of the derivatives, which makes the
+/// ridge the same in every frame.
 fn ridge_weight((i, j): (u32, u32)) -> f64 {
     if i + j == 0 {
         return 0.0;
@@ -53,7 +55,7 @@ fn ridge_weight((i, j): (u32, u32)) -> f64 {
     1.0 / binomial
 }
 
-/// Two unit vectors that complete the unit vector n to an orthonormal frame (Duff et al. 2017).
+/// Returns two unit vectors that complete the unit vector n to an orthonormal frame (Duff et al. 2017).
 pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
     let sign = 1f64.copysign(n.z);
     let a = -1.0 / (sign + n.z);
@@ -62,8 +64,7 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
-/// plane itself. If no plane fits, the polynomial of all neighbours
-/// replaces it, provided that it is close to them.
+/// plane itself. If no plane fits, the polynomial of all neighbours replaces it, provided that it is close to them.
 pub(super) fn over(
     surface: &Surface,
     plane: &Plane,
@@ -88,7 +89,7 @@ pub(super) fn over(
 }
 
 impl Polynomial {
-    /// Returns the polynomial between this one and another over the same plane, given the other's share.
+    /// Interpolates between this polynomial and another over the same plane, given the other's share.
     fn mix(&self, other: &Self, share: f64) -> Self {
         let height = (1.0 - share) * self.height + share * other.height;
         Self { degree: self.degree, height, gradient: (1.0 - share) * self.gradient + share * other.gradient }
@@ -99,9 +100,9 @@ impl Polynomial {
 #[derive(Clone, Copy)]
 struct Fitting<'a> {
     plane: &'a Plane,
-    /// The surface is measured from the paraboloid that this makes of the plane.
+    /// Bend of the paraboloid over the plane from which heights are measured, in 1/m.
     bend: DMat3,
-    /// The weight of neighbours further from it falls off.
+    /// Distance from the paraboloid, in metres, over which the weight of neighbours falls off.
     width_m: f64,
     radius_m: f64,
     bandwidth_m: f64,
@@ -110,8 +111,8 @@ struct Fitting<'a> {
 }
 
 impl Fitting<'_> {
-    /// Returns the polynomial, and the minimum of (6.1) over the sum of the weights, in m²: about the variance of the
-    /// neighbours.
+    /// Returns the polynomial, and the minimum of (6.1) divided by the sum of the weights, in m²: about the variance
+    /// of the neighbours.
     fn fit(&self, offsets: &[DVec3]) -> (Polynomial, f64) {
         let &Self { plane, bend, width_m, radius_m, bandwidth_m, ridge, degree } = self;
         let (u, v) = tangents(plane.normal);
@@ -144,7 +145,7 @@ impl Fitting<'_> {
         let c = solve(&normal_matrix, &right_side);
         let explained: f64 = c.iter().zip(&right_side).map(|(c, t)| c * t).sum();
         let polynomial = Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h };
-        // Without any weight nothing is known.
+        // Without any weight, the variance is unknown.
         (polynomial, if total > 0.0 { (squares - explained) / total } else { f64::INFINITY })
     }
 }

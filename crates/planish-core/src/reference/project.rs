@@ -6,10 +6,10 @@ use super::plane::Plane;
 use super::polynomial::Polynomial;
 use crate::status::Status;
 
-/// Below this cosine of the angle of incidence a point moves less and less along its ray.
+/// Cosine of the angle of incidence below which a point moves less and less along its ray.
 const GRAZING_COSINE: f64 = 0.2;
 
-/// No point moves along its ray by more than this share of its distance.
+/// Maximum motion of a point along its ray, as a share of its distance.
 pub(super) const MAX_ALONG: f64 = 0.5;
 
 pub(super) struct Projected {
@@ -21,8 +21,8 @@ pub(super) struct Projected {
     pub depth_scale: f64,
 }
 
-/// Puts the point p onto the plane or the polynomial over it, along its ray or along the plane's normal. A polynomial
-/// further away than the radius gives way to the plane; no point moves by more than the radius.
+/// Moves the point p onto the plane or the polynomial over it, along its ray or along the plane's normal. If the
+/// polynomial is farther away than the radius, the plane is used. No point moves by more than the radius.
 pub(super) fn project(
     p: DVec3,
     sensor: DVec3,

@@ -8,11 +8,11 @@ use crate::params::{EngineParams, Radius};
 /// Minimum radius, so that a point that is its own sample is its neighbour at any position.
 const MIN_RADIUS_M: f64 = 1e-12;
 
-/// r of a point in the sensor's frame.
+/// Returns the radius r of a point in the sensor's frame.
 pub(super) fn radius_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // Frames on a grid are not opened with it.
+        // Frames on a grid are never opened with this radius.
         Radius::Neighbours { .. } => MIN_RADIUS_M,
         Radius::Sensor => {
             let reach_m = f64::from(params.window * params.stride) * spacing_m(geometry, p);

@@ -7,21 +7,21 @@ use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::temporal::{Domain, TemporalParams};
 
-/// Width of tiles in pixels.
+/// Width and height of a tile in pixels.
 const TILE: usize = 16;
 
 /// The state of a pixel.
 #[derive(Clone, Copy)]
 struct Pixel {
-    /// q.
+    /// Mean q.
     mean: f64,
-    /// n.
+    /// Effective number of frames n; 0 if the pixel is unknown.
     frames: f64,
-    /// b.
+    /// Bias b.
     bias: f64,
-    /// V.
+    /// Variance V.
     variance: f64,
-    /// a.
+    /// Number of frames a since the pixel was last seen.
     idle: u32,
     is_carried: bool,
 }
@@ -42,12 +42,12 @@ struct Tile {
 /// The measurement of a pixel in the current frame.
 #[derive(Clone, Copy, Default)]
 struct Measured {
-    /// o; `None` for a hole.
+    /// Value o; `None` for a hole.
     value: Option<f64>,
-    /// e; `None` for unknown pixels and holes.
+    /// Change e; `None` for unknown pixels and holes.
     change: Option<f64>,
     is_candidate: bool,
-    /// Whether the change is so large that neighbours with the same sign confirm it at once.
+    /// Whether the change is large enough for neighbours with the same sign to confirm it at once.
     is_large: bool,
 }
 
@@ -100,7 +100,7 @@ impl TemporalReference {
         }
     }
 
-    /// Returns how many frames a pixel of the last frame is the mean of; 0 for a hole.
+    /// Returns the effective number of frames averaged in a pixel of the last frame; 0 for a hole.
     pub fn frames(&self, i: usize) -> f64 {
         let pixel = &self.pixels[i];
         if pixel.idle == 0 || pixel.is_carried { pixel.frames } else { 0.0 }
@@ -111,7 +111,7 @@ impl TemporalReference {
         self.pixels[i].is_carried
     }
 
-    /// The quantity with constant noise, and its standard deviation.
+    /// Returns the averaged quantity o, whose noise is constant, and its standard deviation.
     fn value(&self, depth_m: f64) -> (f64, f64) {
         let sigma_m = self.sensor.sigma_m(depth_m);
         let (value, sigma) = match Domain::of(&self.sensor) {
@@ -128,7 +128,7 @@ impl TemporalReference {
         }
     }
 
-    /// Equations (16.9) to (16.11): the state of pixel i as the current camera sees it.
+    /// Returns the state of pixel i as the current camera sees it, by equations (16.9) to (16.11).
     fn look_up(&self, camera: &Camera, previous_from_current: &RigidTransform, i: usize, depth_m: f64) -> Pixel {
         let (width, height) = self.shape;
         let depth_m = match depth_m {
@@ -172,7 +172,7 @@ impl TemporalReference {
         if now.z < 0.05 { Pixel::UNKNOWN } else { Pixel { mean: self.value(now.z).0, ..found } }
     }
 
-    /// Equations (16.1) and (16.3).
+    /// Measures pixel i by equations (16.1) and (16.3).
     fn measure(&self, i: usize, depth_m: f64) -> Measured {
         if !(depth_m > 0.0 && depth_m < 1e18) {
             return Measured::default();
@@ -188,7 +188,7 @@ impl TemporalReference {
         Measured { value: Some(value), change: Some(change), is_candidate, is_large }
     }
 
-    /// m_t of equation (16.5); `None` with few updated pixels.
+    /// Returns m_t of equation (16.5); `None` with 64 updated pixels or fewer.
     fn change_of_tile(&self, number: usize, measured: &[Measured]) -> Option<f64> {
         let (width, height) = self.shape;
         let across = width.div_ceil(TILE);
@@ -203,7 +203,7 @@ impl TemporalReference {
         (changes.len() > 64).then(|| changes.iter().sum::<f64>() / changes.len() as f64)
     }
 
-    /// Equations (16.5) and (16.6).
+    /// Updates the tiles by equations (16.5) and (16.6).
     fn update_tiles(&mut self, measured: &[Measured], knows_motion: bool) {
         let changes: Vec<Option<f64>> =
             (0..self.tiles.len()).map(|number| self.change_of_tile(number, measured)).collect();
@@ -228,7 +228,7 @@ impl TemporalReference {
         }
     }
 
-    /// P and A of equation (16.6): 0 and 1/2 with few tiles or small changes.
+    /// Returns P and A of equation (16.6): 0 and 1/2 with few tiles or small changes.
     fn common_change(&self, changes: &[Option<f64>]) -> (f64, f64) {
         let of_tiles = self.tiles.iter().zip(changes).filter_map(|(tile, change)| Some((tile, (*change)?)));
         let (mut biases, mut magnitudes): (Vec<f64>, Vec<f64>) =
@@ -260,7 +260,7 @@ impl TemporalReference {
         (bias / magnitude, if all > 0.0 { same / all } else { 0.5 })
     }
 
-    /// Equations (16.2) to (16.4) and (16.7); returns whether the pixel is calm.
+    /// Updates pixel i by equations (16.2) to (16.4) and (16.7). Returns true if the pixel is calm.
     fn update(&mut self, i: usize, measured: &[Measured], depth_m: &mut f64) -> bool {
         let (width, _) = self.shape;
         let tile_weight = self.tiles[i / width / TILE * width.div_ceil(TILE) + i % width / TILE].weight;
@@ -311,7 +311,7 @@ impl TemporalReference {
         is_calm
     }
 
-    /// Equation (16.8).
+    /// Fills pixel i by equation (16.8) if it is a hole.
     fn hold(&mut self, i: usize, measured: &[Measured], calm: &[bool], depth_m: &mut f64) {
         let pixel = self.pixels[i];
         let is_recent = (1..=self.params.hold_frames).contains(&pixel.idle);
@@ -336,7 +336,7 @@ impl TemporalReference {
 }
 
 impl Pixel {
-    /// As it is stored: 12 bytes.
+    /// Rounds the state as it is stored, in 12 bytes (16.7).
     fn rounded(self) -> Self {
         let round = |value: f64, steps: f64| (value * steps + 0.5).floor() / steps;
         Self {

@@ -34,7 +34,8 @@ impl Grid {
     }
 }
 
-/// The gate fades out over this share of the squared radius, half of it on either side.
+/// Width of the range of squared distances over which the gate fades out, centred on the squared radius, as a share
+/// of it.
 const FADE: f64 = 1.0 / 16.0;
 
 /// Returns the weight of a point by its offset from another: 1 up to 0.984 of the radius, 1/2 at the radius, 0 beyond
@@ -43,7 +44,7 @@ pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
     (0.5 + (1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
 }
 
-/// Returns the distance within which points count at all, slightly more than the radius.
+/// Returns the distance within which points have a weight, slightly more than the radius.
 pub(super) fn reach_m(radius_m: f64) -> f64 {
     radius_m * (1.0 + 0.5 * FADE).sqrt()
 }

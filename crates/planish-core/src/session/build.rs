@@ -8,25 +8,25 @@ use crate::frame::Frame;
 use crate::threads::ONE_THREAD;
 
 impl Session {
-    /// Sets whether frames come from a live source: fewer are kept in flight, so that the newest is not late.
+    /// Sets whether frames come from a live source. If so, fewer frames are kept in flight, so that the newest is not
+    /// late.
     pub fn with_live(self, is_live: bool) -> Self {
         Self { is_live, ..self }
     }
 
-    /// Sets whether there is only one frame or cloud. [`Engine::Auto`](crate::Engine::Auto) then takes the CPU unless
-    /// it has more than six million pixels or half a million points, since opening a GPU takes longer than smoothing
-    /// it.
+    /// Sets whether there is only one frame or cloud. [`Engine::Auto`](crate::Engine::Auto) then uses the CPU for up
+    /// to six million pixels or half a million points, since opening a GPU takes longer than smoothing them.
     pub fn with_single_frame(self, is_single: bool) -> Self {
         Self { is_single, ..self }
     }
 
-    /// Sets whether all frames of a shape keep the window that the first one with a known resolution decides, as a
-    /// video wants it. Otherwise every frame gets its own window.
+    /// Sets whether all frames of a shape use the window of the first frame with a known resolution, which suits a
+    /// video. Otherwise every frame gets its own window.
     pub fn with_kept_window(self, keeps_window: bool) -> Self {
         Self { keeps_window, ..self }
     }
 
-    /// Sets whether the sensor estimated from the first frame serves all frames, as in a video or a folder.
+    /// Sets whether the sensor estimated from the first frame is used for all frames, as in a video or a folder.
     /// Otherwise it is estimated from every frame.
     pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
         Self { keeps_sensor, ..self }
@@ -40,7 +40,8 @@ impl Session {
         Self { estimates_clouds, ..self }
     }
 
-    /// Sets options that settings do not have (slots, time stamps, the instruction set); settings override the others.
+    /// Sets options that settings do not cover (slots, timestamps, the instruction set). Settings override all other
+    /// options.
     pub fn with_options(mut self, options: SmootherOptions) -> Self {
         self.options = match &self.chosen {
             Chosen::Settings(settings) => settings.override_options(options),
@@ -54,7 +55,8 @@ impl Session {
         Self { devices, device: 0, ..self }
     }
 
-    /// Sets which of the devices smooths frames one at a time, for sessions that share a list of devices.
+    /// Sets the index of the device that smooths frames one at a time, modulo the number of devices. For sessions
+    /// that share a list of devices.
     pub fn with_device(self, index: usize) -> Self {
         let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
         Self { device, ..self }

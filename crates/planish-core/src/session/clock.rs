@@ -1,17 +1,20 @@
-//! Which video a frame belongs to, by its time stamp.
+//! Assignment of frames to videos, by timestamp.
 
-/// A longer time between frames begins a new video, in seconds and in intervals.
+/// Time between frames in seconds that must be exceeded to begin a new video.
 const LONGEST_INTERVAL_S: f64 = 1.0;
+/// Ratio of the time between frames to the previous interval that must be exceeded to begin a new video.
 const MOST_INTERVALS: f64 = 5.0;
 
-/// Numbers videos; a gap in time stamps begins a new one.
+/// Numbers videos; a gap in timestamps begins a new video.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct VideoClock {
-    /// Number of the video that the next frame belongs to, and how many were begun because of time stamps.
+    /// Number of the video that the next frame belongs to.
     video: u64,
+    /// Number of videos begun because of timestamps.
     gaps: u64,
-    /// Time stamp of the last frame, and the time before it.
+    /// Timestamp of the last frame in seconds.
     last_time_s: Option<f64>,
+    /// Interval before the last frame in seconds.
     last_interval_s: Option<f64>,
 }
 
@@ -25,7 +28,7 @@ impl VideoClock {
         self.video = video;
     }
 
-    /// Returns how many videos were begun because of time stamps.
+    /// Returns the number of videos begun because of timestamps.
     pub(super) fn gaps(&self) -> u64 {
         self.gaps
     }
@@ -36,7 +39,7 @@ impl VideoClock {
         (self.last_time_s, self.last_interval_s) = (None, None);
     }
 
-    /// Sets the time stamp of the next frame, if it has one.
+    /// Sets the timestamp of the next frame in seconds, if it has one.
     pub(super) fn set_time(&mut self, timestamp_s: Option<f64>) {
         let Some(now_s) = timestamp_s.filter(|time_s| time_s.is_finite()) else { return };
         if let Some(last_s) = self.last_time_s {

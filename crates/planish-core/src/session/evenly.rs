@@ -17,7 +17,7 @@ impl Session {
         }
     }
 
-    /// Returns the results that the engine is to compute for a frame.
+    /// Returns the outputs that the engine must compute for a frame.
     pub(super) fn outputs_of_engine(&self, frame: Frame<'_>) -> Outputs {
         match self.to_space_evenly(frame) {
             Some(_) => self.options.outputs.with_points(true).with_normals(true),

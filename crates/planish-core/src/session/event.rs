@@ -10,7 +10,7 @@ use crate::params::{CloudParams, CloudRadius, Edges};
 use crate::sensor::SensorModel;
 use crate::threads::ONE_THREAD;
 
-/// How an unorganized cloud is smoothed where the settings leave that to planish. [`Display`](fmt::Display) gives one
+/// The choices for an unorganized cloud where the settings leave them to planish. [`Display`](fmt::Display) gives one
 /// line for a user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -21,7 +21,7 @@ pub struct CloudChoice {
     /// Whether edges are kept.
     #[cfg_attr(feature = "serde", serde(serialize_with = "serialize_edges"))]
     pub edges: Edges,
-    /// 2 if there is a first pass with few neighbours, otherwise 1.
+    /// The number of passes: 2 if there is a first pass with few neighbours, otherwise 1.
     pub passes: u32,
     /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
     /// estimate.
@@ -54,18 +54,18 @@ fn serialize_edges<S: serde::Serializer>(edges: &Edges, serializer: S) -> Result
     serializer.serialize_str(edges.name())
 }
 
-/// A decision that a session made without being asked. [`Display`](fmt::Display) gives one line for a user.
+/// A finding, choice or fault that a session reports. [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {
     /// The sensor was estimated from the first frame.
     SensorEstimated {
-        /// The model.
+        /// The estimated model.
         sensor: SensorModel,
     },
-    /// How an unorganized cloud is smoothed was chosen by its noise and shape.
+    /// Neighbours, edges and passes for an unorganized cloud were chosen by its noise and shape.
     NeighboursChosen(CloudChoice),
-    /// An unorganized cloud is a frame that lost its grid, and was smoothed on that.
+    /// An unorganized cloud is a frame without its grid; the grid was rebuilt, and the cloud was smoothed on it.
     GridRebuilt {
         /// Width in pixels.
         width: usize,
@@ -80,33 +80,33 @@ pub enum SessionEvent {
     NotFilled,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
-        /// What the GPU allows.
+        /// The error of the GPU.
         error: EngineError,
     },
     /// The GPU failed and is opened once more.
     Reopening {
-        /// Why it failed.
+        /// The error of the GPU.
         error: EngineError,
     },
     /// The GPU failed again; the CPU engine continues.
     UsingCpu {
-        /// Why it failed.
+        /// The error of the GPU.
         error: EngineError,
     },
     /// A device failed; the session continues on another one of its list.
     DeviceLeft {
-        /// The device.
+        /// The failed device.
         device: FleetDevice,
-        /// Why it failed.
+        /// The error of the device.
         error: EngineError,
     },
     /// A device that shared the frames in flight failed; the others continue.
     DeviceLost {
-        /// The device.
+        /// The failed device.
         device: FleetDevice,
-        /// Why it failed.
+        /// The error of the device.
         error: EngineError,
-        /// Devices that are left.
+        /// The number of remaining devices.
         left: usize,
     },
 }

@@ -1,4 +1,5 @@
-//! The filter over time and its state, for results that were smoothed in space: of a session, or of a camera of a rig.
+//! The filter over time and its state, for results of a session, or of a camera of a rig, that were smoothed in
+//! space.
 
 use super::sight::{Sight, StatedPose};
 use crate::camera::Camera;
@@ -10,17 +11,19 @@ use crate::threads::Threads;
 
 /// The state of a video since its first frame.
 struct Begun {
-    /// The sight of that frame.
+    /// The sight of the first frame.
     sight: Sight,
     filter: TemporalFilter,
     threads: Threads,
-    /// The camera: given, or shown by the points; and whether they show none.
+    /// The camera, given or found from the points.
     camera: Option<Camera>,
+    /// Whether no camera fits the points.
     has_no_camera: bool,
-    /// The last frame and what aligns others with it, if the motion of the camera is estimated.
+    /// The tracker, and the surface of the last frame, if the motion of the camera is estimated.
     tracking: Option<(Tracker, Surface)>,
-    /// The pose of the last frame, and whether the frame itself stated it; how the camera moved before it, if known.
+    /// The pose of the last frame, and whether the frame itself stated it.
     last_pose: StatedPose,
+    /// Motion of the camera before the last frame, if known.
     motion: Option<CameraMotion>,
 }
 
@@ -28,13 +31,13 @@ struct Begun {
 #[derive(Default)]
 pub(super) struct Filtering {
     begun: Option<Begun>,
-    /// The ranges of the frame before the filter, where they are not its depths.
+    /// Ranges of the frame's points before the filter, in metres; empty if they are the magnitudes of z.
     ranges_m: Vec<f32>,
 }
 
 impl Filtering {
-    /// Smooths a result in place, and adds the outputs that follow from others. Returns true once if the motion of the
-    /// camera is wanted but the points show no camera.
+    /// Smooths a result in place, and adds the outputs derived from others. Returns true once if the motion of the
+    /// camera is needed but no camera fits the points.
     pub(super) fn filter(
         &mut self,
         sight: &Sight,
@@ -64,7 +67,8 @@ impl Filtering {
         self.begun.as_ref().filter(|begun| begun.sight.video == video)
     }
 
-    /// Returns how the camera moved before the last frame, if it belongs to this video.
+    /// Returns the motion of the camera before the last frame; `None` if it is unknown or the frame belongs to
+    /// another video.
     pub(super) fn motion(&self, video: u64) -> Option<CameraMotion> {
         self.current(video)?.motion
     }
@@ -82,8 +86,8 @@ impl Begun {
         Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
     }
 
-    /// Finds the camera where its motion matters; returns true once if the motion is wanted but the points show no
-    /// camera.
+    /// Finds the camera if its motion matters. Returns true once if the motion is needed but no camera fits the
+    /// points.
     fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
         let needs_camera = sight.is_tracked || sight.pose.is_some();
         if !needs_camera || self.camera.is_some() || self.has_no_camera {

@@ -1,4 +1,4 @@
-//! Steps on the CPU after any engine: standard errors, unless the engine estimated them, and the filling of holes.
+//! Steps on the CPU after any engine: estimating standard errors, unless the engine did, and filling holes.
 
 use super::{Chosen, Session, SessionEvent};
 use crate::error::{Error, FrameError, ParamError};
@@ -10,21 +10,21 @@ use crate::sigma::{Sigma, SigmaBuffers};
 use crate::smoothed::Smoothed;
 use crate::threads::{ONE_THREAD, Threads};
 
-/// How a result is finished when it is received.
+/// The steps that finish the result of an engine.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Finish {
-    /// `None` if the engine has left nothing to do.
+    /// The geometry of the frame; `None` if the engine has left nothing to do.
     geometry: Option<FrameGeometry>,
     params: EngineParams,
-    /// The outputs that were requested.
+    /// The requested outputs.
     outputs: Outputs,
-    /// The widest hole to fill, in pixels.
+    /// Width of the widest holes to fill, in pixels; `None` if holes are not filled.
     fill_px: Option<u32>,
     /// Whether the session estimates standard errors because the engine has not.
     estimates_sigma: bool,
 }
 
-/// Finishes results. Because it is a trait object, WebAssembly, which creates none, does not contain its code.
+/// Finishes results. As a trait object that WebAssembly never creates, it keeps its code out of the module.
 pub(super) trait Finishing: Send {
     fn buffers(&mut self) -> &mut FinishBuffers;
     fn threads(&self) -> Option<&(Option<usize>, Threads)>;
@@ -51,12 +51,12 @@ pub(super) struct FinishBuffers {
     threads: Option<(Option<usize>, Threads)>,
     sigma: SigmaBuffers,
     fill: FillBuffers,
-    /// Whether the caller knows that holes cannot be filled.
+    /// Whether the session has reported that holes cannot be filled.
     told: bool,
 }
 
 impl FinishBuffers {
-    /// Lends the caller's result the buffers it lacks and finishing needs, or takes them back.
+    /// Swaps buffers that the caller did not request but finishing needs into the caller's result, or back.
     fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
         let spare = &mut self.spare;
         if !outputs.points {
@@ -80,7 +80,7 @@ impl Session {
         !ONE_THREAD && (self.options.outputs.sigma || self.fill_px().is_some())
     }
 
-    /// Returns the requested outputs, with the status if holes are filled: it flags them.
+    /// Returns the requested outputs, and the status if holes are filled, since it flags filled pixels.
     fn flagged_outputs(&self) -> Outputs {
         let outputs = self.options.outputs;
         outputs.with_status(outputs.status || (!ONE_THREAD && self.fill_px().is_some()))
@@ -101,7 +101,7 @@ impl Session {
         }
     }
 
-    /// Returns the widest hole to fill, in pixels.
+    /// Returns the width of the widest holes to fill, in pixels; `None` if holes are not filled.
     pub(super) fn fill_px(&self) -> Option<u32> {
         match &self.chosen {
             Chosen::Settings(settings) => settings.fill,
@@ -109,7 +109,7 @@ impl Session {
         }
     }
 
-    /// Refuses buffers of the caller's that cannot flag filled pixels.
+    /// Returns an error if holes are to be filled but the outputs lack the status, which flags filled pixels.
     pub(super) fn check_flags(&self) -> Result<(), ParamError> {
         match self.fill_px() {
             Some(width_px) if !self.options.outputs.status && !ONE_THREAD => {
@@ -120,8 +120,8 @@ impl Session {
         }
     }
 
-    /// Refuses frames that cannot be finished: without a grid, or whose sensor could be anywhere, if standard errors
-    /// are requested. They have no rays.
+    /// Returns an error if standard errors are requested for a frame without rays: one without a grid, or one whose
+    /// sensor's position is unknown.
     pub(super) fn check_can_finish(&self, frame: Frame<'_>) -> Result<(), Error> {
         match frame {
             _ if ONE_THREAD || !self.options.outputs.sigma => Ok(()),
@@ -159,7 +159,7 @@ impl Session {
         result
     }
 
-    /// As [`smooth_and_finish`](Self::smooth_and_finish), into the caller's buffers.
+    /// Same as [`smooth_and_finish`](Self::smooth_and_finish), into the caller's buffers.
     pub(super) fn smooth_and_finish_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         let mut finished = std::mem::take(&mut self.finish_buffers().finished);
         let result = self.smooth_and_finish(frame, &mut finished);
@@ -183,7 +183,8 @@ impl Session {
         Ok(())
     }
 
-    /// Returns how the result of the frame that an engine was last opened for is finished, if it is.
+    /// Returns the steps that finish the result of the frame that an engine was last opened for; `None` if the
+    /// session does not finish results.
     pub(super) fn to_finish(&self, frame: Frame<'_>) -> Option<Finish> {
         if !self.finishes() {
             return None;

@@ -7,7 +7,8 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::smoother::check_frame;
 
 impl Session {
-    /// Smooths a noisy cloud with few neighbours, and returns whether it did: `self.first_pass` then has the points.
+    /// Runs a first pass with few neighbours over a cloud, if its noise or the settings call for it. Returns whether
+    /// the pass ran; if so, `self.first_pass` has the points.
     pub(super) fn smooth_first(&mut self, frame: Frame<'_>) -> Result<bool, Error> {
         if frame.grid().is_some() {
             return Ok(false);

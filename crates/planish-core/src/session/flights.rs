@@ -1,4 +1,4 @@
-//! Frames in flight of a session: submitted, and smoothed again where their device is lost.
+//! Frames in flight of a session: submission, receipt, and smoothing them again if their device is lost.
 
 use std::sync::Arc;
 
@@ -15,13 +15,13 @@ use crate::threads::ONE_THREAD;
 use crate::view::SmoothedView;
 
 impl Session {
-    /// Submits a frame whose result [`receive`](Self::receive) returns, in order. If its device is lost, the frame is
-    /// smoothed again. Unorganized clouds in flight have the parameters of
+    /// Submits a frame; [`receive`](Self::receive) returns the results in the order of submission. If its device is
+    /// lost, the frame is smoothed again. Unorganized clouds in flight have the parameters of
     /// [`Settings::cloud_params`](crate::Settings::cloud_params), and one pass.
     ///
     /// # Errors
-    /// If as many are in flight as can be, the frame is malformed, or the engine fails and nothing may take over; if
-    /// holes are to be filled and the status is not among the outputs.
+    /// If the maximum number of frames is in flight, the frame is malformed, or the engine fails and no other may
+    /// take over. Also if holes are to be filled but the status is not among the outputs.
     pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
         let frame: AnyFrame = frame;
         self.check_room()?;
@@ -40,12 +40,13 @@ impl Session {
         failed.map_or(Ok(()), |error| self.smooth_again(error))
     }
 
-    /// Submits a frame that the caller does not share: it is copied where it is not computed at once, and lost with its
-    /// device. The result stays where the device puts it. The output `sigma` needs a GPU that estimates it; the result
-    /// then also has points, status and neighbours.
+    /// Submits a frame that the caller does not share: it is copied unless it is computed at once, and lost if its
+    /// device is lost. The result stays where the device wrote it. The output `sigma` needs a GPU that estimates it;
+    /// the result then also has points, status and neighbours.
     ///
     /// # Errors
-    /// As [`submit`](Self::submit); if holes are to be filled, or no GPU estimates `sigma`.
+    /// Same as [`submit`](Self::submit). Also if holes are to be filled, or if `sigma` is requested but no GPU
+    /// estimates it.
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
@@ -68,7 +69,7 @@ impl Session {
         Ok(())
     }
 
-    /// Returns the error for results that the session finishes from frame and result.
+    /// Returns the error for outputs that the session computes from both the frame and its result.
     fn needs_frame(&self) -> ParamError {
         let allowed = "only for frames that are shared (submit), since it follows from frame and result";
         let (field, value) = match self.fill_px() {
@@ -78,8 +79,8 @@ impl Session {
         ParamError { field, value, allowed }
     }
 
-    /// Opens what smooths this frame among others in flight. Unorganized clouds are not examined: a new number of
-    /// neighbours opens the engine again, after all others are finished.
+    /// Opens the smoother or fleet for this frame among others in flight. Unorganized clouds are not examined: a new
+    /// number of neighbours would reopen the engine, after waiting for all frames in flight.
     fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
         if self.to_space_evenly(frame).is_some() {
             let allowed = "only for clouds that are smoothed one by one, not for streams or rigs";
@@ -117,7 +118,7 @@ impl Session {
     /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
     ///
     /// # Errors
-    /// If something is wrong with that frame, or the engine fails and nothing may take over.
+    /// If that frame cannot be smoothed, or the engine fails and no other may take over.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         self.forget_other_process();
         match self.receive_in_space()? {
@@ -135,7 +136,7 @@ impl Session {
         }
     }
 
-    /// Returns the oldest result as the engine made it, and how to finish it.
+    /// Returns the oldest result as the engine computed it, and how to finish it.
     fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, Pending)>, Error> {
         if self.ready.is_empty() {
             let Some(open) = &mut self.open else { return Ok(None) };
@@ -151,7 +152,8 @@ impl Session {
         }
     }
 
-    /// Smooths all frames in flight again, one by one, with whatever takes over after this error.
+    /// Smooths all frames in flight again, one by one, with the engine that takes over after this error. Returns the
+    /// error if a frame is not shared.
     fn smooth_again(&mut self, error: Error) -> Result<(), Error> {
         let mut error = error;
         loop {
@@ -202,7 +204,7 @@ impl Session {
         Ok(())
     }
 
-    /// Waits for all frames in flight, whose results are then received without their engine.
+    /// Waits for all frames in flight and stores their results, which no longer need the engine.
     pub(super) fn finish_flights(&mut self) -> Result<(), Error> {
         while self.ready.len() < self.pending.len() {
             let Some(open) = &mut self.open else { return Ok(()) };
@@ -215,12 +217,13 @@ impl Session {
         Ok(())
     }
 
-    /// Returns how many frames were submitted and not received.
+    /// Returns the number of frames submitted and not yet received.
     pub fn in_flight(&self) -> usize {
         self.pending.len()
     }
 
-    /// Returns how many frames in flight are worth their latency; 1 before the first.
+    /// Returns the maximum number of frames in flight, beyond which only the latency would grow; 1 before the first
+    /// frame.
     pub fn max_in_flight(&self) -> usize {
         self.open.as_ref().map_or(1, |open| open.max_in_flight(self.is_live))
     }

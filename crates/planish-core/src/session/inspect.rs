@@ -14,7 +14,7 @@ use crate::sensor::SensorModel;
 use crate::timings::FrameTimings;
 
 impl Session {
-    /// Takes what has happened since the last call, in order.
+    /// Returns the events since the last call, in order, and clears them.
     pub fn take_events(&mut self) -> Vec<SessionEvent> {
         if let Some(open) = &mut self.open {
             self.events.extend(open.losses(&mut self.devices));
@@ -22,7 +22,7 @@ impl Session {
         std::mem::take(&mut self.events)
     }
 
-    /// Returns the sensor that was last estimated, if settings ask for that.
+    /// Returns the last estimated sensor; `None` if the session has not estimated any.
     pub fn estimated_sensor(&self) -> Option<SensorModel> {
         self.estimated
     }
@@ -30,12 +30,12 @@ impl Session {
     /// Returns the parameters for a frame, and its sensor if floating pixels are removed first.
     ///
     /// # Errors
-    /// As [`Settings::resolve`](crate::Settings::resolve).
+    /// Same as [`Settings::resolve`](crate::Settings::resolve).
     pub fn params_for<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(Params, Option<SensorModel>), Error> {
         let frame = frame.into_frame()?;
         let (events, is_prepared, choice) = (self.events.len(), self.is_prepared, self.cloud_choice);
         let resolved = self.on_its_grid(frame, Self::resolve);
-        // Nothing is smoothed yet.
+        // Events about the cloud are dropped, since it is not smoothed yet.
         let of_cloud = |event: &SessionEvent| {
             matches!(event, SessionEvent::NeighboursChosen(_) | SessionEvent::GridRebuilt { .. })
         };
@@ -50,14 +50,14 @@ impl Session {
         self.cloud_estimate
     }
 
-    /// Returns how the last unorganized cloud was smoothed, where the settings left that to planish; `None` after other
+    /// Returns the choices for the last unorganized cloud, if the settings left them to planish; `None` after other
     /// frames.
     pub fn cloud_choice(&self) -> Option<CloudChoice> {
         self.cloud_choice
     }
 
-    /// Returns width and height of the grid that the last cloud lost and was smoothed on; `None` for a cloud that
-    /// stayed unorganized, and for frames.
+    /// Returns the width and height of the grid that was rebuilt for the last cloud; `None` if the cloud stayed
+    /// unorganized, and for frames.
     pub fn rebuilt_grid(&self) -> Option<(usize, usize)> {
         self.lattice.as_ref().map(Lattice::shape)
     }
@@ -72,12 +72,12 @@ impl Session {
         self.rule
     }
 
-    /// Returns the engine that is open; `None` before the first frame.
+    /// Returns the open engine; `None` before the first frame.
     pub fn engine(&self) -> Option<Engine> {
         self.open.as_ref().map(Open::engine)
     }
 
-    /// Returns the name of the GPU that is open.
+    /// Returns the name of the open GPU; `None` for other engines and for a fleet.
     pub fn gpu_name(&self) -> Option<&str> {
         self.open.as_ref()?.one()?.gpu_name()
     }
@@ -87,7 +87,7 @@ impl Session {
         self.open.as_ref()?.one()?.chosen_because()
     }
 
-    /// Returns the timings of the last frame, if time stamps were requested.
+    /// Returns the timings of the last frame, if timestamps were requested.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.open.as_ref()?.one()?.timings()
     }

@@ -1,4 +1,4 @@
-//! Unorganized clouds that are frames without their grid: a session smooths them on it.
+//! Unorganized clouds that are frames without their grid: a session rebuilds the grid and smooths them on it.
 
 use super::event::SessionEvent;
 use super::{Chosen, Session};
@@ -7,7 +7,7 @@ use crate::frame::{Frame, Lattice, PointsView};
 use crate::outputs::SmoothedMut;
 
 impl Session {
-    /// Smooths a cloud that lost its grid as the frame that it is.
+    /// Smooths a cloud that lost its grid as a frame on the rebuilt grid.
     pub(super) fn smooth_on_lattice(
         &mut self,
         lattice: Lattice,
@@ -28,7 +28,7 @@ impl Session {
         result
     }
 
-    /// Rebuilds the grid of an unorganized cloud if it is a frame that lost it and settings allow that. After
+    /// Rebuilds the grid of an unorganized cloud that is a frame without its grid, if the settings allow that. After
     /// `prepare`, returns the stored grid if it belongs to this cloud.
     pub(super) fn take_lattice<'a>(&mut self, frame: Frame<'a>) -> Option<(Lattice, PointsView<'a>)> {
         let known = self.lattice.take();
@@ -41,7 +41,7 @@ impl Session {
             match known {
                 None => return None,
                 Some(lattice) if lattice.is_of(&points) => return Some((lattice, points)),
-                // Another cloud of as many points.
+                // Another cloud with the same number of points.
                 Some(_) => self.is_prepared = false,
             }
         }

@@ -51,9 +51,10 @@ pub use watch::ProgressWatch;
 /// Smooths frames and clouds of any shape, one after another or several in flight.
 ///
 /// A session opens the engine with the first frame, and again when the grid, the outputs or the settings change. A
-/// cloud that does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A lost GPU is reopened once; if
-/// it is lost again, [`Engine::Auto`] and streams continue on the CPU. [`take_events`](Self::take_events) reports each
-/// of these steps. [`Smoother`](crate::Smoother) is the lower level, for one kind of frame and without any of this.
+/// cloud that does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A lost GPU is reopened once;
+/// if it is lost again, [`Engine::Auto`] and streams continue on the CPU. [`take_events`](Self::take_events) reports
+/// each of these steps. [`Smoother`](crate::Smoother) is the lower level: it smooths one kind of frame and does none
+/// of this.
 ///
 /// ```
 /// use planish::{OrganizedCloud, Session, Settings, Smoothed, Xyz};
@@ -75,36 +76,42 @@ pub struct Session {
     chosen: Chosen,
     options: SmootherOptions,
     devices: Vec<FleetDevice>,
-    /// Which of the devices smooths frames one at a time.
+    /// Index of the device that smooths frames one at a time.
     device: usize,
     /// The sensor that was estimated from the first frame.
     estimated: Option<SensorModel>,
-    /// The estimate for the last unorganized cloud, the grid that it lost, and its number of points.
+    /// The estimate for the last unorganized cloud.
     cloud_estimate: Option<CloudEstimate>,
+    /// The rebuilt grid of the last unorganized cloud, if it had lost one.
     lattice: Option<Lattice>,
-    /// Whether the frame in question is a cloud on the grid that it lost, and so not part of a video.
+    /// Whether the current frame is a cloud on its rebuilt grid, which is not part of a video.
     is_on_lattice: bool,
+    /// The number of points of the last unorganized cloud.
     known_points: usize,
+    /// The choices for the last unorganized cloud.
     cloud_choice: Option<CloudChoice>,
-    /// Whether the four fields above belong to the current or prepared frame.
+    /// Whether `cloud_estimate`, `lattice`, `known_points` and `cloud_choice` belong to the current or prepared
+    /// frame.
     is_prepared: bool,
     /// The result for a cloud that lost its grid, on that grid.
     on_grid: Smoothed,
-    /// The points after a first pass, and the engine for it.
+    /// The points after a first pass.
     first_pass: Smoothed,
+    /// The engine for the first pass.
     open_for_first: Option<Open>,
     /// The result before its points are spaced evenly.
     before_even: Smoothed,
-    /// The parameters of the first pass during it.
+    /// The parameters of the first pass, while it runs.
     is_first: Option<CloudParams>,
-    /// The filter over time, and how the frame that was last opened for is seen.
+    /// The state of smoothing over time.
     video: OverTime,
+    /// The sight of the frame that an engine was last opened for, if it is part of a video.
     sight: Option<Sight>,
     /// Doubts reported for earlier frames.
     doubts: Vec<Doubt>,
-    /// The camera whose lens was looked at.
+    /// The camera whose lens was last checked.
     doubted_camera: Option<Camera>,
-    /// For results that the session finishes.
+    /// Buffers and threads for results that the session finishes.
     finish: Option<Box<dyn Finishing>>,
     is_live: bool,
     is_single: bool,
@@ -114,21 +121,22 @@ pub struct Session {
     estimates_clouds: bool,
     kept_window: Option<((usize, usize), WindowSize)>,
     open: Option<Open>,
-    /// The engine that has taken over: for clouds too large for the GPU, and for all frames after the GPU was lost.
+    /// The engine that has taken over for clouds, if one was too large for the GPU.
     instead_for_clouds: Option<Engine>,
+    /// The failures of the GPU so far, after which the CPU engine may have taken over for all frames.
     losses: GpuLosses,
     pending: VecDeque<Pending>,
     ready: VecDeque<Result<crate::SmoothedView, Error>>,
     events: Vec<SessionEvent>,
     scratch: GeometryScratch,
-    /// How ranges are measured in the last frame.
+    /// The rule by which ranges were measured in the last frame.
     rule: Option<RangeRule>,
     watch: ProgressWatch,
-    /// The process that has opened the engine: threads do not survive a fork.
+    /// ID of the process that opened the engine, since threads do not survive a fork.
     process: u32,
 }
 
-/// Where parameters come from.
+/// The source of the parameters.
 #[derive(Debug, Clone)]
 enum Chosen {
     Settings(Box<Settings>),
@@ -139,13 +147,14 @@ impl Session {
     /// Creates a session; the engine is opened with the first frame.
     ///
     /// # Errors
-    /// If settings are outside their ranges or contradict each other, or a device is not there.
+    /// If settings are outside their ranges or contradict each other, or a device is missing.
     pub fn new(settings: Settings) -> Result<Self, Error> {
         let (options, devices) = (settings.options(), settings.devices()?);
         Self::of(Chosen::Settings(Box::new(settings)), options, devices)
     }
 
-    /// Creates a session with explicit parameters for both kinds of input, and devices to deal frames to, if any.
+    /// Creates a session with explicit parameters for frames and for clouds. Frames in flight are dealt to `devices`,
+    /// if any.
     ///
     /// # Errors
     /// If a parameter is outside its range.
@@ -216,7 +225,7 @@ impl Session {
     /// Changes the settings from the next frame on. Frames in flight keep theirs.
     ///
     /// # Errors
-    /// As [`new`](Self::new); the session then keeps its settings.
+    /// Same as [`new`](Self::new); the session then keeps its settings.
     pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
         let devices = settings.devices()?;
         self.options = settings.override_options(self.options.clone());
@@ -233,7 +242,7 @@ impl Session {
         Ok(())
     }
 
-    /// Changes the results to compute, from the next frame on.
+    /// Sets the results to compute from the next frame on.
     pub fn set_outputs(&mut self, outputs: Outputs) {
         self.options.outputs = outputs;
     }
@@ -254,7 +263,7 @@ impl Session {
     /// Smooths one frame or cloud into `out`, whose buffers are reused.
     ///
     /// # Errors
-    /// If the frame is malformed, settings do not fit it, or the engine fails and nothing may take over.
+    /// If the frame is malformed, settings do not fit it, or the engine fails and no other may take over.
     pub fn smooth<'a>(&mut self, frame: impl IntoFrame<'a>, out: &mut Smoothed) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         match self.finishes() {
@@ -263,7 +272,7 @@ impl Session {
         }
     }
 
-    /// Smooths a frame, and leaves the result as the engine and the filter over time have made it.
+    /// Smooths a frame in space and over time, without finishing the result.
     fn smooth_unfinished(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
         if !ONE_THREAD && self.over_time(frame).is_some() {
             let result = self.smooth_over_time(frame, out);
@@ -275,11 +284,11 @@ impl Session {
         self.smooth_frame(frame, out.as_mut())
     }
 
-    /// Smooths one frame or cloud into buffers of the caller's.
+    /// Smooths one frame or cloud into the caller's buffers.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth), and if a buffer has another length than the frame or is not among the outputs, or
-    /// if holes are to be filled and the status is not among the outputs.
+    /// Same as [`smooth`](Self::smooth). Also if a buffer's length differs from the frame's, if a buffer is not among
+    /// the outputs, or if holes are to be filled but the status is not among the outputs.
     pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
@@ -305,7 +314,7 @@ impl Session {
         result
     }
 
-    /// Smooths a frame, again where something takes over.
+    /// Smooths a frame, and tries again if another engine takes over.
     fn one_at_a_time(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         self.check_idle()?;
         loop {
@@ -324,7 +333,7 @@ impl Session {
     /// engine itself.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth).
+    /// Same as [`smooth`](Self::smooth).
     pub fn prepare<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let outputs = self.options.outputs;
@@ -335,7 +344,8 @@ impl Session {
         result
     }
 
-    /// Opens what smooths this frame, alone or among others in flight, and returns the frame with its geometry.
+    /// Opens the smoother or fleet for this frame, alone or among others in flight, and returns the frame with its
+    /// geometry.
     fn open_for<'a>(&mut self, frame: Frame<'a>, in_flight: bool) -> Result<AdmittedFrame<'a>, Error> {
         self.forget_other_process();
         check_frame(frame, self.options.outputs, frame.grid())?;
@@ -384,7 +394,7 @@ impl Session {
         self.instead_for_clouds.filter(|_| is_cloud).unwrap_or(self.options.engine)
     }
 
-    /// Decides what takes over after an error; `Ok` means to try again.
+    /// Decides what takes over after an error. Returns `Ok` if smoothing should be tried again, otherwise the error.
     fn recover(&mut self, error: Error, is_cloud: bool, is_stream: bool) -> Result<(), Error> {
         let Error::Engine(engine_error) = &error else { return Err(error) };
         if matches!(engine_error, EngineError::Stopped | EngineError::Full { .. }) {
@@ -417,7 +427,8 @@ impl Session {
         Ok(())
     }
 
-    /// Forgets the engine of another process: after a fork its threads are not there to be waited for.
+    /// Forgets the engine if another process opened it: after a fork its threads do not exist, so they cannot be
+    /// joined.
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {
@@ -430,7 +441,7 @@ impl Session {
         }
     }
 
-    /// Refuses to mix with frames in flight.
+    /// Returns an error if frames are in flight.
     fn check_idle(&self) -> Result<(), EngineError> {
         match self.in_flight() {
             0 => Ok(()),
@@ -472,7 +483,7 @@ impl Session {
 /// ```
 ///
 /// # Errors
-/// As [`Session::new`] and [`Session::smooth`].
+/// Same as [`Session::new`] and [`Session::smooth`].
 pub fn smooth<'a>(frame: impl IntoFrame<'a>, settings: &Settings) -> Result<Smoothed, Error> {
     let mut smoothed = Smoothed::default();
     Session::new(settings.clone())?.with_single_frame(true).smooth(frame, &mut smoothed)?;

@@ -14,8 +14,8 @@ use crate::smoother::Smoother;
 use crate::smoothing_engine::Video;
 use crate::view::SmoothedView;
 
-/// Frames of a live source in flight on a device, at most: more would wait for those before, and the newest would come
-/// late.
+/// Maximum number of frames of a live source in flight on a device. With more, the newest would wait for older ones
+/// and come late.
 pub const LIVE_IN_FLIGHT: usize = 3;
 
 /// The kind of frame that an engine was opened for; other kinds need another engine.
@@ -25,9 +25,9 @@ pub(super) struct OpenFor {
     pub(super) params: EngineParams,
     pub(super) options: SmootherOptions,
     pub(super) uses_fleet: bool,
-    /// The video that the engine smooths over time, if it can.
+    /// The video that the engine is to smooth over time if it can.
     pub(super) video: Option<Video>,
-    /// Whether the engine estimates standard errors, if it can.
+    /// Whether the engine is to estimate standard errors if it can.
     pub(super) wants_sigma: bool,
 }
 
@@ -35,8 +35,9 @@ pub(super) struct OpenFor {
 pub(super) struct Open {
     open_for: OpenFor,
     smoothing: Smoothing,
-    /// Whether the engine smooths over time, and whether it estimates standard errors.
+    /// Whether the engine smooths over time.
     is_over_time: bool,
+    /// Whether the engine estimates standard errors.
     estimates_sigma: bool,
 }
 
@@ -45,8 +46,9 @@ enum Smoothing {
     One(Box<Smoother>),
     Fleet {
         fleet: Box<Fleet>,
-        /// Its devices, and the lost ones that were reported.
+        /// The devices of the fleet.
         devices: Vec<FleetDevice>,
+        /// The lost devices that were reported.
         reported: Vec<FleetDevice>,
     },
 }
@@ -109,7 +111,8 @@ impl Open {
         }
     }
 
-    /// Returns how many frames in flight are worth their latency; of a live source no more than are computed at once.
+    /// Returns the maximum number of frames in flight; more would only add latency. For a live source, it is at most
+    /// the number of frames computed at once.
     pub(super) fn max_in_flight(&self, is_live: bool) -> usize {
         match &self.smoothing {
             Smoothing::One(smoother) if smoother.capabilities().pipelined && is_live => {
@@ -148,7 +151,8 @@ impl Open {
         }
     }
 
-    /// Returns the devices that were lost since the last call while others continue, and removes them from the list.
+    /// Returns an event for each device lost since the last call if others continue, and removes these devices from
+    /// `left_over`.
     pub(super) fn losses(&mut self, left_over: &mut Vec<FleetDevice>) -> Vec<SessionEvent> {
         let Smoothing::Fleet { fleet, devices, reported } = &mut self.smoothing else { return Vec::new() };
         let members = fleet.members();

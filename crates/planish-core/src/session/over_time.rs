@@ -1,5 +1,5 @@
-//! Frames of a video, which are smoothed over time after each was smoothed in space (docs/method.md, section 16): by a
-//! filter of the session, or by a GPU that keeps the state.
+//! Smoothing of a video over time, after each frame was smoothed in space (docs/method.md, section 16): by a filter
+//! of the session, or by a GPU that keeps the state.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;
@@ -24,27 +24,28 @@ struct OnDevice {
     /// The sight of its first frame.
     sight: Sight,
     last_pose: StatedPose,
-    /// How the camera moved before the last frame that was submitted, and before the last one received.
+    /// Motion of the camera before the last submitted frame, if known.
     motion: Option<CameraMotion>,
+    /// Motion of the camera before the last received frame, if known.
     received: Option<CameraMotion>,
 }
 
-/// The filter of a session, with its buffers.
+/// The state of smoothing over time in a session, with its buffers.
 #[derive(Default)]
 pub(super) struct OverTime {
     filtering: Filtering,
     on_device: Option<OnDevice>,
     clock: VideoClock,
-    /// The pose stated for the next frames.
+    /// The pose that the caller has set for the next frames.
     pose: Option<SensorPose>,
-    /// The result, of which the caller gets a copy.
+    /// The result before it is copied to the caller's buffers.
     smoothed: Smoothed,
     spare: Spare,
     /// Buffers of results in flight.
     kept: Vec<Kept>,
 }
 
-/// Buffers of a result that no engine fills.
+/// Buffers of a result that engines do not fill.
 #[derive(Debug, Default)]
 struct Kept {
     depth: Option<Vec<u16>>,
@@ -52,7 +53,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Takes the buffers that are needed from a result.
+    /// Takes the requested buffers out of a result.
     fn of(smoothed: &mut Smoothed, outputs: Outputs) -> Self {
         let (depth, frames) = (smoothed.depth.take(), smoothed.frames.take());
         Self { depth: depth.filter(|_| outputs.depth), frames: frames.filter(|_| outputs.frames) }
@@ -88,7 +89,7 @@ impl Spare {
     }
 }
 
-/// Returns the results in space that smoothing over time needs.
+/// Returns the outputs in space that smoothing over time needs.
 pub(super) fn outputs_in_space(outputs: Outputs, tracks_camera: bool) -> Outputs {
     let normals = outputs.normals || tracks_camera;
     let depth_m = outputs.depth_m || outputs.depth;
@@ -107,8 +108,8 @@ impl Session {
         }
     }
 
-    /// Returns the results that an engine must compute for a frame that is then smoothed over time. Raw depth and
-    /// frames are added after the filter.
+    /// Returns the outputs that an engine must compute for a frame. If it is smoothed over time, raw depth and
+    /// numbers of frames are added after the filter.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.outputs_to_finish(frame);
         match self.over_time(frame) {
@@ -130,11 +131,11 @@ impl Session {
         let sight = self.sight.as_ref().filter(|_| is_possible)?;
         let is_depth =
             sight.geometry.cloud_from_sensor.is_none() && matches!(sight.geometry.rule, RangeRule::Depth { .. });
-        // Poses need a camera that shaders know; tracking needs the results in space.
+        // Poses need a camera without distortion, since shaders know no other; tracking needs the results in space.
         let has_camera = sight.camera.is_some_and(|camera| camera.distortion.is_none());
         let is_possible = is_depth && !sight.is_tracked && (sight.pose.is_none() || has_camera);
         let Sight { params, sensor, outputs, pose, .. } = *sight;
-        // A pose may be missing now and then.
+        // An engine opened for a moving camera is kept if some poses are missing.
         let opened = self.open.as_ref().and_then(|open| open.open_for().video);
         let moves = pose.is_some() || opened.is_some_and(|video| video.moves);
         is_possible.then_some(Video { params, sensor, outputs, moves })
@@ -145,7 +146,8 @@ impl Session {
         self.sight.filter(|_| !self.is_over_time_on_device())
     }
 
-    /// Keeps the buffers that no engine fills until the result is received, if it is then smoothed over time.
+    /// Keeps the buffers that engines do not fill until the result is received, if the session then smooths it over
+    /// time.
     pub(super) fn keep_buffers(&mut self, buffer: &mut Smoothed) {
         if ONE_THREAD {
             return;
@@ -162,7 +164,7 @@ impl Session {
         !ONE_THREAD && self.open.as_ref().is_some_and(Open::is_over_time)
     }
 
-    /// Adds a frame's place in the video, if the device has its state.
+    /// Adds a frame's place in the video, if the device has the video's state.
     pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
         // The session's own filter is out of date from here on.
@@ -191,7 +193,8 @@ impl Session {
         }
     }
 
-    /// Smooths a frame in flight again, with the pose and outputs of its submission; returns how to finish it.
+    /// Calls `smooth` for a frame in flight, with the pose, video and outputs of its submission. Returns its result
+    /// and how to finish the frame.
     pub(super) fn as_submitted<T>(
         &mut self,
         before: &OnReceipt,
@@ -209,7 +212,7 @@ impl Session {
         (result, on_receipt)
     }
 
-    /// Finishes a received result.
+    /// Smooths a received result over time, unless its device did.
     pub(super) fn received(&mut self, view: SmoothedView, on_receipt: OnReceipt) -> Result<SmoothedView, Error> {
         match on_receipt {
             _ if ONE_THREAD => Ok(view),
@@ -228,7 +231,7 @@ impl Session {
         matches!(&self.chosen, Chosen::Settings(settings) if settings.tracks_camera())
     }
 
-    /// Remembers how a frame is seen, for when its result is smoothed over time.
+    /// Stores the sight of a frame, with which its result is smoothed over time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, geometry: FrameGeometry, params: Params) {
         let (camera, stated) = match frame {
             Frame::Depth(depth) => (Some(*depth.camera()), None),
@@ -267,7 +270,7 @@ impl Session {
         result
     }
 
-    /// Smooths a frame in space, then over time, into buffers of the caller's.
+    /// Smooths a frame in space, then over time, into the caller's buffers.
     pub(super) fn smooth_over_time_into(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         let mut smoothed = std::mem::take(&mut self.video.smoothed);
         let result = self.smooth_in_time(frame, &mut smoothed, Some(&mut out));
@@ -275,8 +278,8 @@ impl Session {
         result
     }
 
-    /// Has a frame smoothed over time by its device, or in space into `smoothed` and then here. The result is in `out`
-    /// if given, otherwise in `smoothed`.
+    /// Smooths a frame over time: on the device, or in space into `smoothed` and then with the session's filter. The
+    /// result is in `out` if given, otherwise in `smoothed`.
     fn smooth_in_time(
         &mut self,
         frame: Frame<'_>,
@@ -333,9 +336,9 @@ impl Session {
         Ok(())
     }
 
-    /// Sets the pose of the camera in the world (x right, y down, z forward) for the frames smoothed or submitted from
-    /// now on, or `None` if it is unknown. With poses, a video of a moving camera is smoothed over time as well: each
-    /// pixel follows its surface. Needs frames with a camera; only the motion from frame to frame matters.
+    /// Sets the pose of the camera in the world (x right, y down, z forward) for all later frames, or `None` if it is
+    /// unknown. With poses, a video of a moving camera is smoothed over time as well: each pixel follows its surface.
+    /// Needs frames with a camera; only the motion from frame to frame matters.
     ///
     /// # Errors
     /// If the pose is invalid.
@@ -353,9 +356,10 @@ impl Session {
         self.video.clock.restart();
     }
 
-    /// Sets the time stamp of the next frame in seconds, if it has one. A new video begins after more than a second
-    /// that is also more than five times the interval before, and when time runs backwards. Without time stamps, only
-    /// [`restart_video`](Self::restart_video) does so. Nothing happens if the session does not smooth over time.
+    /// Sets the timestamp of the next frame in seconds, if it has one. A new video begins if the time since the
+    /// previous frame exceeds both one second and five times the interval before that, and if time runs backwards.
+    /// Without timestamps, only [`restart_video`](Self::restart_video) begins a new video. Has no effect unless the
+    /// session smooths over time.
     pub fn set_frame_time(&mut self, timestamp_s: Option<f64>) {
         let is_video = self.settings().is_some_and(|settings| settings.temporal_params().is_some());
         if is_video {
@@ -363,21 +367,22 @@ impl Session {
         }
     }
 
-    /// Returns how many new videos were begun because of [time stamps](Self::set_frame_time).
+    /// Returns the number of videos begun because of [timestamps](Self::set_frame_time).
     pub fn gaps_in_time(&self) -> u64 {
         self.video.clock.gaps()
     }
 
-    /// Returns how the camera moved between the last two frames that were smoothed over time, as given or estimated;
-    /// `None` if that is not known. The estimate is good enough to smooth, but its errors add up over a video.
+    /// Returns the motion of the camera between the last two frames that were smoothed over time, as given or
+    /// estimated; `None` if it is unknown. The estimate is good enough to smooth, but its errors add up over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
         let number = self.video.clock.video();
         let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == number);
         self.video.filtering.motion(number).or_else(|| on_device.and_then(|video| video.received))
     }
 
-    /// Returns the filter over time of the session; `None` before the first frame, if the session does not smooth over
-    /// time, or if the GPU does. [`Outputs::frames`] tells with every engine how many frames each pixel averages.
+    /// Returns the session's filter over time; `None` before the first frame, if the session does not smooth over
+    /// time, or if the GPU does. With every engine, [`Outputs::frames`] is the number of frames that each pixel
+    /// averages.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
         self.video.filtering.filter_of(self.video.clock.video())
     }

@@ -8,28 +8,28 @@ use crate::fleet::SharedFrame;
 use crate::outputs::Outputs;
 use crate::temporal::CameraMotion;
 
-/// A frame that several threads own, without its type.
+/// A shared frame of any type.
 pub(super) type AnyFrame = Arc<dyn SharedFrame>;
 
 /// A frame in flight.
 pub(super) struct Pending {
-    /// The frame, to be smoothed again if its device is lost; `None` for one that the session does not share.
+    /// The frame, kept in case its device is lost; `None` if it is not shared with the session.
     pub(super) frame: Option<AnyFrame>,
     pub(super) is_cloud: bool,
     pub(super) on_receipt: OnReceipt,
-    /// How the session finishes its result, if it does.
+    /// The steps by which the session finishes the result, if any.
     pub(super) finish: Option<Finish>,
-    /// The outputs that were requested.
+    /// The requested outputs.
     pub(super) outputs: Outputs,
 }
 
-/// How to finish a received result.
+/// Smoothing over time of a received result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) enum OnReceipt {
     #[default]
     Nothing,
-    /// The session smooths it over time, with this geometry.
+    /// The session smooths the result over time, with the sight of the frame.
     Filter(Sight),
-    /// The device has smoothed it over time; the motion of the camera.
+    /// The device has smoothed the result over time. Contains the sight of the frame and the motion of the camera.
     Filtered(Sight, Option<CameraMotion>),
 }

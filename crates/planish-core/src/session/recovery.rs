@@ -14,7 +14,7 @@ pub enum Recovery {
     Fail,
 }
 
-/// Number of GPU failures. After the first the GPU is reopened, after the second it is abandoned.
+/// The GPU failures so far. After the first the GPU is reopened, after the second it is abandoned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GpuLosses {
     has_reopened: bool,
@@ -22,11 +22,11 @@ pub struct GpuLosses {
 }
 
 impl GpuLosses {
-    /// Decides how to recover from an error. A GPU that never opened was not lost; `was_open` is true if it has
-    /// smoothed, and `may_use_cpu` if the CPU engine may replace it.
+    /// Decides how to recover from an error. `was_gpu` is whether the engine was a GPU, `was_open` whether it was
+    /// open (a GPU that never opened was not lost), and `may_use_cpu` whether the CPU engine may replace it.
     pub fn next(&mut self, error: &Error, was_gpu: bool, was_open: bool, may_use_cpu: bool) -> Recovery {
         let is_loss = matches!(error, Error::Engine(error) if !matches!(error, EngineError::Stopped));
-        // While it is opened again, nothing is open.
+        // While the GPU is being reopened, no engine is open.
         let is_of_gpu = (was_gpu && was_open) || self.has_reopened;
         if !is_loss || !is_of_gpu || self.uses_cpu {
             return Recovery::Fail;

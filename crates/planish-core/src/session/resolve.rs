@@ -1,4 +1,4 @@
-//! The parameters for each frame: from settings, estimates, and what the session keeps.
+//! The parameters for each frame, from settings, estimates and the session's state.
 
 use super::event::{CloudChoice, SessionEvent};
 use super::{Chosen, Session};
@@ -9,8 +9,8 @@ use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 
 impl Session {
-    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first. Estimates what settings
-    /// leave open, and reports it as an event.
+    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first. Estimates what the
+    /// settings leave open, and reports each new estimate as an event.
     pub(super) fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
         if let Some(params) = self.is_first {
             return Ok((params.into(), None));
@@ -45,7 +45,7 @@ impl Session {
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
-                // Also if an engine fails and another takes over.
+                // Reused if an engine fails and another takes over.
                 self.is_prepared = true;
                 if let Params::Cloud(params) = &resolved.params {
                     let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
@@ -61,7 +61,7 @@ impl Session {
         }
     }
 
-    /// Returns the parameters with the window for a frame.
+    /// Returns the parameters with the size of the window for a frame.
     pub(super) fn with_window(
         &mut self,
         engine_params: EngineParams,

@@ -1,4 +1,4 @@
-//! Smooths over time what was smoothed in space elsewhere, such as the frames of a rig.
+//! Smoothing over time of results that were smoothed in space elsewhere, such as the frames of a rig.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;
@@ -21,7 +21,7 @@ pub struct ResultFilter {
     is_camera_unknown: bool,
 }
 
-/// How a frame is seen whose result is smoothed over time later.
+/// The geometry and sensor of a frame whose result is smoothed over time later.
 #[derive(Debug, Clone, Copy)]
 pub struct ResultSight(Sight);
 
@@ -42,8 +42,8 @@ impl ResultFilter {
         self.clock.restart();
     }
 
-    /// Looks at a frame that is about to be smoothed in space, in the order of the video; `None` if it has no grid.
-    /// Gaps in time stamps begin a new video.
+    /// Examines a frame before it is smoothed in space; to be called in the order of the video. Returns `None` if the
+    /// frame has no grid. Gaps in timestamps begin a new video.
     pub fn look_at(
         &mut self,
         frame: Frame<'_>,
@@ -72,7 +72,8 @@ impl ResultFilter {
         }))
     }
 
-    /// Smooths the result of a frame over time, in the order of the video, and leaves the outputs that were requested.
+    /// Smooths the result of a frame over time, and keeps only the requested outputs; to be called in the order of
+    /// the video.
     ///
     /// # Errors
     /// If the parameters are outside their ranges.
@@ -83,7 +84,7 @@ impl ResultFilter {
         Ok(())
     }
 
-    /// Returns true once if the motion of the camera is wanted but the points show no camera.
+    /// Returns true once if the motion of the camera is needed but no camera fits the points.
     pub fn take_camera_unknown(&mut self) -> bool {
         std::mem::take(&mut self.is_camera_unknown)
     }

@@ -13,35 +13,37 @@ use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::temporal::{CameraMotion, Surface, SurfaceRef, TemporalFilter, TemporalParams, Tracker};
 
-/// Pixels handled by a task.
+/// Number of pixels per task.
 const TASK: usize = 1 << 14;
 
-/// The geometry of a frame, and its sensor.
+/// The geometry of a frame of a video, its sensor, and how it is smoothed over time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
     pub(super) geometry: FrameGeometry,
     pub(super) sensor: SensorModel,
-    /// For raw depth.
+    /// The camera that the frame states, if any.
     pub(super) camera: Option<Camera>,
-    /// The requested results.
+    /// The requested outputs.
     pub(super) outputs: Outputs,
     pub(super) shape: (usize, usize),
-    /// How it is smoothed over time.
+    /// Parameters of smoothing over time.
     pub(super) params: TemporalParams,
     /// Number of the video that the frame belongs to.
     pub(super) video: u64,
-    /// world_from_camera, if known, and whether the frame itself states it.
+    /// world_from_camera, if known.
     pub(super) pose: Option<SensorPose>,
+    /// Whether the frame itself states the pose.
     pub(super) is_pose_of_file: bool,
     /// Whether the motion of the camera is estimated if its pose is not known.
     pub(super) is_tracked: bool,
 }
 
-/// A pose, and whether the frame itself stated it.
+/// A pose, and whether the frame itself states it.
 pub(super) type StatedPose = Option<(SensorPose, bool)>;
 
 impl Sight {
-    /// Returns true if a frame belongs to the video that this one begins, whose camera is known or not.
+    /// Returns true if the frame of `sight` belongs to the video that the frame of `self` begins. `knows_camera` is
+    /// whether the camera of that video is known.
     pub(super) fn goes_on_with(&self, sight: &Self, knows_camera: bool) -> bool {
         let has_transform = |sight: &Self| sight.geometry.cloud_from_sensor.is_some();
         // A sensor that moves is followed if its motion can be compensated.
@@ -52,7 +54,8 @@ impl Sight {
         self.video == sight.video && self.params == sight.params && is_same_camera && is_same_place
     }
 
-    /// Returns how the camera has moved since the frame before by their stated poses, and keeps this frame's.
+    /// Returns the motion of the camera since the previous frame by their stated poses, if known, and stores this
+    /// frame's pose in `last`.
     pub(super) fn motion_since(
         &self,
         last: &mut StatedPose,
@@ -68,14 +71,14 @@ impl Sight {
         Ok(if is_known { Some(CameraMotion::between(*camera, &previous, &current)?) } else { None })
     }
 
-    /// Returns the camera on whose pixels the points are.
+    /// Returns the camera whose pixels the points are on, if there is one.
     pub(super) fn camera_of(&self, smoothed: &Smoothed) -> Option<Camera> {
         let mut surface = Surface::default();
         self.keep(smoothed, &mut surface);
         Camera::of_points((smoothed.width, smoothed.height), &surface.points)
     }
 
-    /// Estimates how the camera has moved since the frame before.
+    /// Estimates the motion of the camera since the previous frame.
     pub(super) fn track(
         &self,
         tracker: &mut Tracker,
@@ -98,7 +101,7 @@ impl Sight {
         Some(CameraMotion { camera: tracker.camera(), previous_from_current })
     }
 
-    /// Copies points and normals in the frame of the sensor.
+    /// Copies points and normals to `surface`, in the frame of the sensor.
     pub(super) fn keep(&self, smoothed: &Smoothed, surface: &mut Surface) {
         surface.points.clone_from(&smoothed.points);
         match &smoothed.normals {
@@ -129,7 +132,7 @@ impl Sight {
         });
     }
 
-    /// Moves every point along its ray, from its range in the single frame to that over time, which the filter has.
+    /// Moves every point along its ray, from its range in the single frame to the filter's range over time.
     pub(super) fn apply(&self, filter: &mut TemporalFilter, ranges_m: &[f32], smoothed: &mut Smoothed) {
         let (width, level) = (smoothed.width, filter.level());
         let sensor = self.geometry.sensor_position().as_vec3().to_array();
@@ -159,7 +162,7 @@ impl Sight {
         });
     }
 
-    /// Adds the results that follow from others: raw depth, and the number of frames that each point is the mean of.
+    /// Adds the outputs derived from others: raw depth, and the number of frames that each point averages.
     pub(super) fn finish(&self, smoothed: &mut Smoothed, filter: Option<&TemporalFilter>) {
         if let (true, Some(camera), Some(depth_m)) = (self.outputs.depth, &self.camera, &smoothed.depth_m) {
             let raw = smoothed.depth.get_or_insert_default();
@@ -174,7 +177,7 @@ impl Sight {
             frames.par_chunks_mut(TASK).zip(statuses.par_chunks(TASK)).enumerate().for_each(
                 |(task, (frames, statuses))| {
                     for (k, (frames, status)) in frames.iter_mut().zip(statuses).enumerate() {
-                        // A point without a normal that was not carried over is the frame's own.
+                        // A point without a normal that the filter carried over has only the frame's own value.
                         let of_filter =
                             filter.filter(|filter| status.has_normal() || !filter.is_carried(TASK * task + k));
                         let averaged = of_filter.map_or(1.0, |filter| filter.frames(TASK * task + k).max(1.0));
@@ -222,7 +225,8 @@ mod tests {
     use super::*;
     use crate::xyz::Xyz;
 
-    /// Smooths frames of 8x8 pixels at 2 m, the last of which has another range at one pixel.
+    /// Smooths six frames of 8x8 pixels at 2 m, the last with another range at one pixel, and returns the last
+    /// result.
     fn last_of_video(status: Status, last_m: f32) -> Smoothed {
         let geometry = FrameGeometry { cloud_from_sensor: None, rule: RangeRule::Depth { pitch_at_1m: None } };
         let outputs = Outputs::POINTS;
@@ -257,11 +261,11 @@ mod tests {
         let status = last.status.as_ref().unwrap();
         assert_eq!((status[27], status[26]), (Status::Carried, Status::Polynomial2));
         assert!(last.points.get(27).iter().zip([0.2, -0.4, 2.0]).all(|(a, b)| (a - b).abs() < 1e-6));
-        // Its status cannot tell both, so it is not carried.
+        // The status cannot express both, so the point is not carried over.
         let last = last_of_video(Status::Degenerate, 1.5);
         assert_eq!(last.status.as_ref().unwrap()[27], Status::Degenerate);
         assert_eq!(last.points.get(27)[2], 1.5);
-        // A hole stays one.
+        // A hole stays a hole.
         let last = last_of_video(Status::Hole, f32::NAN);
         assert!(last.points.get(27)[2].is_nan() && last.status.as_ref().unwrap()[27] == Status::Hole);
     }

@@ -151,7 +151,7 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     let mut smoothed = Smoothed::default();
     let mut chosen = |session: &mut Session, points: &[[f32; 3]]| {
         let view = PointsView::from_rows(points).unwrap();
-        // Once, although the cloud is seen twice.
+        // One event, although the cloud is examined twice.
         session.prepare(view).unwrap();
         session.smooth(view, &mut smoothed).unwrap();
         let events = session.take_events();
@@ -198,7 +198,7 @@ fn neighbours_are_chosen_by_the_noise_of_each_cloud_and_reported() {
     assert!(with.neighbours * 2 > without.neighbours, "{with:?} {without:?}");
 }
 
-/// Points on a cube of 2 x 2 x 2 m or a sphere of 2 m in diameter, with noise.
+/// Returns points with noise on a cube of 2 x 2 x 2 m or on a sphere with a diameter of 2 m.
 fn noisy_shape(is_cube: bool, count: usize, noise_m: f32) -> Vec<[f32; 3]> {
     let mut random = Random(17);
     let mut point = || {
@@ -216,7 +216,7 @@ fn noisy_shape(is_cube: bool, count: usize, noise_m: f32) -> Vec<[f32; 3]> {
     (0..count).map(|_| point()).collect()
 }
 
-/// The RMS distance from the cube's or the sphere's surface.
+/// Returns the RMS distance in metres from the surface of the cube or the sphere.
 fn rms_from_shape(points: &Xyz, is_cube: bool) -> f32 {
     let distance = |p: [f32; 3]| {
         if !is_cube {
@@ -252,7 +252,7 @@ fn the_sides_of_a_thin_wall_are_not_merged() {
         .iter()
         .zip(smoothed.points.z())
         .fold((0.0, 0.0), |(raw, left), (point, z)| (raw + off(point[2]), left + off(*z)));
-    // With one surface in the middle of the wall it would be 2.4 times as much as the noise.
+    // A single surface in the middle of the wall would give a ratio of 2.4.
     assert!(left < 0.8 * raw, "{}", left / raw);
 }
 
@@ -276,7 +276,7 @@ fn edges_and_passes_are_chosen_by_shape_and_noise() {
             panic!("{events:?}")
         };
         assert_eq!((chosen, chosen_passes), (edges, passes), "{is_cube} {noise_m}");
-        // As these settings do in one pass after another.
+        // Explicit settings give the same result; for two passes, so do two calls.
         let name = if edges == Edges::Off { "off" } else { "robust" };
         let mut again =
             smooth(view, &format!("engine=cpu neighbours={neighbours} edges={name} passes={passes}").parse().unwrap());
@@ -304,7 +304,7 @@ fn edges_and_passes_are_chosen_by_shape_and_noise() {
     assert!("passes=3".parse::<Settings>().unwrap_err().to_string().contains("1 or 2"));
 }
 
-/// Points without their grid; the first has no neighbours.
+/// Returns the points of a frame without its grid; the first point has no neighbours.
 fn frame_of_one_lonely_pixel() -> Vec<[f32; 3]> {
     let mut raw = vec![1000u16; 64 * 48];
     for v in 0..24 {
@@ -344,13 +344,13 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     assert!(same(of_pixels(&|i| expected.points.get(i)), &found.points));
     assert!(same(of_pixels(&|i| expected.normals.as_ref().unwrap().get(i)), found.normals.as_ref().unwrap()));
     assert_eq!((found.width, found.height), (points.len(), 1));
-    // A point alone stays where it is.
+    // An isolated point keeps its position.
     let alone = frame_of_one_lonely_pixel();
     session.smooth(PointsView::from_rows(&alone).unwrap(), &mut found).unwrap();
     assert_eq!(session.rebuilt_grid(), Some((64, 48)));
     assert_eq!((found.points.get(0), found.status.as_ref().unwrap()[0]), (alone[0], Status::Isolated));
     session.smooth(view, &mut found).unwrap();
-    // Into buffers of the caller's.
+    // Into the caller's buffers.
     let mut into = vec![[0.0f32; 3]; points.len()];
     session.smooth_into(view, SmoothedMut::new().with_points(&mut into)).unwrap();
     assert!(same(into, &found.points));
@@ -367,7 +367,7 @@ fn a_frame_without_its_grid_is_smoothed_on_it() {
     session.prepare(view).unwrap();
     session.smooth(view.with_pose(pose).unwrap(), &mut found).unwrap();
     assert_eq!(session.rebuilt_grid(), None);
-    // An intact frame of as many points is found in place of the prepared one.
+    // Another frame with the same number of points replaces the prepared one.
     let nearer: Vec<_> = points.iter().map(|p| p.map(|value| 0.9 * value)).collect();
     session.prepare(view).unwrap();
     session.smooth(PointsView::from_rows(&nearer).unwrap(), &mut found).unwrap();

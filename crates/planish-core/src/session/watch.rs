@@ -13,12 +13,13 @@ impl ProgressWatch {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = progress;
     }
 
-    /// Returns the progress of the open engine; `None` for engines that take no longer than a frame.
+    /// Returns the progress of the open engine; `None` if no engine is open, or if its frames are too short for it to
+    /// report progress.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Stops the frame that is being smoothed, where that may take long; it then fails with
+    /// Stops the frame that is being smoothed, if the engine reports progress; smoothing then fails with
     /// [`EngineError::Stopped`](crate::EngineError::Stopped).
     pub fn stop(&self) {
         if let Some(progress) = self.progress() {

@@ -4,13 +4,14 @@ use rayon::prelude::*;
 
 use super::constants::{LEAST_CORRELATION, MOST_LAG_PX, ROW_STRIDE_PX};
 
-/// Sums are kept in this number of parts, so that they are the same for every instruction set.
+/// Number of parts that sums are kept in, so that results are the same for every instruction set.
 const PARTS: usize = 16;
 
-/// Products and mean squares of the residuals of pairs of pixels, for each lag along rows and columns.
+/// Sums of the products and of the mean squares of the residuals of pairs of pixels, for each lag along rows and
+/// columns.
 type Sums = [[[f64; 2]; MOST_LAG_PX]; 2];
 
-/// Returns the number of pixels whose noise counts as one: the sum of the correlations of the residuals over all lags.
+/// Returns the area of correlation in pixels, A of (17.3): the number of pixels whose noise counts as one.
 pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usize)) -> f64 {
     let of_row = |v: usize| -> Sums {
         let row = |v: usize| [&values[v * width..(v + 1) * width], &counts[v * width..(v + 1) * width]];

@@ -1,5 +1,5 @@
-//! The standard error of each smoothed position (docs/method.md, section 17), from the residuals of the frame itself:
-//! what any engine has made of it.
+//! The standard error of each smoothed position (docs/method.md, section 17), estimated from the residuals of the
+//! frame itself, whichever engine smoothed it.
 
 pub(crate) mod constants;
 mod correlation;
@@ -15,7 +15,7 @@ use crate::smoothed::Smoothed;
 use crate::status::Status;
 use crate::threads::Threads;
 
-/// How standard errors are estimated.
+/// Parameters of the estimate of standard errors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sigma {
     pub(crate) geometry: FrameGeometry,
@@ -25,13 +25,14 @@ pub(crate) struct Sigma {
 /// Buffers that are kept from frame to frame.
 #[derive(Default)]
 pub(crate) struct SigmaBuffers {
-    /// The smoothed range of each pixel, and the sensor's deviation there.
+    /// Smoothed range of each pixel.
     ranges_m: Vec<f32>,
+    /// Standard deviation of the sensor at the smoothed range of each pixel.
     deviations_m: Vec<f32>,
-    /// Residuals in deviations, and 1 for pixels that have one.
+    /// Residuals in standard deviations of the sensor; 0 for pixels without one.
     values: Vec<f32>,
     counts: Vec<f32>,
-    /// 1 for pixels with a step to the next one.
+    /// 1 for pixels with a step to the pixel on the right or below, otherwise 0.
     steps: Vec<u8>,
 }
 
@@ -81,7 +82,7 @@ impl Sigma {
             || rows::Windows::new(width),
             |windows, (v, sigma_m)| {
                 let row = v * width..(v + 1) * width;
-                // The number of frames becomes the error.
+                // `set_errors` replaces the number of frames by the error.
                 match &smoothed.frames {
                     Some(frames) => sigma_m.copy_from_slice(&frames[row.clone()]),
                     None => sigma_m.fill(1.0),
@@ -109,7 +110,7 @@ impl Sigma {
         let rows = rows.zip(values.par_chunks_mut(width)).zip(counts.par_chunks_mut(width)).enumerate();
         rows.for_each(|(v, (((ranges_m, deviations_m), values), counts))| {
             let row = v * width..(v + 1) * width;
-            // The measured ranges become the residuals.
+            // `set_residuals` replaces the measured ranges by the residuals.
             match frame {
                 Frame::Depth(depth) => values.iter_mut().enumerate().for_each(|(u, m)| *m = depth.depth_m(u, v)),
                 Frame::Points(points) => {
@@ -137,13 +138,14 @@ impl Sigma {
     }
 }
 
-/// Scale from residuals to standard errors: what of it depends only on the parameters of smoothing.
+/// Scale from residuals to standard errors, as far as it depends only on the smoothing parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ErrorScale {
     /// Ratio of the standard error to the deviation of the residuals, for one neighbour and an area of one pixel.
     pub(crate) gain: f64,
-    /// The least area of correlation in pixels, and the least variance of residuals.
+    /// Minimum area of correlation in pixels.
     pub(crate) least_area: f64,
+    /// Minimum variance of residuals, in variances of the sensor.
     pub(crate) least_variance: f32,
 }
 

@@ -6,18 +6,18 @@ use super::constants::{
 };
 use crate::status::Status;
 
-/// How errors follow from residuals.
+/// Model of the errors as a function of the residuals.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ErrorModel {
-    /// The standard error over the deviation of the residuals, of a point with one neighbour.
+    /// Ratio of the standard error to the deviation of the residuals, for a point with one neighbour.
     pub(super) gain: f32,
-    /// The least variance of residuals.
+    /// Minimum variance of residuals, in variances of the sensor.
     pub(super) least_variance: f32,
-    /// The variance of the mean over a small window, relative to the variance of one residual.
+    /// Variance of the mean residual over a small window, relative to the variance of one residual.
     pub(super) variance_of_mean: f32,
 }
 
-/// The smoothed ranges of a row, and what belongs to them.
+/// The smoothed ranges of a row, and the other values of its pixels.
 #[derive(Clone, Copy)]
 pub(super) struct OfRow<'a> {
     pub(super) ranges_m: &'a [f32],
@@ -31,8 +31,8 @@ fn is_on_surface(status: Status) -> bool {
     matches!(status, Status::Plane | Status::Polynomial2 | Status::Polynomial3)
 }
 
-/// Turns measured ranges into residuals in deviations of the sensor, 0 where there are none; sets the deviations, and
-/// 1 for pixels that have a residual.
+/// Replaces the measured ranges in `values` by residuals in standard deviations of the sensor; 0 for pixels without
+/// one. Sets `deviations_m`, and `counts` to 1 for pixels with a residual.
 #[inline(always)]
 pub(super) fn set_residuals(
     [values, counts, deviations_m]: [&mut [f32]; 3],
@@ -62,7 +62,7 @@ pub(super) fn mark_steps(steps: &mut [u8], [here_m, below_m]: [&[f32]; 2], devia
     }
 }
 
-/// Sums over the windows around the pixels of a row, with a margin on both sides.
+/// Column sums of the windows around the pixels of a row, with a margin on both sides.
 pub(super) struct Windows {
     squares: Vec<f32>,
     counts: Vec<f32>,
@@ -71,7 +71,7 @@ pub(super) struct Windows {
     steps: Vec<u8>,
 }
 
-/// Margin of rows on both sides.
+/// Number of values in the margin on either side of a row.
 const MARGIN: usize = HALF_PX;
 
 impl Windows {
@@ -114,7 +114,7 @@ impl Windows {
         }
     }
 
-    /// Turns the numbers of averaged frames into standard errors; NaN without a point.
+    /// Replaces the numbers of averaged frames in `errors` by standard errors; NaN for pixels without a point.
     #[inline(always)]
     pub(super) fn set_errors(&self, errors: &mut [f32], row: OfRow<'_>, model: &ErrorModel) {
         let width = errors.len();

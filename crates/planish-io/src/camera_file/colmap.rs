@@ -4,7 +4,8 @@ use super::super::{FormatResult, quoted};
 use super::malformed;
 use planish_core::{Camera, Distortion, FormatError};
 
-/// COLMAP's list of cameras: `ID MODEL WIDTH HEIGHT PARAMETERS`. Its pixel centres are at half coordinates.
+/// Reads COLMAP's list of cameras, `ID MODEL WIDTH HEIGHT PARAMETERS`; returns `None` for other text. COLMAP's pixel
+/// centres are at half coordinates.
 pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult<Camera>> {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let is_colmap = |line: &str| {
@@ -31,7 +32,7 @@ pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<F
     }))
 }
 
-/// Returns the camera of a line of COLMAP's `cameras.txt`.
+/// Parses the camera in a line of COLMAP's `cameras.txt`.
 pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed = |range: std::ops::RangeFrom<usize>| {

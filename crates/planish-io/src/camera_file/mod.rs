@@ -19,16 +19,16 @@ use planish_core::{Camera, FormatError, IoError};
 const HELP: &str = "expected a camera file: JSON with fx, fy, cx, cy or a matrix (Open3D, NeRF, BOP and others), the YAML \
                     of a ROS camera_info, OpenCV's YAML or XML, a 3x3 or 4x4 matrix as text, or COLMAP's cameras.txt";
 
-/// The largest camera file accepted, in bytes.
+/// Maximum size of a camera file in bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
 /// A camera file that was read.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CameraFile {
-    /// The camera; 0x0 if the file states no shape and none was given.
+    /// The camera; its shape is 0x0 if the file states none and none was given.
     pub camera: Camera,
-    /// Whether the file states the unit of depth.
+    /// True if the file states the depth unit.
     pub states_units: bool,
     /// Guesses and contradictions, one clause each, for users.
     pub notes: Vec<String>,
@@ -41,7 +41,7 @@ pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera,
     read_camera_file(path, shape).map(|file| file.camera)
 }
 
-/// Reads a camera file as [`read_camera`] does, and lists the guesses that it made.
+/// Same as [`read_camera`], but also returns the guesses made.
 pub fn read_camera_file(path: &Path, shape: Option<(usize, usize)>) -> Result<CameraFile, IoError> {
     read_text(path).and_then(|text| parse_camera_file(&text, shape)).map_err(IoError::at(path))
 }
@@ -57,12 +57,12 @@ pub fn read_text(path: &Path) -> FormatResult<String> {
     if text.contains(&0) { Err(malformed("not text".into())) } else { Ok(super::text_of(&text).into_owned()) }
 }
 
-/// [`read_camera`] of a file's text.
+/// Same as [`read_camera`], for the text of a file.
 pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<Camera> {
     parse_camera_file(text, shape).map(|file| file.camera)
 }
 
-/// Does the same as [`read_camera_file`] with a file's text.
+/// Same as [`read_camera_file`], for the text of a file.
 pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatResult<CameraFile> {
     let mut file = match from_colmap(text, shape) {
         Some(camera) => CameraFile { camera: camera?, states_units: false, notes: Vec::new() },
@@ -80,7 +80,7 @@ pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatRes
     Ok(file)
 }
 
-/// Returns a key in a JSON camera that no camera has, such as a misspelt one.
+/// Returns a key that camera files do not have, such as a misspelt one; `None` if all keys are known.
 ///
 /// # Errors
 /// If the text cannot be parsed as JSON, YAML, XML or numbers.

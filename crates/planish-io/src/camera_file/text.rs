@@ -32,7 +32,7 @@ pub(super) fn parse(text: &str) -> FormatResult<Value> {
     serde_yaml_ng::from_str(first).map_err(|error| not_a_camera(&error))
 }
 
-/// Returns a line `name = value`, as in ScanNet, as YAML; other lines as they are.
+/// Converts a line `name = value`, as in ScanNet, to YAML; returns other lines unchanged.
 fn as_yaml(line: &str) -> String {
     let is_name = |name: &str| name.chars().all(|c| c.is_alphanumeric() || c == '_');
     match line.split_once('=') {
@@ -41,7 +41,8 @@ fn as_yaml(line: &str) -> String {
     }
 }
 
-/// Returns numbers and nothing else, which may be in brackets and parted by commas or semicolons.
+/// Returns the numbers in a text, separated by spaces, brackets, commas or semicolons; `None` if it contains anything
+/// else or is empty.
 fn numbers(text: &str) -> Option<Value> {
     let words =
         text.split(|c: char| c.is_whitespace() || matches!(c, ',' | ';' | '[' | ']')).filter(|word| !word.is_empty());
@@ -49,7 +50,7 @@ fn numbers(text: &str) -> Option<Value> {
     (!numbers.is_empty()).then(|| numbers.into())
 }
 
-/// Returns the numbers of OpenCV's XML by their names: `<name>1</name>`, and matrices with a part `<data>`.
+/// Returns the values in OpenCV's XML by their names: `<name>1</name>`, or a matrix with an element `<data>`.
 #[cfg(feature = "more-formats")]
 fn xml(text: &str) -> Map<String, Value> {
     let value = |name: &str| {

@@ -1,4 +1,4 @@
-//! The camera in the parsed contents of a file, under the names that programs give its numbers.
+//! Extraction of the camera from the parsed contents of a file, with the names that programs give its numbers.
 
 use serde_json::{Map, Value};
 
@@ -14,7 +14,7 @@ const FX: &[&str] = &["fx", "fl_x", "fx_depth", "Camera.fx", "Camera1.fx"];
 const FY: &[&str] = &["fy", "fl_y", "fy_depth", "Camera.fy", "Camera1.fy"];
 const CX: &[&str] = &["cx", "ppx", "mx_depth", "Camera.cx", "Camera1.cx"];
 const CY: &[&str] = &["cy", "ppy", "my_depth", "Camera.cy", "Camera1.cy"];
-/// fx, fy, cx, cy.
+/// Names of a list of fx, fy, cx and cy.
 const FOUR: &[&str] = &["intrinsics"];
 const MATRIX: &[&str] = &[
     "intrinsic_matrix",
@@ -45,14 +45,15 @@ const DISTORTION: &[&str] = &[
 ];
 const MODEL: &str = "distortion_model";
 const CAMERA_MODEL: [&str; 2] = ["camera_model", "Camera.type"];
-/// The key of librealsense. Other programs store a camera's name under it.
+/// librealsense's key for the distortion model, and the prefix of its values. Other programs store a camera's name
+/// under this key.
 const MODEL_OF_REALSENSE: (&str, &str) = ("model", "distortion.");
-/// Marks of a fisheye.
+/// Keys that mark a fisheye lens.
 const FISHEYE: [&str; 2] = ["is_fisheye", "fisheye_model"];
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
-/// The number of depth units in a metre.
+/// Names of the number of depth units per metre.
 const UNITS: &[&str] = &["depth_units_per_metre"];
-/// The same, or its inverse.
+/// Names of the number of depth units per metre, or of its inverse.
 const SCALE: &[&str] = &[
     "depth_scale",
     "depthScale",
@@ -61,14 +62,14 @@ const SCALE: &[&str] = &[
     "DepthMapFactor",
     "Camera.RGBD.DepthMapFactor",
 ];
-/// Replica's name of it, within `camera`; elsewhere that is the scale of a scene.
+/// Replica's name of the depth scale, within `camera`; elsewhere it is the scale of a scene.
 const REPLICA_SCALE: &str = "scale";
 const REGION: &str = "roi";
 const BINNING: [&[&str]; 2] = [&["binning_x"], &["binning_y"]];
 /// Keys of nested cameras.
 const NESTED: [&str; 4] = ["intrinsic", "intrinsics", "camera", "depth"];
 
-/// Named numbers of a camera, and of the object around it, which may state the unit of depth.
+/// Named numbers of a camera, and of the object around it, which may state the depth unit.
 struct Names<'a> {
     own: &'a Map<String, Value>,
     outer: Option<&'a Map<String, Value>>,
@@ -98,7 +99,7 @@ impl<'a> Names<'a> {
         if is_whole { Ok(Some(number as usize)) } else { Err(what()) }
     }
 
-    /// Returns the numbers of a list, a list of lists, or OpenCV's matrix with its `data`.
+    /// Returns the numbers of a list, of a list of lists, or of the `data` of OpenCV's matrix.
     fn numbers(&self, names: &[&str]) -> FormatResult<Option<Vec<f64>>> {
         let Some((name, value)) = self.value(names) else { return Ok(None) };
         let value = value.get("data").unwrap_or(value);
@@ -114,7 +115,7 @@ fn flat(value: &Value) -> Option<Vec<f64>> {
     }
 }
 
-/// Returns the camera that a file states.
+/// Returns the camera that a file describes.
 pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
     let lacking = || malformed("the camera file lacks intrinsics: fx, fy, cx and cy, or a matrix".into());
     if let Value::Array(_) = value {
@@ -148,7 +149,7 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
     of_names(&names, lacking)
 }
 
-/// Returns true if an object has the focal length or a matrix itself.
+/// Returns true if an object directly contains a focal length or a matrix.
 fn has_intrinsics(map: &Map<String, Value>) -> bool {
     [FX, MATRIX, FOUR]
         .iter()
@@ -258,12 +259,12 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
     Ok(first)
 }
 
-/// Returns true for the name of a camera without the model of its lens.
+/// Returns true for a camera model that does not specify the lens distortion.
 fn is_pinhole(name: &str) -> bool {
     ["pinhole", "simple_pinhole", "rectified"].iter().any(|pinhole| name.eq_ignore_ascii_case(pinhole))
 }
 
-/// Returns the number of depth units in a metre, of a scale that may be its inverse.
+/// Converts a depth scale to depth units per metre. The scale may be this number, or millimetres or metres per unit.
 fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
     let (units, convention) = match scale {
         100.0.. => return Ok(scale),
@@ -276,13 +277,13 @@ fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
             )));
         }
     };
-    // Without the noise of a division.
+    // Removes the rounding error of the division.
     let units = (units * 1e6).round() / 1e6;
     notes.push(format!("depth_scale {scale} is taken as {convention}: {units} units per metre"));
     Ok(units)
 }
 
-/// Returns the camera of the part of the image that is sent, whose pixels may be binned.
+/// Returns the camera of the region of interest, whose pixels may be binned.
 fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
     let binning = [names.pixels(BINNING[0])?.unwrap_or(0).max(1), names.pixels(BINNING[1])?.unwrap_or(0).max(1)];
     let (mut offset, mut size) = ([0, 0], (camera.width, camera.height));
@@ -290,7 +291,7 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
         let region = Names { own: region, outer: None };
         let pixels = |name: &str| region.pixels(&[name]).map(Option::unwrap_or_default);
         let whole = (pixels("width")?, pixels("height")?);
-        // A region of nothing is the whole image.
+        // An empty region means the whole image.
         if whole.0 > 0 && whole.1 > 0 {
             (offset, size) = ([pixels("x_offset")?, pixels("y_offset")?], whole);
         }
@@ -305,7 +306,7 @@ pub(super) fn names() -> impl Iterator<Item = &'static str> {
     all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE).chain([MODEL]).chain(CAMERA_MODEL)
 }
 
-/// Returns a name that no camera has.
+/// Returns a key that camera files do not have.
 pub(super) fn unknown_key(value: &Value) -> Option<String> {
     let known = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     let is_known = |name: &str| {

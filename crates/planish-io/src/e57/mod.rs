@@ -19,11 +19,11 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 
 /// The field with the number of each point's scan, in files of several scans.
 const SCAN: &str = "scan";
-/// Fields of all scans together.
+/// Maximum number of different fields in all scans.
 const MOST_COLUMNS: usize = 1000;
 /// The field that marks points without a colour.
 const COLOUR_INVALID: &str = "color_invalid";
-/// Standard fields by our names.
+/// Standard E57 fields, with our names.
 const FIELDS: [(&str, RecordName); 12] = [
     ("intensity", RecordName::Intensity),
     ("intensity_invalid", RecordName::IsIntensityInvalid),
@@ -38,10 +38,10 @@ const FIELDS: [(&str, RecordName); 12] = [
     ("timestamp", RecordName::TimeStamp),
     ("timestamp_invalid", RecordName::IsTimeStampInvalid),
 ];
-/// Normals by the standard's own extension.
+/// Components of normals in the standard's extension, with our names.
 const NORMALS: [(&str, &str); 3] = [("normal_x", "normalX"), ("normal_y", "normalY"), ("normal_z", "normalZ")];
 const OF_NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
-/// Every other field.
+/// Namespace and URL of our extension, which stores all other fields.
 const OWN: (&str, &str) = ("planish", "https://github.com/planish/planish");
 
 fn damaged(error: e57::Error) -> FormatError {
@@ -128,7 +128,7 @@ impl Position {
     }
 }
 
-/// Our name of a field; `None` for what becomes the position.
+/// Returns our name of a field; `None` for coordinates and for flags of invalid points.
 fn name_of(name: &RecordName) -> Option<String> {
     if let Some((own, _)) = FIELDS.iter().find(|(_, standard)| standard == name) {
         return Some((*own).to_owned());
@@ -142,7 +142,7 @@ fn name_of(name: &RecordName) -> Option<String> {
     })
 }
 
-/// Returns whether a cloud was read from E57.
+/// Returns true if a cloud was read from E57.
 pub(super) fn has_scans(cloud: &PointCloud) -> bool {
     cloud.provenance.get::<Scans>().is_some()
 }
@@ -156,7 +156,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         images => notes.push(format!("{images} images are dropped")),
     }
     let count = scans.iter().try_fold(0u64, |sum, scan| sum.checked_add(scan.records));
-    // A bit a point at least, or a header of some bytes could announce anything.
+    // A point takes at least one bit; without this check, a small header could claim any number of points.
     let count = count
         .filter(|count| *count <= 8 * bytes.len() as u64)
         .ok_or_else(|| FormatError::Malformed("truncated: its header states more points than the file holds".into()))?;
@@ -221,7 +221,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
                 let missing = if lacks_colour && name == COLOUR_INVALID { 1.0 } else { kind.missing() };
                 column.push(source.map_or(missing, |source| values[source]));
             }
-            // Like the positions, they are in the scan's frame.
+            // Normals are in the scan's frame, like positions.
             if let [Some(x), Some(y), Some(z)] = normals {
                 let last = |column: usize| columns[column].2.last().copied().unwrap_or(f64::NAN);
                 let turned = rotation * DVec3::new(last(x), last(y), last(z));
@@ -258,7 +258,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(cloud)
 }
 
-/// Fields of the standard that must not be without these.
+/// Returns the fields that the standard requires together with this one.
 fn needed_beside(name: &RecordName) -> &'static [&'static str] {
     match name {
         RecordName::ColorRed | RecordName::ColorGreen | RecordName::ColorBlue | RecordName::IsColorInvalid => {
@@ -325,7 +325,7 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
     }
 }
 
-/// Writes each scan of the cloud in its frame, or one scan with all points.
+/// Encodes each scan of the cloud in its own frame, or one scan with all points.
 pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let cannot = |error: e57::Error| {
         FormatError::Unsupported(format!("cannot encode this cloud as E57: {}", brief(&error.to_string())))
@@ -423,7 +423,7 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// Returns an identifier that follows from the points, so that the same cloud gives the same file.
+/// Returns an identifier computed from the points, so that the same cloud gives the same file.
 fn guid(cloud: &PointCloud, number: usize) -> String {
     let values = cloud.positions.iter().flatten().map(|value| u64::from(value.to_bits()));
     // FNV-1a, over 64 bits.

@@ -18,8 +18,8 @@ pub(super) struct Scans {
 }
 
 impl Scans {
-    /// Returns the scanner position of each scan, if there are several scans and one has a pose; the identity counts as
-    /// none.
+    /// Returns the scanner position of each scan, if there are several scans and one has a pose. The identity counts
+    /// as no pose.
     pub(super) fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
         let scanner = |scan: &e57::PointCloud| {
             let (rotation, position) = pose_of(scan);
@@ -57,8 +57,8 @@ fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option
     })
 }
 
-/// Sets the range of intensities and colours of a scan's sensor, if the scan states it; otherwise the writer states the
-/// range of the type.
+/// Sets the sensor's range of intensities and colours, if the scan states it; otherwise the writer states the range
+/// of the type.
 pub(super) fn set_limits<T: Read + Write + Seek>(
     points: &mut PointCloudWriter<'_, T>,
     scan: &e57::PointCloud,

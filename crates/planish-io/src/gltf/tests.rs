@@ -37,7 +37,7 @@ fn read(bytes: &[u8]) -> FormatResult<PointCloud> {
 #[test]
 fn vertices_stand_where_their_nodes_place_them() {
     let cloud = read(&glb(&document(r#"{"byteLength":56}"#), &data())).unwrap();
-    // The scene's nodes come from the last to the first.
+    // The scene's nodes are read from the last to the first.
     let expected = [[0.0, 2.0, 0.0], [-4.0, 0.0, 0.0], [11.0, 0.0, 0.0], [10.0, 2.0, 0.0]];
     for (i, place) in expected.iter().enumerate() {
         let off = (0..3).map(|axis| (cloud.coordinate(axis, i) - place[axis]).abs()).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! The fields of a point record: where each is, how it is stored, and the column that it is in a cloud.
+//! The fields of a point record: their offsets, their storage types, and their columns in a cloud.
 
 use las::{Builder, Header, Vlr, point};
 
@@ -7,23 +7,28 @@ use super::super::columns::{EXACT_INTEGERS, with_values};
 use super::super::quoted;
 use planish_core::{Attribute, AttributeValues, FormatError};
 
-/// User and record IDs of the records that describe extra bytes.
+/// User ID and record ID of the records that describe extra bytes.
 const EXTRA_BYTES: (&str, u16) = ("LASF_Spec", 4);
-/// Bytes of the description of an extra field.
+/// Size of the description of an extra field in bytes.
 const DESCRIPTION: usize = 192;
-/// Offsets of type, options and name in such a record.
+/// Offset of the type in a description.
 const TYPE_AT: usize = 2;
+/// Offset of the options in a description.
 const OPTIONS_AT: usize = 3;
+/// Range of the name in a description.
 const NAME_AT: std::ops::Range<usize> = 4..36;
-/// Offset of the scales and offsets of three values, and the option bits that mark them as present.
+/// Offset of the scales of three values in a description.
 const SCALES_AT: usize = 112;
+/// Offset of the offsets of three values in a description.
 const OFFSETS_AT: usize = 136;
+/// Option bit that marks the scales as present.
 const HAS_SCALE: u8 = 8;
+/// Option bit that marks the offsets as present.
 const HAS_OFFSET: u8 = 16;
 /// Name of extra bytes without a description.
 const UNDESCRIBED: &str = "extra_bytes";
 
-/// How a field is stored.
+/// The storage type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stored {
     U8,
@@ -36,9 +41,9 @@ enum Stored {
     I64,
     F32,
     F64,
-    /// Some bits of a byte: the lowest, and how many.
+    /// Some bits of a byte: the lowest bit, and the number of bits.
     Bits(u32, u32),
-    /// Undescribed bytes.
+    /// A number of undescribed bytes.
     Bytes(usize),
 }
 
@@ -53,7 +58,8 @@ impl Stored {
         }
     }
 
-    /// Decodes the type number of an extra field; the deprecated types of two and three values return that count.
+    /// Returns the storage type and the number of values of an extra field, which is 2 or 3 for the deprecated types.
+    /// Returns `None` for an invalid type number.
     fn of_extra(number: u8, options: u8) -> Option<(Self, usize)> {
         const SCALARS: [Stored; 10] = [
             Stored::U8,
@@ -75,7 +81,7 @@ impl Stored {
         }
     }
 
-    /// Returns the number of a column's type in the description of an extra field.
+    /// Returns the type number of a column in the description of an extra field.
     fn number_of(values: &AttributeValues) -> u8 {
         match values {
             AttributeValues::U8(_) => 1,
@@ -103,16 +109,16 @@ impl Stored {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Field {
     pub(super) name: String,
-    /// Bytes from the beginning of the record.
+    /// Offset in the record in bytes.
     at: usize,
     stored: Stored,
-    /// Values one after another.
+    /// Number of consecutive values.
     count: usize,
     /// Scale and offset of each value, if the file states them.
     scales: Option<[Scale; 3]>,
 }
 
-/// A stored integer represents itself times the scale, plus the offset.
+/// The scale and offset of a stored integer, which represents integer * scale + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scale {
     scale: f64,
@@ -226,7 +232,7 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
                 || standard.iter().chain(&fields).any(|field| field.name == name)
         };
         let numbered = (0..).map(|number| format!("extra_{number}"));
-        // There are more numbers than names.
+        // There are more numbers than taken names, so a name is always found.
         let name = [name].into_iter().chain(numbered).find(|name| !is_taken(name)).unwrap_or_default();
         fields.push(Field { name, at, stored, count, scales: Scale::of_extra(description, stored) });
         at += count * stored.size();
@@ -301,12 +307,12 @@ pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResul
     }
 }
 
-/// Bytes of a record without its extra bytes.
+/// Returns the size of a record in bytes, without its extra bytes.
 fn base_len(builder: &Builder) -> u16 {
     builder.point_format.len() - builder.point_format.extra_bytes
 }
 
-/// Adds a description to the last record of them.
+/// Appends a description to the last record of descriptions, or to a new one.
 fn push_description(builder: &mut Builder, name: &str, number: u8, options: u8) {
     let mut description = vec![0u8; DESCRIPTION];
     (description[TYPE_AT], description[OPTIONS_AT]) = (number, options);
@@ -322,7 +328,7 @@ fn push_description(builder: &mut Builder, name: &str, number: u8, options: u8) 
     }
 }
 
-/// Makes room for a column in the extra bytes, and describes it.
+/// Adds a column to the extra bytes, with its description.
 pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attribute: &Attribute) -> FormatResult<()> {
     let number = Stored::number_of(&attribute.values);
     let (stored, count) = match (Stored::of_extra(number, 0), attribute.count) {
@@ -346,7 +352,7 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
     Ok(())
 }
 
-// The code is written once for every type, and some casts change nothing in one of them.
+// The code is written once for all types, so some casts have no effect for one of them.
 #[allow(clippy::unnecessary_cast)]
 pub(super) fn encode_field(
     field: &Field,
@@ -366,7 +372,7 @@ pub(super) fn encode_field(
     if attribute.count != values_a_point {
         return Err(out_of_range());
     }
-    // Values of the stored type itself were read so, since numbers would not have been exact.
+    // Values of the stored type itself were read without scaling, since scaled numbers would not have been exact.
     let unscaled = scales.filter(|_| !stored.is_type_of(&attribute.values)).map(|scales| {
         let of_value = |i: usize| scales[i % count].stored(attribute.values.get_f64(i));
         AttributeValues::F64((0..attribute.values.len()).map(of_value).collect())
@@ -380,7 +386,7 @@ pub(super) fn encode_field(
                 macro_rules! put {
                     ($number:ty) => {{
                         let stored = value as $number;
-                        // A cast of another type may have cut it.
+                        // The cast may have changed a value of another type.
                         if stored as f64 != number && !(number.is_nan() && stored as f64 != 0.0) {
                             return Err(out_of_range());
                         }

@@ -26,11 +26,11 @@ use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, 
 use repair::{Overlaid, Repaired, WithHead};
 use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
-/// Resolution of coordinates in new files, if it fits: finer than any scanner measures.
+/// Resolution of coordinates in new files in metres, if it fits. It is finer than any scanner's.
 const SCALE_M: f64 = 1e-5;
-/// Points of which the median is taken.
+/// Maximum number of points in the sample for the median.
 const SAMPLE: usize = 1000;
-/// The most that 32 bits hold, with room to move points.
+/// Maximum coordinate in steps in new files. It leaves room within 32 bits for points to move.
 const LARGEST_INTEGER: f64 = 2e9;
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
@@ -38,7 +38,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     // The records, and positions and columns.
     options.check(points, 2 * record + 12)?;
     let identity = identity_of(&repaired.head);
-    // The decoder of compressed points trusts them: on damaged ones it may divide by zero.
+    // The decoder of compressed points trusts its input: on damaged points it may divide by zero.
     let decoded = guarded(|| {
         let mut reader = Reader::new(WithHead::new(repaired.head, Cursor::new(bytes.to_vec()))?)?;
         let mut builder = Builder::from(reader.header().clone());
@@ -59,7 +59,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
 /// Contents of a header after checks against the file.
 struct Checked {
     points: usize,
-    /// Bytes of a point.
+    /// Size of a point record in bytes.
     record: usize,
     extended: Vec<Vlr>,
     repaired: Repaired,
@@ -95,7 +95,7 @@ impl Checked {
     }
 }
 
-/// Refuses scales and offsets by which points are nowhere.
+/// Refuses scales and offsets that do not give usable coordinates.
 fn check_transforms(header: &Header) -> FormatResult<()> {
     let las::Vector { x, y, z } = *header.transforms();
     let is_usable = |t: &Transform| {
@@ -107,7 +107,7 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
     }
 }
 
-/// Returns the cloud of some records of a file with this header.
+/// Returns the cloud of records from a file with this header.
 fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
     let header = &of_file.header;
     check_transforms(header)?;
@@ -119,7 +119,8 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
             .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
         let (low, high) =
             integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        // At the median point, on a whole metre: near most points f32 loses the fewest digits, and strays do not count.
+        // The origin is the median point in whole metres: f32 is most precise near it, and stray points do not move
+        // it.
         let step = (raw.len() / record).div_ceil(SAMPLE).max(1);
         let mut sample: Vec<i32> = integers.clone().step_by(step).collect();
         sample.sort_unstable();
@@ -152,8 +153,8 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
 #[derive(Debug, PartialEq)]
 pub(crate) struct FileHeader {
     pub(crate) header: Header,
-    /// The system and the program that wrote it, the day and the year, as their bytes: the library keeps neither text
-    /// in other encodings than UTF-8 nor a year without a day.
+    /// The raw bytes of the system and program that wrote the file, the day and the year. The las crate keeps neither
+    /// text in encodings other than UTF-8 nor a year without a day.
     identity: Identity,
 }
 
@@ -177,12 +178,12 @@ pub(super) fn encode(cloud: &PointCloud, compressed: bool) -> FormatResult<Vec<u
     Ok(writer.finish()?.into_inner())
 }
 
-/// Returns whether a cloud was read from LAS or LAZ.
+/// Returns true if a cloud was read from LAS or LAZ.
 pub(super) fn has_header(cloud: &PointCloud) -> bool {
     cloud.provenance.get::<LasHeader>().is_some()
 }
 
-/// Returns the unit of length in the coordinate system of a cloud that was read from LAS or LAZ.
+/// Returns the length unit of the coordinate system of a cloud that was read from LAS or LAZ.
 pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
     const PROJECTION: &str = "LASF_Projection";
     const WKT: u16 = 2112;
@@ -194,13 +195,13 @@ pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
     of_wkt().or_else(|| unit_of_geo_keys(&record(GEO_KEYS)?.data))
 }
 
-/// Before LAS 1.4 headers count points by their return only up to the fifth.
+/// Largest return number that headers before LAS 1.4 count.
 const MOST_RETURNS: u8 = 5;
 
 /// The colour channels of a record.
 const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
-/// How the points of a cloud become records.
+/// Converts the points of a cloud to records.
 pub(crate) struct Records {
     header: Header,
     fields: Vec<Field>,
@@ -209,7 +210,7 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// Prepares for clouds with the columns of this one, of which some points are kept.
+    /// Prepares to encode the `kept` points of clouds with the columns of `cloud`.
     fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
         let has_colour = cloud.rgb().is_some();
         let of_file = cloud.provenance.get::<LasHeader>().map(|LasHeader(of_file)| of_file);
@@ -221,7 +222,7 @@ impl Records {
                 builder
             }
         };
-        // Records that describe the old compression, and COPC's index.
+        // Drops records that describe the old compression, and COPC's index.
         builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
         builder.evlrs.retain(|vlr| vlr.user_id != "copc");
         builder.point_format.is_compressed = compressed;
@@ -247,21 +248,21 @@ impl Records {
         Ok(Self { header: builder.into_header().map_err(cannot)?, fields, identity })
     }
 
-    /// Makes it the version whose headers count points of every return.
+    /// Raises the version to 1.4, whose headers count the points of every return.
     fn count_all_returns(builder: &mut Builder) {
         if builder.version < Version::new(1, 4) {
             builder.version = Version::new(1, 4);
         }
     }
 
-    /// Selects the format for files that have points of a return beyond the fifth.
+    /// Raises the version to 1.4, for files with points of a return beyond the fifth.
     fn with_all_returns(self) -> FormatResult<Self> {
         let mut builder = Builder::from(self.header.clone());
         Self::count_all_returns(&mut builder);
         Ok(Self { header: builder.into_header().map_err(cannot)?, ..self })
     }
 
-    /// Bytes of a record.
+    /// Returns the size of a record in bytes.
     fn len(&self) -> usize {
         usize::from(self.header.point_format().len())
     }
@@ -303,7 +304,7 @@ fn is_colour(name: &str) -> bool {
 
 /// Refuses coordinates that 32-bit steps would round by more than half a millimetre.
 fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatResult<()> {
-    /// The coarsest steps that are acceptable, in metres.
+    /// Maximum step that rounds by at most half a millimetre, in metres.
     const FINE_M: f64 = 1e-3;
     let las::Vector { x, y, z } = builder.transforms;
     for (axis, Transform { scale, offset }) in [x, y, z].into_iter().enumerate() {
@@ -335,7 +336,7 @@ fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<B
     builder.generating_software = concat!("planish ", env!("CARGO_PKG_VERSION")).to_owned();
     let transform = |values: &[f32], origin: f64| {
         let largest = kept.iter().map(|&i| f64::from(values[i]).abs()).fold(0.0, f64::max);
-        // A millionth of a small cloud, as a power of ten.
+        // For small clouds, a millionth of their size, rounded down to a power of ten.
         let small = 10f64.powf((largest * 1e-6).log10().floor());
         let mut scale = if small > 0.0 { SCALE_M.min(small) } else { SCALE_M };
         while largest / scale > LARGEST_INTEGER {

@@ -6,33 +6,46 @@ use super::validate::{FileBytes, extended_records, read_at};
 use crate::FormatResult;
 use planish_core::FormatError;
 
-/// Places in the header.
+/// Offset of the global encoding in the header.
 const ENCODING: usize = 6;
+/// Offset of the major and minor version.
 const VERSION: usize = 24;
+/// Offset of the header's size.
 const SIZE: usize = 94;
+/// Offset of the position of the points in the file.
 pub(super) const POINTS_AT: usize = 96;
+/// Offset of the number of records ahead of the points.
 const RECORDS: usize = 100;
+/// Offset of the point format.
 const FORMAT: usize = 104;
+/// Offset of the size of a point record.
 const RECORD: usize = 105;
+/// Offset of the 32-bit number of points.
 const LEGACY_POINTS: usize = 107;
+/// Offset of the position of the waveforms in the file.
 const WAVEFORMS_AT: usize = 227;
+/// Offset of the position of the extended records in the file.
 const EXTENDED_AT: usize = 235;
+/// Offset of the number of extended records.
 const EXTENDED: usize = 243;
+/// Offset of the 64-bit number of points.
 const POINTS: usize = 247;
-/// The system and the program that wrote the file, the day and the year.
+/// Range of the system and program that wrote the file, the day and the year.
 pub(super) const IDENTITY: std::ops::Range<usize> = 26..94;
 
-/// Bytes of a record's header, ahead of its data.
+/// Size of a record's header in bytes, before its data.
 const RECORD_HEADER: usize = 54;
-/// Bits of the encoding: waveforms in the file, or in a separate file.
+/// Bits of the global encoding for waveforms in the file and in a separate file.
 const WAVEFORMS: u16 = 1 << 1 | 1 << 2;
-/// The bit of the format that compressed points have.
+/// Bit of the point format that marks compressed points.
 const COMPRESSED: u8 = 0x80;
-/// LAS 1.4, and the latest version that is read, which adds to its header only.
+/// First version with extended records, LAS 1.4.
 const EXTENDED_SINCE: [u8; 2] = [1, 4];
+/// Latest version that is read, LAS 1.5, which only adds to the header.
 const LATEST: [u8; 2] = [1, 5];
-/// The bit of the encoding for times that count from another moment, and the place of that, in millions of seconds.
+/// Bit of the global encoding for GPS times with a stated offset.
 const TIME_OFFSET: u16 = 1 << 6;
+/// Offset in the header of the GPS time offset, which is in millions of seconds.
 const TIME_OFFSET_AT: usize = 391;
 
 /// A corrected header, and notes on the corrections.
@@ -42,7 +55,7 @@ pub(super) struct Repaired {
 }
 
 impl Repaired {
-    /// Reads the header of a file; `None` if the file ends before its end.
+    /// Reads and corrects the header of a file; `None` if the file ends within the header.
     pub(super) fn read(file: &(impl FileBytes + ?Sized)) -> Option<FormatResult<Self>> {
         let size = usize::from(u16::from_le_bytes(read_at(file, SIZE)?));
         let version: [u8; 2] = read_at(file, VERSION)?;
@@ -83,7 +96,7 @@ impl Repaired {
         }
     }
 
-    /// Counts the records ahead of the points; some scanners announce one that is not there.
+    /// Corrects the number of records ahead of the points; some scanners state one too many.
     fn count_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let stated = u32::from_le_bytes(read_at(file, RECORDS)?);
         let points_at = u32::from_le_bytes(read_at(file, POINTS_AT)?) as usize;
@@ -102,8 +115,8 @@ impl Repaired {
         Some(())
     }
 
-    /// Corrects the 32-bit number of points of LAS 1.4, which only older programs read: it may be left from an earlier
-    /// version of the file.
+    /// Corrects the 32-bit number of points of LAS 1.4. Only older programs read it, and it may be left from an
+    /// earlier version of the file.
     fn count_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let legacy = u32::from_le_bytes(read_at(file, LEGACY_POINTS)?);
         let points = u64::from_le_bytes(read_at(file, POINTS)?);
@@ -115,7 +128,8 @@ impl Repaired {
         Some(())
     }
 
-    /// Compares the number of points that an uncompressed file states with its size.
+    /// Compares the number of points that an uncompressed file states with its size, and corrects the number if it is
+    /// 0.
     fn compare_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let [format] = read_at(file, FORMAT)?;
         let record = u64::from(u16::from_le_bytes(read_at(file, RECORD)?));
@@ -144,11 +158,11 @@ impl Repaired {
         Some(())
     }
 
-    /// Leaves out extended records that are not in the file.
+    /// Reduces the number of extended records to those that can be read.
     fn count_extended_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let stated = u32::from_le_bytes(read_at(file, EXTENDED)?);
         let at = u64::from_le_bytes(read_at(file, EXTENDED_AT)?);
-        // Each has 60 bytes or more.
+        // Each record has at least 60 bytes.
         let most = stated.min(u32::try_from(file.size() / 60).unwrap_or(u32::MAX));
         let found = usize::try_from(at).map_or(0, |at| extended_records(file, (at, most)).len() as u32);
         if found < stated {
@@ -164,7 +178,7 @@ impl Repaired {
     }
 }
 
-/// A file with another header.
+/// A reader of a file whose header is replaced.
 #[derive(Debug)]
 pub(super) struct WithHead<R> {
     pub(super) head: Vec<u8>,
@@ -202,7 +216,7 @@ impl<R: Read + Seek> Seek for WithHead<R> {
     }
 }
 
-/// The bytes of a file with another header.
+/// The bytes of a file whose header is replaced.
 pub(super) struct Overlaid<'a, B: ?Sized> {
     pub(super) head: &'a [u8],
     pub(super) file: &'a B,

@@ -1,4 +1,4 @@
-//! The records of a file some at a time, for clouds that do not fit memory.
+//! The records of a file, read and written in batches, for clouds that do not fit in memory.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter};
@@ -92,7 +92,7 @@ impl RecordReader for LasReader {
         Ok(records)
     }
 
-    /// Points of a later return than the fifth, in records that headers before LAS 1.4 do not count.
+    /// Returns true if points of a return beyond the fifth were read, which headers before LAS 1.4 do not count.
     fn needs_latest_version(&self) -> bool {
         self.has_late_returns
     }

@@ -13,13 +13,13 @@ use planish_core::FormatError;
 
 /// A file's bytes, in memory or on disk.
 pub(super) trait FileBytes {
-    /// How many.
+    /// Returns the size of the file in bytes.
     fn size(&self) -> usize;
 
-    /// Bytes from a place on; `None` if the file ends before their end, and before anything is allocated.
+    /// Returns `len` bytes from an offset. Returns `None` without allocating if the file ends before their end.
     fn read(&self, at: usize, len: usize) -> Option<Vec<u8>>;
 
-    /// All of them from a place on.
+    /// Returns a reader of the bytes from an offset to the end of the file.
     fn reader(&self, at: u64) -> Option<impl Read + Seek>;
 }
 
@@ -69,7 +69,7 @@ pub(super) struct Claims {
     pub(super) extended: Option<(usize, u32)>,
 }
 
-/// Checks against the file what its header claims; `None` if it ends before that.
+/// Reads the claims of a header; `None` if the file ends within the header.
 pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
     let legacy = u64::from(u32::from_le_bytes(read_at(bytes, 107)?));
@@ -98,11 +98,11 @@ pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatRe
 /// Refuses chunk sizes that the file cannot hold: the decoder allocates the claimed size. `None` if the file is
 /// truncated.
 pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
-    /// More points than that in a chunk are believed only of a file that has them.
+    /// Maximum number of points per chunk that is accepted regardless of the number of points in the file.
     const LARGEST_CHUNK: u64 = 1 << 20;
-    /// Bytes ahead of a record's data.
+    /// Size of a record's header in bytes.
     const RECORD_HEADER: usize = 54;
-    /// The first compressor with chunks.
+    /// First LASzip compressor that writes chunks.
     const CHUNKED: u16 = 2;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
@@ -126,16 +126,16 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
         at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
     }
     let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
-    // It is at the end of the file if the writer could not seek.
+    // The offset of the table is at the end of the file if the writer could not seek.
     let at_end = || i64::from_le_bytes(read_at(bytes, bytes.size().checked_sub(8)?)?).try_into().ok();
     let table: usize = table.try_into().ok().or_else(at_end)?;
     let chunks = u32_at(table.checked_add(4)?)? as usize;
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
-    // Each begins with an uncompressed point.
+    // Each chunk begins with an uncompressed point.
     if chunks.saturating_mul(record.max(1)) > bytes.size() {
         return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
     }
-    // If there are several, the decoder may use another.
+    // If there are several descriptions, the decoder may use another one.
     let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
         return Some(Err(FormatError::Malformed("expected exactly one LASzip record".into())));
     };
@@ -146,7 +146,8 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     check_table(bytes, &description, record, points)
 }
 
-/// Returns the size of an item of a compressed point, as the decoder reads it whatever the file states.
+/// Returns the size of an item of a compressed point as the decoder reads it, regardless of the size that the file
+/// states.
 fn item_bytes(item: &LazItem) -> usize {
     match item.item_type() {
         LazItemType::Byte(count) | LazItemType::Byte14(count) => count.into(),
@@ -158,9 +159,9 @@ fn item_bytes(item: &LazItem) -> usize {
     }
 }
 
-/// Refuses chunks whose bytes or points the file does not have, and layers that are larger than their chunk: from
-/// version 3 on each chunk begins with a point, the number of points, and the sizes of the layers of which the others
-/// consist. The decoder allocates what the table states.
+/// Refuses chunks whose bytes or points the file does not have, and chunks that differ in size from their layers. The
+/// decoder allocates what the table states. From version 3 on, each chunk begins with a point, the number of points,
+/// and the sizes of the layers that contain the other points.
 fn check_table(
     bytes: &(impl FileBytes + ?Sized),
     description: &LazVlr,
@@ -176,7 +177,7 @@ fn check_table(
     };
     let layers: usize = description.items().iter().map(layers).sum();
     let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
-    // The decoder of the table trusts its input like that of the points.
+    // The decoder of the table trusts its input, like the decoder of the points.
     let table = guarded(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok());
     let table = table??;
     let (mut at, mut stated) = (points_at + ChunkTable::OFFSET_SIZE as u64, 0u64);
@@ -199,7 +200,7 @@ fn check_table(
         at = end;
         stated = stated.saturating_add(chunk.point_count);
     }
-    // Chunks of one size may be larger than their points.
+    // Chunks of a fixed size may state more points than they have.
     if description.uses_variable_size_chunks() && stated != points {
         let text = format!("the header states {points} points, but its chunks {stated}");
         return Some(Err(FormatError::Malformed(text)));
@@ -207,7 +208,8 @@ fn check_table(
     Some(Ok(()))
 }
 
-/// Returns the extended records from a place on, up to the first that is not in the file. The library reads only one.
+/// Returns the extended records from an offset on, up to the first that is not in the file. The las crate reads only
+/// one.
 pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (at, count): (usize, u32)) -> Vec<Vlr> {
     let record = |at: &mut usize| {
         let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;

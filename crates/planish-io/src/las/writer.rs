@@ -13,7 +13,7 @@ use planish_core::FormatError;
 
 /// Writes records in their order.
 pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static> {
-    /// `None` after an error: the library panics if a writer is dropped that it cannot close.
+    /// `None` after an error: the las crate panics if it drops a writer that it cannot close.
     writer: Option<Writer<W>>,
     header: Header,
     identity: Option<Identity>,

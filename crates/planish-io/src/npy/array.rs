@@ -10,9 +10,9 @@ use planish_core::FormatError;
 #[cfg(feature = "more-formats")]
 use planish_core::{Attribute, AttributeValues};
 
-/// A number that NumPy has a name for.
+/// A number type with a NumPy name.
 pub(crate) trait NpyNumber: LittleEndian {
-    /// Its `descr`.
+    /// NumPy's name of the type, the `descr` of a header.
     const DESCR: &'static str;
 }
 
@@ -35,7 +35,7 @@ impl<'a> Array<'a> {
     /// Reads the header, and checks that all values are present.
     ///
     /// # Errors
-    /// If the file is damaged or cut short, or its values are no numbers.
+    /// If the file is damaged or truncated, or its values are not numbers.
     pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, FormatError> {
         let (header, data) = Header::parse(bytes)?;
         let needed = header.len().and_then(|len| len.checked_mul(header.size));
@@ -48,7 +48,7 @@ impl<'a> Array<'a> {
         }
     }
 
-    /// Returns the values, the last index running fastest. The type must be of the array's size.
+    /// Returns the values in row-major order. `T` must have the size of the array's values.
     pub(crate) fn values<T: LittleEndian>(&self) -> Vec<T> {
         let Header { size, shape, is_big_endian, is_fortran, .. } = &self.header;
         let read = if *is_big_endian { T::read_big_endian } else { T::read };
@@ -59,7 +59,7 @@ impl<'a> Array<'a> {
         let mut values = Vec::with_capacity(count);
         let mut index = vec![0usize; shape.len()];
         for _ in 0..count {
-            // Returns the position of the value with this index; the first index varies fastest.
+            // Position of the value with this index in Fortran order, where the first index varies fastest.
             let place = index.iter().zip(shape).rev().fold(0, |place, (&i, &n)| place * n + i);
             values.push(read(&self.data[size * place..size * (place + 1)]));
             for (i, &n) in index.iter_mut().zip(shape).rev() {

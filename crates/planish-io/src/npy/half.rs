@@ -1,4 +1,4 @@
-//! Floats of 16 bits.
+//! 16-bit floats.
 
 /// Converts the bits of a 16-bit float (IEEE 754 binary16).
 pub(super) fn to_f32(bits: u16) -> f32 {

@@ -5,45 +5,46 @@ use planish_core::FormatError;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// The largest header accepted, in bytes; NumPy's own are about a hundred.
+/// Maximum size of a header in bytes; NumPy writes about a hundred.
 const MAX_BYTES: usize = 16 * 1024;
 
 /// Maximum number of dimensions, NumPy's limit.
 const MAX_DIMENSIONS: usize = 64;
 
-/// Values begin at a multiple of this many bytes.
+/// Alignment of the values in a file, in bytes.
 const ALIGNMENT: usize = 64;
 
-/// Element type of an array.
+/// The element type and shape of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Header {
-    /// The values' type as NumPy writes it, as `<f4`.
+    /// The type of the values as NumPy writes it, such as `<f4`.
     pub(crate) descr: String,
-    /// The letter of the kind: `b` a boolean, `i` and `u` integers, `f` floats.
+    /// The letter of the kind: `b` for booleans, `i` and `u` for integers, `f` for floats.
     pub(crate) kind: char,
-    /// Bytes of a value.
+    /// Size of a value in bytes.
     pub(crate) size: usize,
     pub(super) is_big_endian: bool,
-    /// Whether the first index varies fastest instead of the last.
+    /// True if the first index varies fastest instead of the last.
     pub(super) is_fortran: bool,
     pub(crate) shape: Vec<usize>,
     /// The fields of an array of records, whose kind is `V`.
     pub(super) fields: Vec<RecordField>,
 }
 
-/// Numbers of a record that have a name.
+/// A named field of a record, with one or several numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct RecordField {
     pub(super) name: String,
     pub(super) kind: char,
-    /// Bytes of a number, and the number of them.
+    /// Size of a number in bytes.
     pub(super) size: usize,
+    /// The number of numbers in the field.
     pub(super) count: usize,
     pub(super) is_big_endian: bool,
 }
 
 impl RecordField {
-    /// Parses a type as NumPy writes it, as `<f4`; `None` if it is not one of numbers, or of padding.
+    /// Parses a type as NumPy writes it, such as `<f4`; `None` if it is neither a number nor padding.
     fn of(name: &str, descr: &str, count: usize) -> Option<Self> {
         let (order, of_value) = match descr.as_bytes() {
             [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
@@ -56,7 +57,7 @@ impl RecordField {
         is_number.then(|| Self { name: name.to_owned(), kind, size, count, is_big_endian: order == b'>' })
     }
 
-    /// Bytes in a record.
+    /// Returns the size of the field in a record, in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.size * self.count
     }
@@ -93,7 +94,7 @@ impl Header {
         self.shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
     }
 
-    /// Encodes a header of version 1, whose shape has a few numbers.
+    /// Encodes a header of version 1, for a shape of few dimensions.
     pub(super) fn encode(descr: &str, shape: &[usize]) -> Vec<u8> {
         let numbers: Vec<String> = shape.iter().map(usize::to_string).collect();
         let comma = if shape.len() == 1 { "," } else { "" };
@@ -110,13 +111,13 @@ impl Header {
     }
 }
 
-/// The type of the values: a number, or a record of them.
+/// The type of the values: a number, or a record of numbers.
 enum Descr<'a> {
     Number(&'a str),
     Records(Vec<RecordField>),
 }
 
-/// The rest of the dict.
+/// The unparsed rest of the dict.
 struct Dict<'a>(&'a [u8]);
 
 impl<'a> Dict<'a> {
@@ -237,7 +238,7 @@ impl<'a> Dict<'a> {
         number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
     }
 
-    /// Returns a text between quotes of either kind.
+    /// Parses a text between single or double quotes.
     fn text(&mut self) -> Result<&'a str, FormatError> {
         self.skip_blanks();
         let text = match self.0 {

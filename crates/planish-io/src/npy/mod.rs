@@ -22,7 +22,7 @@ const LAYOUTS: &str =
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
-    // Values as they are, and widened: integers and columns to 8 bytes, and the result.
+    // The values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
     let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
         ('u', 2, _) | ('f', _, [.., 3]) => 2 * array.header.size,
@@ -87,12 +87,12 @@ fn is_long(rows: usize, columns: usize) -> bool {
 
 /// Returns true if an array is a table with a row per point, not an image.
 fn is_table(rows: usize, columns: usize) -> bool {
-    /// No depth image is narrower.
+    /// Number of columns up to which any array with more rows than columns is a table.
     const NARROW: usize = 8;
     columns <= 16 && rows >= 16 * columns || columns <= NARROW && rows > columns
 }
 
-/// Returns floats of any size.
+/// Returns the values of an array of floats of any size.
 fn floats(array: &Array<'_>) -> Vec<f32> {
     match array.header.size {
         2 => array.values::<u16>().into_iter().map(half::to_f32).collect(),
@@ -101,7 +101,7 @@ fn floats(array: &Array<'_>) -> Vec<f32> {
     }
 }
 
-/// Returns integers of any size; those beyond 63 bits become the largest.
+/// Returns the values of an array of integers of any size; values beyond 63 bits become the largest i64.
 fn integers(array: &Array<'_>) -> Vec<i64> {
     fn widened<T: Into<i64>>(values: Vec<T>) -> Vec<i64> {
         values.into_iter().map(Into::into).collect()
@@ -116,7 +116,7 @@ fn integers(array: &Array<'_>) -> Vec<i64> {
     }
 }
 
-/// Returns points with fields whose names follow from their values.
+/// Returns points with fields whose names are guessed from their values.
 #[cfg(feature = "more-formats")]
 fn of_table(
     array: &Array<'_>,
@@ -144,7 +144,7 @@ fn of_table(
     organized_if_grid(Gridded { width, height, points })
 }
 
-/// Returns points of which every number has a name.
+/// Returns the points of an array of records.
 #[cfg(feature = "more-formats")]
 fn of_records(array: &Array<'_>, (width, height): (usize, usize)) -> FormatResult<Contents> {
     let points = cloud_from_columns(array.columns()?)?;
@@ -156,7 +156,7 @@ fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, For
     organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
 }
 
-/// Clouds far from the origin are stored relative to an origin, and written as f64 again.
+/// Returns points of f64. Clouds far from zero get an origin, and are written as f64 again.
 fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents, FormatError> {
     let column = |axis: usize| {
         let values: Vec<f64> = values.iter().skip(axis).step_by(3).copied().collect();

@@ -15,7 +15,7 @@ impl Encoding {
     }
 }
 
-/// The largest header accepted, in bytes; real ones have a few hundred.
+/// Maximum size of a header in bytes; real headers have a few hundred.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
 /// TYPE and SIZE of a field's values.
@@ -118,7 +118,7 @@ impl Field {
         Attribute { name: self.name.clone(), count: self.count, values }
     }
 
-    /// Bytes of the field in one point.
+    /// Returns the size of the field in one point, in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.count * self.scalar.size()
     }
@@ -139,12 +139,12 @@ impl Header {
         self.width * self.height
     }
 
-    /// Bytes of one point in a binary file.
+    /// Returns the size of one point in a binary file, in bytes.
     pub(super) fn point_bytes(&self) -> usize {
         self.fields.iter().map(Field::bytes).sum()
     }
 
-    /// Parses the header; the rest of the bytes is the body.
+    /// Parses the header; returns it and the body after it.
     pub(super) fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), FormatError> {
         let mut entries = Entries::default();
         let mut rest = bytes;
@@ -217,13 +217,13 @@ impl<'a> Entries<'a> {
     fn set(&mut self, key: &str, values: Vec<&'a str>) -> Result<bool, FormatError> {
         match key {
             "VERSION" => {
-                // Older ones have fewer lines: no COUNT, or no VIEWPOINT.
+                // Older versions have fewer lines: no COUNT, or no VIEWPOINT.
                 if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
                     let version = quoted(&values.join(" "));
                     return malformed(format!("PCD version {version} is unknown; 0.5, 0.6 and 0.7 are supported"));
                 }
             }
-            // Version 0.5 and older call them columns.
+            // Versions up to 0.5 call the fields columns.
             "FIELDS" | "COLUMNS" => self.fields = values,
             "SIZE" => self.sizes = values,
             "TYPE" => self.kinds = values,
@@ -284,7 +284,7 @@ impl<'a> Entries<'a> {
             if count > 1 << 20 {
                 return malformed(format!("field {} has COUNT {count}; up to 2^20 is allowed", quoted(self.fields[i])));
             }
-            // It has no values.
+            // The field has no values.
             if count == 0 {
                 continue;
             }

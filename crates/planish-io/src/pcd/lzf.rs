@@ -1,15 +1,15 @@
 //! LZF, the compression of binary_compressed PCD files: the stream format of M. Lehmann's LibLZF.
 //!
-//! A stream is a sequence of runs. A control byte c < 32 is followed by c + 1 literal bytes. Any other is a reference
-//! back: its upper 3 bits are the length less 2 (7: a further byte is added), its lower 5 bits and the next byte the
-//! distance less 1.
+//! A stream is a sequence of runs. A control byte c < 32 is followed by c + 1 literal bytes. Any other control byte
+//! begins a back-reference. Its upper 3 bits are the length minus 2; if they are 7, the next byte is added to the
+//! length. Its lower 5 bits and the byte that follows are the distance minus 1.
 
-/// The stream is not LZF, or not of the announced size.
+/// A stream that is not LZF, or does not have the stated size.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the compressed data are damaged: {0}")]
 pub struct LzfError(&'static str);
 
-/// The longest reference: 7 + 255 + 2 bytes, from 3 bytes of stream.
+/// Maximum length of a reference: 7 + 255 + 2 bytes, from 3 bytes of stream.
 pub(super) const MAX_REFERENCE: usize = 264;
 const MAX_DISTANCE: usize = 1 << 13;
 const MAX_LITERALS: usize = 32;
@@ -79,7 +79,7 @@ pub fn compress(data: &[u8]) -> Vec<u8> {
             3 + data[at + 3..at + limit].iter().zip(&data[candidate + 3..]).take_while(|(a, b)| a == b).count();
         put_literals(&data[literals_from..at], &mut stream);
         put_reference(at - candidate, length, &mut stream);
-        // Positions inside the reference are worth indexing too, at least the last two.
+        // Positions inside the reference are indexed too.
         let end = at + length;
         for within in at + 1..end.min(data.len().saturating_sub(2)) {
             last_place[hash(within)] = within;

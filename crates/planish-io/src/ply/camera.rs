@@ -36,20 +36,21 @@ const FOCAL_AND_SCALES: std::ops::Range<usize> = 12..15;
 const WIDTH: usize = 17;
 const HEIGHT: usize = 18;
 
-/// Positions are written in f32, as PCL reads them, unless that moves them farther than this.
+/// Maximum error in metres of positions that are written in f32, as PCL reads them. Other positions are written in
+/// f64.
 const MAX_ROUNDING_M: f64 = 1e-4;
 
-/// What the element says.
+/// The contents of the element `camera`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct PlyCamera {
-    /// `None` if the file states no pose, or an invalid rotation.
+    /// The pose of the sensor; `None` if the file states no pose, or an invalid rotation.
     pub(super) pose: Option<SensorPose>,
-    /// Width and height of a grid.
+    /// Width and height of the grid, if the file states one.
     pub(super) grid: Option<(usize, usize)>,
 }
 
 impl PlyCamera {
-    /// Decodes the element's properties from their values, in order. Nothing if they are not PCL's.
+    /// Decodes the element's properties from their values, in order. Drops a pose that is not PCL's.
     pub(super) fn of(element: &Element, values: &[f64]) -> Self {
         if values.len() != element.properties.len() {
             return Self::default();

@@ -1,4 +1,4 @@
-//! Shared by reading and writing PLY.
+//! Code shared by reading and writing PLY.
 
 use planish_core::{Attribute, FormatError};
 
@@ -9,7 +9,7 @@ pub(super) fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
 /// Names of normals in PLY files and in PCL.
 pub(super) const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
 
-/// Gives the normals of a file PCL's names, by which the rest of the library knows them.
+/// Renames the normals of a file to PCL's names, which the rest of the library uses.
 pub(super) fn rename_normals(columns: &mut [Attribute]) {
     let has = |name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(ply, pcl)| has(ply) && !has(pcl)) {

@@ -1,4 +1,4 @@
-//! PLY as it is written.
+//! Encoding of PLY files.
 
 use super::camera::PlyCamera;
 use super::common::{NORMALS, malformed};
@@ -21,7 +21,7 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// Returns the columns of a cloud under PLY's names, which are unique.
+/// Returns the columns of a cloud with PLY's names, which are unique.
 pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
     let mut columns = columns_from_cloud(cloud);
     let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
@@ -79,7 +79,7 @@ impl Around<'_> {
     }
 }
 
-/// Returns the lines or records of the columns.
+/// Encodes columns as lines or records.
 fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     if encoding == Encoding::Ascii {
         let mut lines = Vec::new();
@@ -101,7 +101,7 @@ pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> Ele
     Element { name: name.into(), count, properties: columns.iter().map(property).collect() }
 }
 
-/// Converts a column to what PLY can hold: one property per value, no padding, no 64-bit integers.
+/// Converts a column to columns that PLY can store: one property per value, no padding, no 64-bit integers.
 fn ply_columns(column: Attribute) -> Result<Vec<Attribute>, FormatError> {
     if column.name == "_" {
         return Ok(Vec::new());

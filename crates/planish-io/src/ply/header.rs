@@ -7,10 +7,10 @@ use super::common::malformed;
 use crate::FormatResult;
 use planish_core::{AttributeValues, FormatError};
 
-/// The largest header accepted, in bytes; real ones have a few hundred.
+/// Maximum size of a header in bytes; real headers have a few hundred.
 pub(super) const MAX_BYTES: usize = 64 * 1024;
 
-/// How the values behind the header are stored.
+/// The storage of the values after the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Storage {
     Ascii,
@@ -61,7 +61,7 @@ impl Scalar {
         Self::NAMES.iter().find(|(scalar, _)| *scalar == self).map_or("", |(_, [name, _])| name)
     }
 
-    /// The type of the values of a column; 64-bit integers are written as double.
+    /// Returns the type of a column's values; 64-bit integers are written as double.
     pub(super) fn of_values(values: &AttributeValues) -> Self {
         match values {
             AttributeValues::I8(_) => Self::I8,
@@ -98,7 +98,7 @@ impl Scalar {
         }
     }
 
-    /// Returns a little-endian value of this type as a number; `None` if it has another number of bytes.
+    /// Converts a little-endian value of this type to f64; `None` if the number of bytes is wrong.
     pub(super) fn number(self, bytes: &[u8]) -> Option<f64> {
         fn value<const N: usize>(bytes: &[u8]) -> Option<[u8; N]> {
             bytes.try_into().ok()
@@ -116,7 +116,7 @@ impl Scalar {
     }
 }
 
-/// The type of a property: a number, or a list of numbers behind their count.
+/// The type of a property: a number, or a list of numbers after their count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Scalar(Scalar),
@@ -143,7 +143,7 @@ impl Element {
     }
 }
 
-/// What a header states.
+/// The contents of a header.
 #[derive(Debug, Clone)]
 pub(super) struct Header {
     pub(super) storage: Storage,
@@ -249,8 +249,8 @@ impl Header {
     }
 }
 
-/// Iterates over the lines of a header: their numbers from 1, their bytes, and where the next one begins. Lines end as
-/// the first one does.
+/// Iterates over the lines of a header: their numbers from 1, their bytes, and the offset of the next line. All lines
+/// end like the first one.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8], usize)> {
     let bytes = &bytes[..bytes.len().min(MAX_BYTES)];
     let first = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r'));

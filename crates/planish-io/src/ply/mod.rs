@@ -76,8 +76,8 @@ struct Body {
     camera: PlyCamera,
 }
 
-/// Iterates over the elements up to the last one of interest, each with a flag that it must be complete. Elements after
-/// the vertices and their grid may be truncated, since a camera is only a hint.
+/// Iterates over the elements up to the last one of interest. The flag of each is true if it must be complete.
+/// Elements after the vertices and their grid may be truncated, since a camera is only a hint.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&Element, bool)> {
     let last = |names: &[&str]| {
         header.elements.iter().rposition(|element| names.contains(&element.name.as_str())).unwrap_or(0)
@@ -244,7 +244,7 @@ fn empty_columns(vertex: &Element) -> Vec<Attribute> {
     vertex.properties.iter().filter_map(column).collect()
 }
 
-/// Puts the values of the vertices on the grid.
+/// Assigns the values of the vertices to the pixels of the grid.
 fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, FormatError> {
     fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
         let value = |cell: &Option<usize>| cell.map_or(Some(hole), |index| values.get(index).copied());

@@ -1,4 +1,4 @@
-//! PLY files read and written some vertices at a time, for clouds larger than memory.
+//! PLY files, read and written in batches of vertices, for clouds that do not fit in memory.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -30,7 +30,7 @@ pub(crate) struct VertexHeader {
     left_out: Vec<String>,
 }
 
-/// Reads the vertices of an unorganized cloud some at a time.
+/// Reads the vertices of an unorganized cloud in batches.
 pub(crate) struct PlyReader {
     header: Arc<VertexHeader>,
     body: BufReader<File>,
@@ -39,7 +39,7 @@ pub(crate) struct PlyReader {
     buffer: Vec<u8>,
 }
 
-/// No line of a vertex is longer.
+/// Maximum size of the line of a vertex, in bytes.
 const MAX_LINE_BYTES: u64 = 64 * 1024;
 
 impl PlyReader {
@@ -176,7 +176,7 @@ impl RecordReader for PlyReader {
     }
 }
 
-/// Reads the element `camera` after the vertices, which begin at this offset of the file.
+/// Reads the element `camera` after the vertices, which begin at the offset `vertices_at` of the file.
 fn camera_behind(
     path: &Path,
     vertices_at: usize,
@@ -201,11 +201,11 @@ fn camera_behind(
     }
     let mut behind = Vec::new();
     body.take(MAX_BYTES as u64).read_to_end(&mut behind)?;
-    // As for a file that is read at once, the camera is only a hint.
+    // The camera is only a hint, as in a file that is read at once.
     Ok(read_camera(header, &behind).unwrap_or_default())
 }
 
-/// How the points of a cloud become vertices.
+/// Converts the points of a cloud to vertices.
 pub(crate) struct PlyEncoder {
     encoding: Encoding,
     layout: Layout,

@@ -9,7 +9,7 @@ use planish_core::{Attribute, AttributeValues, FormatError};
 /// A value of a record.
 #[derive(Debug, Clone, Copy)]
 struct Field {
-    /// Bytes before it.
+    /// Offset in the record in bytes.
     at: usize,
     scalar: Scalar,
 }
@@ -18,12 +18,12 @@ struct Field {
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
     fields: Vec<Field>,
-    /// Bytes of a record.
+    /// Size of a record in bytes.
     pub(super) record: usize,
 }
 
 impl Layout {
-    /// Of an element; `None` if it has a list.
+    /// Returns the layout of an element; `None` if it has a list.
     pub(super) fn of(element: &Element) -> Option<Self> {
         (!element.has_lists()).then(|| Self::of_scalars(element))
     }
@@ -46,7 +46,7 @@ impl Layout {
         self.fields.len()
     }
 
-    /// Turns the bytes of every value around.
+    /// Reverses the bytes of every value.
     pub(super) fn swap(&self, records: &mut [u8]) {
         for record in records.chunks_exact_mut(self.record) {
             for field in &self.fields {
@@ -83,7 +83,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Returns the records of some rows of the columns, one for each field.
+    /// Encodes some rows of the columns as records; each column is a field.
     pub(super) fn encode(&self, columns: &[Attribute], rows: impl ExactSizeIterator<Item = usize> + Clone) -> Vec<u8> {
         let mut records = vec![0; self.record * rows.len()];
         for (column, Field { at, .. }) in columns.iter().zip(&self.fields) {
@@ -105,12 +105,12 @@ impl Layout {
     }
 }
 
-/// Splits one record off the front of a binary body, without its values.
+/// Skips one record at the front of a binary body.
 pub(super) fn pass_over(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<()> {
     take_scalars(element, storage, body, |_| ())
 }
 
-/// Splits the records of an element off the front of a binary body. Returns their numbers without their lists.
+/// Splits the records of an element off the front of a binary body. Returns their bytes without lists.
 pub(super) fn without_lists(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<Vec<u8>> {
     let mut scalars = Vec::new();
     (0..element.count)
@@ -118,7 +118,7 @@ pub(super) fn without_lists(element: &Element, storage: Storage, body: &mut &[u8
     Ok(scalars)
 }
 
-/// Splits one record off the front of a binary body. Visits the bytes of its numbers; lists are passed over.
+/// Splits one record off the front of a binary body. Visits the bytes of its numbers, and skips its lists.
 fn take_scalars(
     element: &Element,
     storage: Storage,

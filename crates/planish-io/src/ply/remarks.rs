@@ -11,12 +11,12 @@ pub(super) struct Remarks {
     pub(super) obj_infos: Vec<String>,
 }
 
-/// Elements that are read, or written anew.
+/// Elements that are read, or written anew; others are dropped.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
 
 impl Remarks {
-    /// Returns the lines that a cloud carries, or none.
+    /// Converts the lines to the provenance of a cloud, which is empty without lines.
     pub(super) fn into_provenance(self) -> Provenance {
         if self == Self::default() { Provenance::default() } else { Provenance::new(self) }
     }

@@ -1,8 +1,8 @@
-//! Clouds that do not fit memory: LAS, LAZ and PLY files, smoothed tile by tile into another such file.
+//! Smoothing of LAS, LAZ and PLY files that do not fit in memory, tile by tile.
 //!
-//! The file is read once, and its records are distributed to temporary files, one per tile of cells seen from above. A
-//! tile is smoothed with a halo of surrounding points, wide enough for each point to get the result of the whole cloud;
-//! the records of the tile's points are kept. Finally they are written in the order of the input.
+//! The file is read once, and its records are distributed to temporary files, one per tile of cells seen from above.
+//! A tile is smoothed with a halo of surrounding points, wide enough for each point to get the result of the whole
+//! cloud; the records of the tile's points are kept. Finally all records are written in the order of the input.
 
 mod plan;
 mod spill;
@@ -20,27 +20,28 @@ use planish_core::{
 };
 use spill::{Spill, too_large};
 
-/// More of a tile's points than this share, whose radius reaches beyond the halo, ask for a wider one.
+/// Fraction of a tile's points whose radius may reach beyond the halo before the halo is widened.
 const MAY_REACH_BEYOND: f64 = 1e-4;
-/// If memory does not hold a wider halo, at most this share of a tile's points, or of a typical tile's, may be inexact.
+/// Maximum fraction of inexact points if memory does not hold a wider halo, relative to the larger of the tile and an
+/// average tile.
 const MAY_BE_INEXACT: f64 = 0.01;
-/// No halo is narrower than this share of that by density.
+/// Minimum width of a halo, as a fraction of the width by density.
 const NARROWEST: f64 = 0.01;
 
-/// How to smooth in tiles.
+/// Options for smoothing in tiles.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The settings, as for any unorganized cloud, but with one pass. The tile with the most points decides open
-    /// choices.
+    /// The settings, as for any unorganized cloud, but with one pass. Choices that they leave open are made for the
+    /// tile with the most points.
     pub settings: Settings,
-    /// The engine and its options; with radii by density not the reference.
+    /// The engine and its options. Radii by density need another engine than the reference.
     pub smoother: SmootherOptions,
     /// Outputs to write in addition to the points.
     pub fields: Outputs,
-    /// Pose of the sensor, if normals are to face it.
+    /// Pose of the sensor, which normals face; `None` for the pose in the file.
     pub pose: Option<SensorPose>,
-    /// How a PLY file is to store its points; `None` for as the input does.
+    /// The encoding of a PLY file; `None` for the input's.
     pub encoding: Option<Encoding>,
     /// Memory limit in bytes; LAZ needs about 100 MB in addition.
     pub max_memory_bytes: u64,
@@ -74,7 +75,7 @@ impl TileOptions {
 pub struct TilesReport {
     /// Number of points.
     pub points: usize,
-    /// In how many tiles.
+    /// Number of tiles.
     pub tiles: usize,
     /// The parameters that were used.
     pub params: CloudParams,
@@ -82,20 +83,21 @@ pub struct TilesReport {
     pub cloud_estimate: Option<CloudEstimate>,
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
-    /// Points of each status, by its code.
+    /// Number of points with each status, indexed by the status code.
     pub status_counts: [usize; Status::ALL.len()],
-    /// Points that reach beyond their halo, such as stray ones: their radius may be another than in the whole cloud.
+    /// Number of points that reach beyond their halo, such as stray points. Their radius may differ from that in the
+    /// whole cloud.
     pub reaching_beyond: usize,
-    /// Whether the file or the options state the sensor's pose.
+    /// True if the file or the options state the sensor's pose.
     pub has_pose: bool,
-    /// Assumed position of the sensor, if neither the file nor the options state it and it cannot have been the origin
-    /// of coordinates.
+    /// Assumed position of the sensor in metres, if neither the file nor the options state it and it cannot have been
+    /// the origin of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
     /// Data of the file that were dropped: one clause each, for users.
     pub notes: Vec<String>,
 }
 
-/// Returns true if a file is smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
+/// Returns true if a file can be smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
 pub fn are_tiled(input: &Path, output: &Path) -> bool {
     let is_las = |path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
     let is_ply = |path| Format::of_extension(path) == Some(Format::Ply);
@@ -109,7 +111,7 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
         Some(reader.points() as u64 * bytes_a_point(reader.record()))
     }
-    // Asked before it is opened: opening a pipe waits for its other end.
+    // Queried before the file is opened, since opening a pipe waits for its other end.
     if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return None;
     }
@@ -161,7 +163,7 @@ fn smooth_records<R: RecordReader>(
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
-        // Radii by density must be reported, which this engine does not do.
+        // The engine must report radii by density, which the reference does not.
         let reason = "radii by density in tiles need the CPU or GPU engine; or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
     }
@@ -180,7 +182,7 @@ fn smooth_records<R: RecordReader>(
         TileError::Other(error) => error,
     };
     let report = TilesReport { notes, params, ..TilesReport::default() };
-    // Normals of the measured points do not fit smoothed ones.
+    // Normals of the measured points do not fit the smoothed points.
     let none = R::cloud_of(&spill.header, &[]).map_err(at_either)?;
     let renew = |outputs: Outputs| outputs.renewing(&none);
     let smoother = options.smoother.clone().with_outputs(renew(options.smoother.outputs));
@@ -196,7 +198,7 @@ fn smooth_records<R: RecordReader>(
     let put_together = || {
         let encoder = match encoder {
             Some(encoder) => encoder,
-            // Without a point.
+            // The file has no points.
             None => new_encoder(&spill, &R::cloud_of(&spill.header, &[])?, &[], output, options)?,
         };
         spill.put_together(encoder, &whole, progress)
@@ -244,15 +246,15 @@ struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
     params: CloudParams,
     smoother: Option<Smoother>,
-    /// How wide the last tile's halo was, in those by density.
+    /// Width of the last tile's halo, as a fraction of the width by density.
     halo_share: f64,
     report: TilesReport,
-    /// How points become records; the same for every tile.
+    /// The encoder of records, which is the same for every tile.
     encoder: Option<R::Encoder>,
 }
 
 impl<R: RecordReader> Tiler<'_, R> {
-    /// Estimates how many neighbours suit the tile with the most points, if the settings leave that open.
+    /// Estimates the number of neighbours for the tile with the most points, if the settings leave it open.
     fn choose_neighbours(&mut self, spill: &Spill<R>) -> Result<(), TileError> {
         let largest = (0..spill.tiles.len()).max_by_key(|&number| spill.tiles[number].tile.points);
         let Some(number) = largest.filter(|_| self.options.settings.chooses_neighbours()) else { return Ok(()) };
@@ -270,7 +272,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         Ok(())
     }
 
-    /// Smooths a tile with its halo, wider until its points do not reach beyond it.
+    /// Smooths a tile with its halo. Widens the halo until its width suffices, or narrows it until it fits in memory.
     fn smooth(&mut self, spill: &mut Spill<R>, number: usize, output: &Path) -> Result<(), TileError> {
         let tile = spill.tiles[number].tile;
         let own = tile.points as usize;
@@ -332,7 +334,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let [low, high] = spill.cells.bounds(tile);
         let reach = halo::cloud_reach(&self.params);
         let needed_m = (0..tile.points as usize).filter_map(|i| {
-            // A hole reaches nothing, and may belong to any tile. Without radii by density there are none.
+            // A hole has no radius, and may belong to any tile. Without radii by density, no point has one.
             let radius_m = self.smoother.as_ref()?.own_radius_m(i)?;
             // Distance from the point to the border of its tile, beyond which there are other points.
             let to_border = (0..2).map(|axis| {

@@ -1,9 +1,9 @@
 //! Assigns points to tiles: rectangles of cells seen from above, each with about as many points as fit into memory.
 
-/// Cells along the longer side of a cloud.
+/// Number of cells along the longer side of a cloud.
 const CELLS: usize = 2048;
 
-/// Cells over a cloud seen from above, and how many points each has.
+/// A grid of cells over a cloud seen from above, and the number of points in each.
 pub(super) struct Cells {
     low: [f64; 2],
     size_m: f64,
@@ -15,8 +15,9 @@ pub(super) struct Cells {
 /// A rectangle of cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Tile {
-    /// The first cell along each axis, and the one after the last.
+    /// The first cell along each axis.
     pub(super) from: [usize; 2],
+    /// The cell after the last along each axis.
     pub(super) to: [usize; 2],
     pub(super) points: u64,
 }
@@ -59,7 +60,7 @@ impl Cells {
         sides[0] * sides[1]
     }
 
-    /// Returns tiles of at most `most` points, except for single cells with more; no tiles without points.
+    /// Returns tiles with at most `most` points each, except for single cells with more. Omits tiles without points.
     pub(super) fn tiles(&self, most: u64) -> Vec<Tile> {
         let whole = self.tile([0, 0], [self.across, self.down]);
         let (mut waiting, mut tiles) = (vec![whole], Vec::new());
@@ -75,7 +76,7 @@ impl Cells {
         tiles
     }
 
-    /// Returns the tile cut in two across an axis, with about as many points on either side.
+    /// Cuts a tile in two across an axis, with a similar number of points on either side.
     fn halves(&self, tile: &Tile, axis: usize) -> [Tile; 2] {
         let mut at = tile.from[axis];
         let mut before = 0;
@@ -96,7 +97,7 @@ impl Cells {
         Tile { from, to, points }
     }
 
-    /// Returns the number of the tile of every cell, row by row; `tiles` cover all cells that have points.
+    /// Returns the tile number of every cell, row by row; `tiles` cover all cells that have points.
     pub(super) fn tile_of_cells(&self, tiles: &[Tile]) -> Vec<u16> {
         let mut of_cells = vec![0; self.counts.len()];
         for (number, tile) in (0u16..).zip(tiles) {
@@ -107,15 +108,15 @@ impl Cells {
         of_cells
     }
 
-    /// The place of a cell in [`tile_of_cells`](Self::tile_of_cells).
+    /// Returns the index of a cell in [`tile_of_cells`](Self::tile_of_cells).
     pub(super) fn place(&self, [column, row]: [usize; 2]) -> usize {
         row * self.across + column
     }
 }
 
-/// Memory per point of a tile in addition to its records: positions twice, an engine and its results.
+/// Bytes per point of a tile in addition to its records: positions twice, an engine and its results.
 const ENGINE_BYTES_A_POINT: u64 = 250;
-/// Copies of a tile's records in memory: as read, in columns, and as written.
+/// Number of copies of a tile's records in memory: as read, in columns, and as written.
 const COPIES: u64 = 3;
 
 /// Returns the memory per point of a tile, in bytes.
@@ -143,7 +144,7 @@ mod tests {
             let number = usize::from(of_cells[cells.place(cells.cell_of(x, y))]);
             counts[number] += 1;
             let [low, high] = cells.bounds(&tiles[number]);
-            // To a rounding of the border.
+            // Up to the rounding of the border.
             let within = |value: f64, axis: usize| low[axis] - 1e-9 <= value && value <= high[axis] + 1e-9;
             assert!(within(x, 0) && within(y, 1));
         }

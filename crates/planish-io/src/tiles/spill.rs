@@ -13,23 +13,23 @@ use planish_core::{
     internal::{KIB, OWN_SHARE, assumed_sensor_of_sample, memory, middle, sampling_step},
 };
 
-/// Records read or written together.
+/// Number of records that are read or written together.
 const BATCH: usize = 1 << 18;
-/// Each has two open files: fewer than any system allows.
+/// Maximum number of tiles. Each has two open files, in total fewer than any system allows.
 const MOST_TILES: usize = 100;
 /// Number of sampled points that determine the extent of a cloud.
 const SAMPLE: usize = 10_000;
 
-/// The records of a file, dealt to tiles.
+/// The records of a file, distributed to tiles.
 pub(super) struct Spill<R: RecordReader> {
     pub(super) header: R::Header,
     pub(super) record: usize,
     pub(super) points: usize,
     pub(super) most_in_memory: u64,
     pub(super) extent_m: f64,
-    /// Assumed position of the sensor, if it cannot be the origin of coordinates.
+    /// Assumed position of the sensor in metres, if it cannot be the origin of coordinates.
     pub(super) assumed_sensor_m: Option<[f64; 3]>,
-    /// Of the format.
+    /// True if the records need the latest version of the format.
     needs_latest_version: bool,
     pub(super) cells: Cells,
     pub(super) tiles: Vec<TileFiles>,
@@ -38,7 +38,7 @@ pub(super) struct Spill<R: RecordReader> {
     pub(super) folder: PathBuf,
 }
 
-/// A tile, its records as they were, and what became of them.
+/// A tile, its original records, and its smoothed records.
 pub(super) struct TileFiles {
     pub(super) tile: Tile,
     records: Temporary,
@@ -61,7 +61,7 @@ impl<R: RecordReader> Spill<R> {
         let header = reader.header().clone();
         let (record, points) = (reader.record(), reader.points());
         let most_in_memory = max_memory_bytes / bytes_a_point(record);
-        // All records once more, so that they are decompressed once.
+        // A copy of all records, so that they are decompressed only once.
         let spool = Temporary::new(folder)?;
         let mut sample: [Vec<f64>; 3] = Default::default();
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -98,7 +98,7 @@ impl<R: RecordReader> Spill<R> {
         drop(reader);
         let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
         let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
-        // Over most points: one far away is not to make all others lie in one cell.
+        // The cells cover most points, so that a stray point does not force all others into one cell.
         for axis in 0..2 {
             if let Some([low, high]) = middle(sample[axis].len(), |i| sample[axis][i]) {
                 bounds[0][axis] = bounds[0][axis].max(low - (high - low));
@@ -158,7 +158,7 @@ impl<R: RecordReader> Spill<R> {
         })
     }
 
-    /// Returns the records of a tile, followed by those of its halo; `None` if they do not fit.
+    /// Returns the records of a tile, followed by those of its halo; `None` if they do not fit in memory.
     pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Option<Vec<u8>>> {
         let most = usize::try_from(self.most_in_memory).unwrap_or(usize::MAX).saturating_mul(self.record);
         let mut records = Vec::new();
@@ -192,7 +192,7 @@ impl<R: RecordReader> Spill<R> {
         Ok(Some(records))
     }
 
-    /// Writes the smoothed records in the order of the input; `encoder` made them.
+    /// Writes the smoothed records, which `encoder` encoded, in the order of the input.
     pub(super) fn put_together(
         &self,
         encoder: R::Encoder,
@@ -216,7 +216,7 @@ impl<R: RecordReader> Spill<R> {
         let mut left = self.points;
         encoder.write(to, self.points, || {
             let mut batch = Vec::new();
-            // A batch of holes alone is not the end.
+            // An empty batch ends the file, so a batch of holes alone must not be returned.
             while batch.is_empty() && left > 0 {
                 let read = left.min(BATCH);
                 batch.reserve(read * length);
@@ -241,7 +241,8 @@ fn is_finite(position: [f64; 3]) -> bool {
     position.iter().all(|value| value.is_finite())
 }
 
-/// Assigns points to tiles, seen from above. Holes go to points of a sample in turn, so that no tile gets too many.
+/// Assigns positions to points, seen from above. Holes get those of sampled points in turn, so that no tile has too
+/// many.
 struct Places<'a> {
     sample: &'a [Vec<f64>; 3],
     holes: usize,
@@ -259,7 +260,7 @@ impl Places<'_> {
     }
 }
 
-/// Reads a temporary file from its beginning, in batches of items of this size.
+/// Reads a temporary file from its beginning, in batches of items of `size` bytes.
 fn for_each_batch(mut file: &File, size: usize, mut visit: impl FnMut(&[u8]) -> FormatResult<()>) -> FormatResult<()> {
     let mut left = file.metadata()?.len() as usize;
     file.seek(SeekFrom::Start(0))?;

@@ -1,6 +1,6 @@
 //! The cells of a line, and their numbers.
 
-/// What begins a comment.
+/// Characters that begin a comment.
 const COMMENTS: [char; 3] = ['#', '/', '%'];
 /// Words for a missing number, in lower case; `nan` is a number.
 const MISSING: [&str; 6] = ["", "na", "n/a", "null", "none", "-"];
@@ -62,7 +62,7 @@ impl Separator {
     }
 }
 
-/// Returns the cells without an empty one after the last separator.
+/// Returns the cells without an empty cell after the last separator.
 pub(super) fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
     if cells.last().is_some_and(|last| last.is_empty()) {
         cells.pop();
@@ -84,7 +84,7 @@ pub(super) fn without_mark(line: &str) -> &str {
     line.trim_start_matches(COMMENTS)
 }
 
-/// Returns the number in a cell, which may have a decimal comma; NaN where it is missing, `None` for other words.
+/// Returns the number in a cell, which may have a decimal comma; NaN if it is missing, `None` for other words.
 pub(super) fn number_of(cell: &str) -> Option<f64> {
     let with_comma = || {
         let (whole, decimals) = cell.split_once(',')?;

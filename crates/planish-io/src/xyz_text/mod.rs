@@ -15,10 +15,10 @@ use super::columns::{EXACT_INTEGERS, cloud_from_columns};
 use super::{FormatResult, ReadOptions, brief, quoted, text_of};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
 
-/// Coordinates beyond this lose digits as f32.
+/// Coordinate in metres beyond which f32 loses digits.
 const FAR_M: f64 = 1000.0;
 
-/// Returns true if a file of no known ending is lines of numbers, by its beginning.
+/// Returns true if the beginning of a file with an unknown extension consists of lines of numbers.
 pub(super) fn is_likely(bytes: &[u8]) -> bool {
     const LOOKED_AT: usize = 4096;
     let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
@@ -26,7 +26,7 @@ pub(super) fn is_likely(bytes: &[u8]) -> bool {
         let is_end = |byte: &u8| *byte == b'\n';
         // A line that is cut may have any number of cells.
         head = &head[..head.iter().rposition(is_end).unwrap_or(0)];
-        // PTS states how many points there are in all.
+        // PTS begins with the total number of points.
         let first = head.iter().position(is_end).unwrap_or(0);
         if std::str::from_utf8(&head[..first]).is_ok_and(|line| line.trim().parse::<usize>().is_ok()) {
             head = &head[first..];
@@ -39,9 +39,9 @@ pub(super) fn is_likely(bytes: &[u8]) -> bool {
 #[derive(Default)]
 struct Column {
     values: Vec<f64>,
-    /// Whether an integer was rounded.
+    /// True if an integer was rounded.
     is_rounded: bool,
-    /// Whether it has words instead of numbers.
+    /// True if the column has words instead of numbers.
     is_text: bool,
 }
 
@@ -93,7 +93,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         return Err(FormatError::Malformed("not lines of numbers: it is binary".into()));
     }
     let text = text_of(bytes);
-    // Lines of old Macs end otherwise.
+    // Lines from classic Mac OS end with a carriage return only.
     let text = if text.contains('\n') { text } else { text.replace('\r', "\n").into() };
     let lines = (1..).zip(text.lines().map(str::trim));
     let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();

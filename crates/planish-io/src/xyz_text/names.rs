@@ -3,10 +3,10 @@
 use super::super::{FormatResult, LengthUnit};
 use planish_core::FormatError;
 
-/// The length of a unit normal written with few digits.
+/// Lengths of a unit normal that is written with few digits.
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 
-/// Lines with more cells are not searched for names.
+/// Maximum number of cells in a line of names.
 pub(super) const MOST_NAMED: usize = 1000;
 
 /// Other names of x, y and z: maps and surveys, ParaView, CloudCompare.
@@ -22,7 +22,7 @@ const AXES: [[&str; 3]; 9] = [
     ["position_x", "position_y", "position_z"],
 ];
 
-/// Returns the names of the columns of a line, if it has x, y and z among them.
+/// Returns the names of the columns in a line; `None` unless x, y and z are among them.
 pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     if cells.len() > MOST_NAMED {
         return None;
@@ -32,7 +32,7 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     let is_shared = |name: &String| short.iter().filter(|other| other.eq_ignore_ascii_case(name)).count() > 1;
     let name = |(name, cell): (&String, &&str)| if is_shared(name) { in_one_word(cell) } else { name.clone() };
     let mut names: Vec<String> = short.iter().zip(cells).map(name).collect();
-    // Alone, r is a range or a reflectance.
+    // Without g and b, r is a range or a reflectance.
     let letters = ["r", "g", "b"];
     if !letters.iter().all(|letter| cells.iter().any(|cell| cell.trim().eq_ignore_ascii_case(letter))) {
         for (name, cell) in names.iter_mut().zip(cells) {
@@ -51,7 +51,7 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     Some(names)
 }
 
-/// Returns the unit in the brackets behind the names of x, y and z.
+/// Returns the unit in brackets after the names of x, y and z; `None` if it is missing or the metre.
 pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<LengthUnit>> {
     let in_brackets = |cell: &str| {
         let (_, rest) = cell.split_once(['[', '('])?;
@@ -122,7 +122,7 @@ pub(super) fn is_byte(value: f64) -> bool {
 fn is_intensity_first(columns: &[&[f64]]) -> bool {
     let are_bytes = |k: usize| columns[k].iter().all(|value| is_byte(*value));
     let difference = |a: usize, b: usize| columns[a].iter().zip(columns[b]).map(|(a, b)| (a - b).abs()).sum::<f64>();
-    // Alpha is mostly the same everywhere.
+    // Alpha is mostly constant.
     let is_constant = |k: usize| columns[k].windows(2).all(|pair| pair[0] == pair[1]);
     (1..4).all(are_bytes) && !is_constant(3) && (!are_bytes(0) || difference(2, 3) < 0.5 * difference(0, 1))
 }
@@ -148,7 +148,7 @@ pub(crate) fn guessed_names(columns: &[&[f64]], is_pts: bool) -> Vec<String> {
             names.push("intensity");
             continue;
         }
-        // First normals, since those along an axis might be colours too.
+        // Normals are tested first, since normals along an axis could also be colours.
         if left >= 3 && !names.contains(&"normal_x") && normals(at) {
             names.extend(normal);
         } else if left >= 3 && !names.contains(&"red") && colours(at) {

@@ -7,19 +7,19 @@ use super::cells::{Separator, is_comment, number_of, without_empty_end, without_
 use super::names::{MOST_NAMED, names_of, unit_of};
 use planish_core::FormatError;
 
-/// More columns than that are named.
+/// Maximum number of columns without names.
 const MOST_UNNAMED: usize = 64;
 
-/// What precedes the points.
+/// The contents of the lines before the points.
 #[derive(Default)]
 pub(super) struct Title {
     pub(super) names: Option<Vec<String>>,
-    /// The number of points, with which PTS begins; CloudCompare writes it under the names.
+    /// The number of points that the file states. PTS begins with it; CloudCompare writes it under the names.
     pub(super) stated: Option<usize>,
     pub(super) comments: usize,
     /// The unit that the names of x, y and z state.
     pub(super) unit: Option<LengthUnit>,
-    /// Whether the names are in a comment, which may be prose.
+    /// True if the names are in a comment, which may be prose.
     is_in_comment: bool,
 }
 
@@ -32,7 +32,7 @@ impl Title {
             let cells = without_empty_end(Separator::of(heading).cells(heading));
             let count = if let [count] = cells[..] { count.parse().ok() } else { None };
             if line.starts_with("sep=") {
-                // Excel's separator, which the lines show.
+                // Excel's statement of the separator, which is detected from the lines instead.
             } else if count.is_some() && !is_comment(line) {
                 title.stated = count;
             } else if title.names.is_some() && !is_comment(line) {
@@ -61,7 +61,8 @@ impl Title {
         Ok(title)
     }
 
-    /// Returns the number of columns, from the first line of points. Names in a comment that does not fit are none.
+    /// Returns the number of columns, from the first line of points. Drops names in a comment if they do not fit this
+    /// line.
     pub(super) fn columns(&mut self, first: Option<&str>, separator: Separator) -> FormatResult<usize> {
         let first = first.map(|line| {
             let cells = separator.cells(line);

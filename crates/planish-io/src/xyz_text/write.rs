@@ -1,4 +1,4 @@
-//! Points written as lines of numbers.
+//! Writing of points as lines of numbers.
 
 use std::fmt::Write;
 
@@ -6,13 +6,13 @@ use super::super::columns::{columns_from_cloud, with_values};
 use super::super::{CloudRef, FormatResult};
 use planish_core::{Attribute, AttributeValues};
 
-/// Decimals of coordinates far from the origin: a hundredth of a millimetre.
+/// Number of decimals of coordinates far from the origin: 0.01 mm.
 const FAR_DIGITS: usize = 5;
-/// Significant digits for points that have not moved.
+/// Number of decimals to which coordinates of unmoved points are rounded if only rounding noise is lost.
 const UNMOVED_DIGITS: usize = 9;
 
-/// Writes a coordinate far from the origin. An unmoved one keeps all digits, except for rounding noise of f64, as in a
-/// LAS file's integer times its scale.
+/// Writes a coordinate far from the origin. Coordinates of unmoved points keep all digits, except for f64 rounding
+/// noise such as that of a LAS file's integer times its scale.
 fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
     if !is_unmoved {
         return write!(text, "{value:.FAR_DIGITS$}");
@@ -31,7 +31,7 @@ fn axis_of(name: &str) -> Option<usize> {
 /// Lines before the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Heading {
-    /// The names, in a comment, if there is more than x, y and z.
+    /// The names in a comment, if there are more columns than x, y and z.
     Comment,
     /// The number of points, as in PTS.
     Count,
@@ -39,7 +39,7 @@ pub(crate) enum Heading {
     Names,
 }
 
-/// Returns names as words that no reader splits, none twice.
+/// Returns the names as unique words that no reader splits.
 fn plain_names(names: &[String]) -> Vec<String> {
     let is_part = |c: char| !(c.is_whitespace() || c.is_control() || ",;\"'#".contains(c));
     let mut plain: Vec<String> = Vec::with_capacity(names.len());
@@ -53,7 +53,7 @@ fn plain_names(names: &[String]) -> Vec<String> {
     plain
 }
 
-/// One line a point.
+/// Encodes a cloud with one line per point.
 pub(crate) fn encode(cloud: CloudRef<'_>, heading: Heading) -> FormatResult<Vec<u8>> {
     let separator = if heading == Heading::Names { ',' } else { ' ' };
     let points = cloud.points();

@@ -8,16 +8,17 @@ use super::{Clock, Matcher, MatcherCounts, Moment};
 use crate::source::{OwnedFrame, Source, unreadable_warning};
 use planish_core::{Error, ParamError};
 
-/// The largest time stamp accepted, in seconds from 0: about 30,000 years.
+/// Maximum absolute timestamp in seconds, about 30,000 years.
 const LARGEST_TIMESTAMP_S: f64 = 1e12;
 
-/// A live source that failed this many times in a row counts as gone.
+/// Number of consecutive failures after which a live source counts as gone.
 const MOST_FAILURES: u32 = 100;
 
-/// Frames a second of a recording without time stamps.
+/// Assumed frame rate of a recording without timestamps, in frames per second.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// If two cameras each had this many moments alone since the last match, their clocks are considered unrelated.
+/// Number of moments that two cameras must each have alone, since the last match, for their clocks to count as
+/// unrelated.
 const UNMATCHED_ARE_TOLD: u32 = 10;
 
 /// A frame that has arrived from a camera.
@@ -30,9 +31,9 @@ pub(super) struct Arrived {
 /// Output of the inbox.
 pub(super) enum Taken {
     Moment(Moment<Arrived>),
-    /// Nothing yet.
+    /// No moment yet.
     Nothing,
-    /// Nothing more will come.
+    /// All cameras have ended.
     End,
 }
 
@@ -47,12 +48,12 @@ pub(super) struct Inbox {
 struct State {
     matcher: Matcher<Arrived>,
     cameras: Vec<Received>,
-    /// Not told yet.
+    /// Warnings that were not reported yet.
     warnings: VecDeque<String>,
     first_error: Option<Error>,
-    /// Moments that newer ones replaced.
+    /// Number of moments that newer ones replaced.
     skipped: u64,
-    /// Per camera: moments with it alone since two cameras last matched.
+    /// Number of moments with each camera alone since two cameras last matched.
     alone: Vec<u32>,
     has_told_unmatched: bool,
     is_closed: bool,
@@ -67,7 +68,7 @@ pub(super) struct Received {
     pub(super) has_ended: bool,
     /// Whether it ended with a reported error.
     pub(super) has_failed: bool,
-    /// The latest of its time stamps, time offset added, in seconds.
+    /// Its latest timestamp in seconds, including the time offset.
     pub(super) last_s: Option<f64>,
 }
 
@@ -88,7 +89,7 @@ impl Inbox {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // The state is consistent at any time.
+        // The state is consistent even after a panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -118,7 +119,7 @@ impl Inbox {
         }
     }
 
-    /// Puts a frame in, waiting for room if none may be left out.
+    /// Adds a frame, waiting for room if no frame may be dropped.
     fn put(
         &self,
         camera: usize,
@@ -161,7 +162,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// Takes the next moment (of live cameras the newest), waiting at most `patience`.
+    /// Takes the next moment, or the newest one of live cameras, waiting at most `patience`.
     pub(super) fn take(&self, patience: Duration) -> Taken {
         let deadline = Instant::now() + patience;
         let mut state = self.lock();
@@ -183,12 +184,12 @@ impl Inbox {
         }
     }
 
-    /// Returns the next warning that was not told.
+    /// Returns the next warning that was not reported yet.
     pub(super) fn warning(&self) -> Option<String> {
         self.lock().warnings.pop_front()
     }
 
-    /// Wakes the cameras' threads, which end.
+    /// Wakes the cameras' threads and ends them.
     pub(super) fn close(&self) {
         self.lock().is_closed = true;
         self.changed.notify_all();
@@ -199,7 +200,7 @@ impl Inbox {
         self.lock().has_told_unmatched
     }
 
-    /// Returns the error that a camera ended with.
+    /// Takes the first error that ended a camera.
     pub(super) fn first_error(&self) -> Option<Error> {
         self.lock().first_error.take()
     }
@@ -226,13 +227,13 @@ impl State {
         Some(moment)
     }
 
-    /// Warns once if several cameras give frames and none of them belong together.
+    /// Warns once if several cameras deliver frames that never match.
     fn look_for_unmatched(&mut self, moment: &Moment<Arrived>) {
         let are_together = moment.frames.iter().flatten().count() > 1;
         for (alone, frame) in self.alone.iter_mut().zip(&moment.frames) {
             *alone = if are_together { 0 } else { *alone + u32::from(frame.is_some()) };
         }
-        // If only one camera gives frames, the others are missing, not unmatched.
+        // If only one camera delivers frames, the others are missing, not unmatched.
         let unmatched = self.alone.iter().filter(|alone| **alone >= UNMATCHED_ARE_TOLD).count();
         if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
@@ -245,7 +246,7 @@ impl State {
     }
 }
 
-/// Refuses a time stamp that cannot be compared with others.
+/// Refuses a timestamp that cannot be compared with others.
 fn checked(frame: Option<OwnedFrame>) -> Result<Option<OwnedFrame>, Error> {
     match frame.as_ref().and_then(OwnedFrame::timestamp_s) {
         Some(seconds) if seconds.is_nan() || seconds.abs() > LARGEST_TIMESTAMP_S => {
@@ -256,7 +257,7 @@ fn checked(frame: Option<OwnedFrame>) -> Result<Option<OwnedFrame>, Error> {
     }
 }
 
-/// Ends a camera's part of the inbox when it is dropped, also by a panic.
+/// Guard that marks a camera as ended when it is dropped, even by a panic.
 struct EndOf<'a> {
     inbox: &'a Inbox,
     camera: usize,

@@ -1,4 +1,4 @@
-//! The side that a surface faces, from single samples.
+//! Surface normals towards the camera, from single samples.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -11,11 +11,12 @@ pub(super) const PIXELS_OF_A_TASK: usize = 4096;
 /// Half the distance in pixels over which the orientation of a surface is estimated.
 const NORMAL_PX: usize = 6;
 
-/// The midpoint of two pixels may be off the surface between them by this many standard deviations, plus the bulge of a
-/// curved surface.
+/// Maximum distance between the midpoint of two pixels and the surface between them, in standard deviations of the
+/// noise; allows for the bulge of a curved surface.
 const MIDDLE_DEVIATIONS: f64 = 4.0;
 
-/// Computes normals from differences of pixels some distance apart, towards the camera; NaN next to holes and steps.
+/// Computes normals towards the camera, from differences between pixels some distance apart; NaN next to holes and
+/// steps.
 pub(super) fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
     let at = |u: usize, v: usize| points.vector(v * width + u);
     let normal = |i: usize| {

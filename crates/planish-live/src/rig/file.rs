@@ -9,7 +9,7 @@ use crate::source::Alignment;
 use planish_core::{Camera, FormatError, IoError, ParamError, SensorModel, SensorPose};
 use planish_io::{self as io, ReadOptions};
 
-/// The largest file of a rig that is read, in bytes.
+/// Maximum size of a rig or calibration file, in bytes.
 pub(super) const MAX_BYTES: u64 = 1 << 24;
 
 #[derive(Serialize, Deserialize)]
@@ -30,7 +30,7 @@ struct RigFile {
 #[serde(deny_unknown_fields)]
 struct ViewpointEntry {
     pose: PoseEntry,
-    /// As in a camera file, with the image size.
+    /// Intrinsics in the format of a camera file, with the image size, or the name of such a file.
     camera: serde_json::Value,
 }
 
@@ -55,7 +55,7 @@ struct CameraEntry {
     mode: Option<String>,
 }
 
-/// A sensor by its name, or by its coefficients of 1, z and z² in metres.
+/// A sensor model: its name, or its coefficients of 1, z and z² in metres.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum SensorEntry {
@@ -172,8 +172,8 @@ fn camera_of(entry: CameraEntry, folder: &Path) -> Result<RigCamera, FormatError
     })
 }
 
-/// Reads the camera from an object, or from the camera file that a text names; the second value is the number of depth
-/// units per metre, if stated.
+/// Reads a camera from an object, or from the camera file that a string names. The second value is the number of
+/// depth units per metre, if stated.
 fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Option<f64>), String> {
     let parse = |text: &str| {
         let io::CameraFile { camera, states_units, .. } = io::parse_camera_file(text, None)?;
@@ -208,7 +208,7 @@ fn pose_of(entry: &PoseEntry) -> Result<SensorPose, String> {
     }
 }
 
-/// The pose of a homogeneous matrix, row by row; the last row may be left out.
+/// Returns the pose of a homogeneous matrix, given row by row; the last row may be omitted.
 pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
     let &[a, b, c, ref last @ ..] = rows else {
         return Err(format!("a matrix of {} rows; 3 or 4 are needed", rows.len()));
@@ -223,7 +223,7 @@ pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
     })
 }
 
-/// Returns a rig as `rig.json`, as [`Rig::read`] reads it.
+/// Returns a rig as the text of a `rig.json`, in the format of [`Rig::read`].
 pub fn rig_to_json(rig: &Rig) -> String {
     let entry = |camera: &RigCamera| CameraEntry {
         name: camera.name.clone(),
@@ -249,11 +249,11 @@ pub fn rig_to_json(rig: &Rig) -> String {
         cameras: rig.cameras.iter().map(entry).collect(),
         viewpoints: rig.viewpoints.iter().filter_map(viewpoint).collect(),
     };
-    // Numbers and texts have always a form in JSON.
+    // Numbers and strings can always be written as JSON.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
 }
 
-/// Returns intrinsics as the file stores them; without the depth unit unless it is known.
+/// Returns intrinsics as the file stores them, with the depth unit only if it is known.
 fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Option<serde_json::Value> {
     let mut entry: serde_json::Value = serde_json::from_str(&io::camera_to_json(camera)).ok()?;
     let fields = entry.as_object_mut()?;
@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(left.sensor, Some(SensorModel::REALSENSE_D435));
         assert_eq!((right.time_offset_s, rig.tolerance_s, rig.clock), (0.004, 0.005, Clock::Arrival));
         assert_eq!(right.camera.map(|camera| camera.fx), Some(525.0));
-        // The same place, stated in two ways.
+        // The same pose, stated in two ways.
         let off = |i: usize, k: usize| (left.pose.rotation()[i][k] - right.pose.rotation()[i][k]).abs();
         assert_eq!(left.pose.position_m, right.pose.position_m);
         assert!((0..9).all(|i| off(i / 3, i % 3) < 1e-12), "{:?} {:?}", left.pose, right.pose);

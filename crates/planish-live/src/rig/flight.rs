@@ -38,7 +38,7 @@ impl FlightResults {
 pub(super) enum Submitted {
     /// No frame from this camera.
     Nothing,
-    /// In its smoother; with how it is seen, if its result is smoothed over time.
+    /// A frame in its camera's smoother, with its [`ResultSight`] if the result is smoothed over time.
     Flying(Option<Box<ResultSight>>),
     Refused(FrameError),
 }

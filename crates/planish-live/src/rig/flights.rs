@@ -13,10 +13,10 @@ use planish_core::{
     internal::{RigidTransform, named_fields},
 };
 
-/// With voxels: one moment is being smoothed while the next is sorted into voxels.
+/// Number of moments in flight with voxels: one is smoothed while the next is sorted into voxels.
 const IN_FLIGHT_IN_VOXELS: usize = 2;
 
-/// Transforms of each camera's points into the rig's frame, and the result.
+/// The transform of each camera's points into the rig's frame, and the results.
 type Placed = (Vec<Option<RigidTransform>>, RigViews);
 
 /// A moment with its results.
@@ -32,12 +32,13 @@ impl RigSmoother {
     /// call.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth), and if as many moments are in flight as can be.
+    /// Same as [`smooth`](Self::smooth); also if the maximum number of moments is in flight.
     pub fn submit(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
         self.submit_as(frames, true)
     }
 
-    /// Submits for [`receive_fused`](Self::receive_fused): results remain on the device until they are fused.
+    /// Submits the frames of a moment for [`receive_fused`](Self::receive_fused): results stay on the device until
+    /// they are fused.
     pub fn submit_in_place(&mut self, frames: &[Option<Frame<'_>>]) -> Result<(), Error> {
         self.submit_as(frames, false)
     }
@@ -88,10 +89,10 @@ impl RigSmoother {
         Ok(FlightResults::Landed(results.collect()))
     }
 
-    /// Waits for the oldest moment in flight; `None` if no moment is in flight.
+    /// Waits for the oldest moment in flight and returns its results; `None` if no moment is in flight.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth).
+    /// Same as [`smooth`](Self::smooth).
     pub fn receive(&mut self) -> Result<Option<RigResults>, Error> {
         let outputs = self.options.outputs;
         let results = match self.receive_landed()? {
@@ -107,13 +108,13 @@ impl RigSmoother {
         Ok(Some(results))
     }
 
-    /// Waits for the oldest moment in flight and puts its results together in the rig's frame: the points of all
-    /// cameras, the fields that were computed, and `camera`; of points thinned to voxels one for each. Frames that
-    /// could not be smoothed have no points; false if no moment is in flight. Uses the memory of `out` again, except
-    /// for voxels.
+    /// Waits for the oldest moment in flight and fuses its results into `out`, in the rig's frame: the points of all
+    /// cameras, the computed fields, and `camera`. With voxels, there is one point per voxel. Frames that could not
+    /// be smoothed have no points. Returns false if no moment is in flight. Reuses the memory of `out`, except with
+    /// voxels.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth).
+    /// Same as [`smooth`](Self::smooth).
     pub fn receive_fused(&mut self, out: &mut PointCloud) -> Result<bool, Error> {
         let outputs = self.options.outputs;
         match self.receive_landed()? {
@@ -124,12 +125,14 @@ impl RigSmoother {
         Ok(true)
     }
 
-    /// Submits the frames of a moment. Once the useful number is in flight, receives the oldest as
-    /// [`receive_fused`](Self::receive_fused) does, and fuses it while the next one is uploaded. Returns false if none
-    /// was received; at the end, call `receive_fused` for the remaining ones.
+    /// Submits the frames of a moment. Once the useful number of moments ([`max_in_flight`](Self::max_in_flight)) is
+    /// in flight, also receives the oldest, as [`receive_fused`](Self::receive_fused) does, and fuses it while the
+    /// new one is uploaded. Returns false if no moment was received; at the end, call `receive_fused` for the
+    /// remaining ones.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth); the oldest moment is lost with the others then, and `out` may be either's.
+    /// Same as [`smooth`](Self::smooth). All moments in flight are then lost, including the oldest, and `out` may be
+    /// unchanged or hold the oldest.
     pub fn next_fused(&mut self, frames: &[Option<Frame<'_>>], out: &mut PointCloud) -> Result<bool, Error> {
         self.check_count(frames)?;
         if let Some(size_m) = self.voxels_merged_m() {
@@ -186,7 +189,7 @@ impl RigSmoother {
         Ok(FlightResults::Together(Box::new(self.threads.install(|| Together::of(&frames)))))
     }
 
-    /// Returns the size of the voxels that points are thinned to, if they are.
+    /// Returns the voxel size in metres if merged points are thinned to voxels, otherwise `None`.
     fn voxels_merged_m(&self) -> Option<f64> {
         self.general.voxel_m().filter(|_| self.way == RigWay::Merged)
     }
@@ -251,7 +254,7 @@ impl RigSmoother {
     }
 }
 
-/// Puts the results of a moment together in the rig's frame.
+/// Fuses the results of a moment in the rig's frame.
 fn fuse_views((rig_from_points, views): &Placed, outputs: Outputs, out: &mut PointCloud) {
     let mut parts = Vec::with_capacity(views.len());
     for (camera, (view, rig_from_points)) in views.iter().zip(rig_from_points).enumerate() {

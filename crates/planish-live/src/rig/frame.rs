@@ -8,14 +8,15 @@ use crate::stream::StreamFrame;
 use planish_core::clean::voxel_downsample;
 use planish_core::{FrameError, Outputs, PointCloud};
 
-/// The frames of a moment with their results, as sinks get them.
+/// The frames of a moment with their results, as sinks receive them.
 #[non_exhaustive]
 pub struct RigFrame {
     /// Its index among the smoothed moments, from 0.
     pub index: u64,
-    /// The earliest time stamp of its frames, in seconds, time offsets added.
+    /// The earliest timestamp of its frames in seconds, including time offsets.
     pub time_s: f64,
-    /// Each camera's frame and result, in the order of the rig's cameras; `None` for one without a frame.
+    /// Each camera's frame and result, in the order of the rig's cameras; `None` for a camera without a smoothed
+    /// frame.
     pub cameras: Vec<Option<StreamFrame>>,
     /// The rig.
     pub rig: Arc<Rig>,
@@ -23,7 +24,7 @@ pub struct RigFrame {
     pub outputs: Outputs,
     /// Time from the arrival of its first frame until its result was available.
     pub latency: Duration,
-    /// The size of the voxels that its points were thinned to, in metres, if they were.
+    /// Voxel size in metres if its points were thinned to voxels.
     pub voxel_m: Option<f64>,
     pub(super) fused: OnceLock<Result<PointCloud, FrameError>>,
 }

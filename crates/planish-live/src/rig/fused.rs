@@ -13,14 +13,14 @@ use planish_core::{
     internal::RigidTransform,
 };
 
-/// Farther from the rig's origin than this, f32 would lose tenths of a millimetre: positions are relative to the first
-/// camera then.
+/// Distance from the rig's origin, in metres, beyond which f32 would lose tenths of a millimetre; positions are then
+/// relative to the first camera.
 const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
 
-/// Fields that are directions, one component each.
+/// Names of fields that are directions, one per component.
 pub(super) const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
 
-/// The field with the index of each point's camera.
+/// Name of the field with the index of each point's camera.
 pub(super) const CAMERA_FIELD: &str = "camera";
 
 /// A camera's part of a fused cloud.
@@ -28,20 +28,20 @@ pub(super) struct Part<'a> {
     /// Index of the camera in the rig.
     pub(super) camera: usize,
     pub(super) rig_from_points: RigidTransform,
-    /// x, y and z of its points, of which some are holes.
+    /// x, y and z of its points, including holes.
     pub(super) positions: [&'a [f32]; 3],
     pub(super) attributes: Vec<Cow<'a, Attribute>>,
 }
 
-/// Points that one task looks at.
+/// Number of points per task.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
-/// Puts clouds together in the rig's frame: for each its camera's index, its pose (rig_from_camera) and its points in
-/// the camera's frame.
+/// Fuses clouds in the rig's frame. Each is given with its camera's index, its pose (rig_from_camera) and its points
+/// in the camera's frame.
 ///
-/// Holes are left out. Fields with the same name are merged, with zeros for points of cameras without them; normals are
-/// rotated; the field `camera` contains each point's camera. Positions are relative to [`PointCloud::origin_m`], which
-/// is zero unless the rig is more than 1 km from its origin.
+/// Holes are left out. Fields with the same name are merged, with zeros for points of cameras without the field.
+/// Normals are rotated. The field `camera` has the index of each point's camera. Positions are relative to
+/// [`PointCloud::origin_m`], which is zero unless a camera is more than 1 km from the rig's origin.
 ///
 /// # Errors
 /// If a pose is invalid.
@@ -60,9 +60,9 @@ pub fn fuse(clouds: &[(usize, SensorPose, &PointCloud)]) -> Result<PointCloud, F
     Ok(fused)
 }
 
-/// Puts parts together in a cloud whose memory is used again.
+/// Fuses parts into a cloud, reusing its memory.
 pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
-    // Parts without points are nowhere.
+    // Parts without points do not affect the origin.
     let mut with_points = parts.iter().filter(|part| part.count(0..part.positions[0].len()) > 0).peekable();
     let first = with_points.peek().copied();
     let farthest = with_points.map(|part| part.rig_from_points.translation.abs().max_element()).fold(0.0, f64::max);
@@ -94,7 +94,7 @@ pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
     cloud.set_attribute(CAMERA_FIELD, cameras);
 }
 
-/// Writes the points of all parts that are no holes, in the rig's frame, and the camera of each.
+/// Writes the points of all parts without holes, in the rig's frame, and the camera of each point.
 fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut Vec<u8>) {
     let ranges = |part| {
         let of_part: &Part<'_> = part;
@@ -130,7 +130,7 @@ impl Part<'_> {
         self.positions.iter().all(|axis| axis[i].is_finite())
     }
 
-    /// Returns the indices of its points.
+    /// Returns the indices of its points, without holes.
     fn points(&self) -> Vec<usize> {
         (0..self.positions[0].len()).filter(|&i| self.is_point(i)).collect()
     }
@@ -140,7 +140,7 @@ impl Part<'_> {
         x.iter().zip(y).zip(z).filter(|((x, y), z)| x.is_finite() & y.is_finite() & z.is_finite()).count()
     }
 
-    /// Writes its points of a range into slices of their number.
+    /// Writes the points of a range, without holes, into slices of matching length.
     fn place(&self, range: Range<usize>, origin: DVec3, [out_x, out_y, out_z]: [&mut [f32]; 3]) {
         let [x, y, z] = self.positions.map(|axis| &axis[range.clone()]);
         let RigidTransform { rotation, translation } = self.rig_from_points;
@@ -189,7 +189,8 @@ fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>],
     }
 }
 
-/// Returns the transform from a frame's points to the rig. Clouds may be in another frame than their camera's.
+/// Returns the transform from a frame's points to the rig. A cloud's points may be in another frame than its
+/// camera's.
 pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>) -> Result<RigidTransform, FrameError> {
     match frame {
         Frame::Depth(_) => Ok(rig_from_camera),
@@ -242,7 +243,7 @@ fn attributes_of(frame: &OwnedFrame) -> Vec<Cow<'_, Attribute>> {
 mod tests {
     use super::*;
 
-    /// Looks along the rig's x, as a camera in front of a robot.
+    /// Returns the pose of a camera that looks along the rig's x, as at the front of a robot.
     fn ahead(position_m: [f64; 3]) -> SensorPose {
         SensorPose { position_m, orientation: [0.5, -0.5, 0.5, -0.5] }
     }

@@ -7,19 +7,20 @@ use planish_core::{CloudParams, Error, FleetDevice, Outputs, Progress, Smoother,
 /// The smoother of all points together.
 pub(super) struct General {
     params: CloudParams,
-    /// The size of the voxels that points are thinned to; `None` for all points.
+    /// Voxel size in metres for thinning; `None` keeps all points.
     voxel_m: Option<f64>,
     smoother: Option<Smoother>,
     stopper: Stopper,
 }
 
-/// Cancels the work on all points together from another thread; on millions of points it takes seconds.
+/// A handle that cancels the work on all points together, which takes seconds for millions of points, from another
+/// thread.
 #[derive(Clone, Default)]
 pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
 
 impl Stopper {
-    /// Cancels the running work, which returns [`EngineError::Stopped`](planish_core::EngineError::Stopped); no effect
-    /// otherwise.
+    /// Cancels the running work, which returns [`EngineError::Stopped`](planish_core::EngineError::Stopped); does
+    /// nothing if no work is running.
     pub(super) fn stop(&self) {
         if let Some(progress) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
             progress.stop();
@@ -52,7 +53,7 @@ impl General {
         self.smoother = None;
     }
 
-    /// Opens the engine, if it is closed, on the device or on the options' device.
+    /// Opens the engine if it is closed, on `device` or, without one, on the options' device.
     pub(super) fn open(
         &mut self,
         options: &SmootherOptions,

@@ -1,34 +1,34 @@
-//! Groups frames of several cameras into moments, by their time stamps.
+//! Groups frames of several cameras into moments by their timestamps.
 //!
 //! Frames of each camera wait in a queue. The earliest waiting frame opens a moment. The first waiting frame of every
-//! other camera belongs to it if its time stamp is within the tolerance, and not closer to the next frame of the camera
-//! that opened the moment. In a recording, every camera is waited for until its frame arrives or it ends. A live camera
-//! is waited for at most a given time after the first frame of the moment, and not at all after it has been missing for
-//! a while.
+//! other camera belongs to the moment if its timestamp is within the tolerance, and not closer to the next frame of
+//! the camera that opened the moment. The frame of a recording is awaited until it arrives or the recording ends. The
+//! frame of a live camera is awaited at most a given time after the first frame of the moment, and not at all once
+//! the camera has been missing for a while.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// A time stamp that is this far before the one before it is of a clock that was set anew; less is a frame out of
-/// order.
+/// Step between timestamps, in seconds, beyond which a clock is taken to be reset. A smaller step backwards is a
+/// frame out of order.
 const CLOCK_JUMP_S: f64 = 0.5;
 
-/// A live camera that was missing from this many moments in a row is not waited for.
+/// Number of consecutive moments without a live camera after which its frames are no longer awaited.
 const MISSING_IS_GONE: u32 = 15;
 
-/// Maximum number of waiting frames of a live camera.
+/// Maximum number of waiting frames of a camera.
 const MOST_WAITING: usize = 8;
 
-/// Assumed time in seconds between frames of a camera of which only one is known.
+/// Assumed time in seconds between frames of a camera that has delivered only one.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
 
-/// Frames of one moment, at most one of each camera.
+/// Frames of one moment, at most one per camera.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Moment<T> {
-    /// The earliest of their time stamps, in seconds.
+    /// The earliest timestamp of the frames, in seconds.
     pub time_s: f64,
-    /// The frame of each camera, if it has one.
+    /// The frame of each camera; `None` for a camera without one.
     pub frames: Vec<Option<T>>,
 }
 
@@ -36,26 +36,26 @@ pub struct Moment<T> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct MatcherCounts {
-    /// Frames that came.
+    /// Frames received.
     pub received: u64,
     /// Frames that arrived after their moment.
     pub late: u64,
-    /// Frames with the time stamp of the previous frame, or an earlier one.
+    /// Frames with the timestamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
-    /// Number of jumps of its clock. After a jump, time stamps are shifted to continue the old ones.
+    /// Number of jumps of its clock. After a jump, timestamps are shifted to continue the earlier ones.
     pub jumps: u64,
-    /// Frames for which there was no room, of a live camera.
+    /// Frames of a live camera that were dropped because its queue was full.
     pub dropped: u64,
     /// Moments without a frame of this camera.
     pub missing: u64,
 }
 
-/// Puts frames of several cameras together by their time stamps.
+/// Groups frames of several cameras by their timestamps.
 #[derive(Debug)]
 pub struct Matcher<T> {
     cameras: Vec<Queue<T>>,
     tolerance_s: f64,
-    /// How long a frame waits for frames of other cameras; `None` waits without limit.
+    /// Maximum time a frame waits for frames of other cameras; `None` for no limit.
     patience: Option<Duration>,
     /// The time of the last moment.
     last_s: f64,
@@ -65,12 +65,12 @@ pub struct Matcher<T> {
 struct Queue<T> {
     waiting: VecDeque<Waiting<T>>,
     has_ended: bool,
-    /// Added to time stamps, since the clock jumped.
+    /// Correction added to timestamps after clock jumps, in seconds.
     offset_s: f64,
-    /// Its last time stamp, corrected, and the time of its arrival.
+    /// The last corrected timestamp in seconds, and the time of its arrival.
     last: Option<(f64, Instant)>,
     interval_s: f64,
-    /// Moments in a row without it.
+    /// Number of consecutive moments without this camera.
     missing_in_a_row: u32,
     counts: MatcherCounts,
 }
@@ -83,8 +83,9 @@ struct Waiting<T> {
 }
 
 impl<T> Matcher<T> {
-    /// Creates a matcher. Frames of one moment differ by at most `tolerance_s`, and wait for each other at most
-    /// `patience` or the time between two frames; `None` is for recordings, from which nothing may be dropped.
+    /// Creates a matcher. Timestamps of one moment differ by at most `tolerance_s`. Its frames wait for each other at
+    /// most `patience` or one frame interval, whichever is shorter; `None` is for recordings, whose frames are never
+    /// dropped.
     pub fn new(cameras: usize, tolerance_s: f64, patience: Option<Duration>) -> Self {
         Self { cameras: (0..cameras).map(|_| Queue::new()).collect(), tolerance_s, patience, last_s: f64::NEG_INFINITY }
     }
@@ -94,18 +95,18 @@ impl<T> Matcher<T> {
         self.patience.is_some() || self.cameras.get(camera).is_some_and(|queue| queue.waiting.len() < MOST_WAITING)
     }
 
-    /// Adds a frame of a camera, with its time stamp in seconds.
+    /// Adds a frame of a camera, with its timestamp in seconds.
     pub fn put(&mut self, camera: usize, time_s: f64, now: Instant, frame: T) {
         let (is_live, last_s, tolerance_s) = (self.patience.is_some(), self.last_s, self.tolerance_s);
         let Some(queue) = self.cameras.get_mut(camera) else { return };
         queue.counts.received += 1;
-        // A frame without a time belongs to the moment of its arrival.
+        // A frame without a timestamp belongs to the moment of its arrival.
         let time_s = if time_s.is_finite() { time_s } else { last_s.max(0.0) };
         let Some(time_s) = queue.corrected(time_s, now, is_live) else {
             queue.counts.out_of_order += 1;
             return;
         };
-        // The last moment did without it. One that is far from that is of another clock.
+        // The last moment was taken without this frame. A frame far earlier than that is from another clock.
         let would_have_been = time_s <= last_s + tolerance_s && queue.missing_in_a_row > 0;
         let is_late = (would_have_been || time_s < last_s - tolerance_s) && time_s > last_s - CLOCK_JUMP_S;
         if is_late && is_live {
@@ -126,7 +127,7 @@ impl<T> Matcher<T> {
         }
     }
 
-    /// Returns true if nothing waits and nothing will come.
+    /// Returns true if all cameras have ended and no frame is waiting.
     pub fn is_over(&self) -> bool {
         self.cameras.iter().all(|queue| queue.has_ended && queue.waiting.is_empty())
     }
@@ -149,7 +150,7 @@ impl<T> Matcher<T> {
         Some(Moment { time_s, frames })
     }
 
-    /// Returns true if a camera without a frame may still bring one for the moment that camera `first` opens.
+    /// Returns true if a camera without a frame may still deliver one for the moment that camera `first` opens.
     fn is_worth_waiting(&self, first: usize, now: Instant) -> bool {
         let is_awaited = |queue: &Queue<T>| {
             let is_gone = self.patience.is_some() && queue.missing_in_a_row >= MISSING_IS_GONE;
@@ -158,20 +159,20 @@ impl<T> Matcher<T> {
         self.cameras.iter().any(is_awaited) && self.due_of(first).is_none_or(|due| now < due)
     }
 
-    /// Returns the camera whose frame is the earliest that waits, and the time of that.
+    /// Returns the camera with the earliest waiting frame, and that frame's time in seconds.
     fn opener(&self) -> Option<(usize, f64)> {
         let head = |(i, queue): (usize, &Queue<T>)| queue.waiting.front().map(|frame| (i, frame.time_s));
         self.cameras.iter().enumerate().filter_map(head).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Returns the time until which the first frame of a camera waits for the others.
+    /// Returns the time until which the first frame of a camera waits for other cameras' frames.
     fn due_of(&self, camera: usize) -> Option<Instant> {
         let queue = self.cameras.get(camera)?;
         let a_frame = Duration::try_from_secs_f64(queue.interval_s).unwrap_or(Duration::MAX);
         queue.waiting.front()?.since.checked_add(self.patience?.min(a_frame))
     }
 
-    /// Returns the time at which [`take`](Self::take) returns an incomplete moment at the latest.
+    /// Returns the time from which [`take`](Self::take) returns the next moment even if it is incomplete.
     pub fn due(&self) -> Option<Instant> {
         self.due_of(self.opener()?.0)
     }
@@ -195,7 +196,8 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Returns the time of a frame by this camera's clock as it was before it jumped; `None` for a frame out of order.
+    /// Returns a frame's timestamp, corrected for earlier jumps of this camera's clock; `None` for a frame out of
+    /// order.
     fn corrected(&mut self, stamp_s: f64, now: Instant, is_live: bool) -> Option<f64> {
         let time_s = stamp_s + self.offset_s;
         let Some((last_s, came)) = self.last else {
@@ -205,7 +207,7 @@ impl<T> Queue<T> {
         let step_s = time_s - last_s;
         let arrived_after_s = now.saturating_duration_since(came).as_secs_f64();
         let is_behind = step_s < -CLOCK_JUMP_S;
-        // A gap in a recording is a gap; a live clock that is ahead of what passed has jumped.
+        // A step ahead in a recording is a gap. A live clock that advances more than the time that passed has jumped.
         let is_ahead = is_live && step_s - arrived_after_s > CLOCK_JUMP_S;
         let time_s = if is_behind || is_ahead {
             self.counts.jumps += 1;
@@ -239,7 +241,7 @@ mod tests {
 
     const TOLERANCE_S: f64 = 0.016;
 
-    /// Frame number `i` of 30 a second, `offset_s` later.
+    /// Returns the time of frame `i` at 30 frames per second, `offset_s` later.
     fn time_s(i: u32, offset_s: f64) -> f64 {
         f64::from(i) / 30.0 + offset_s
     }

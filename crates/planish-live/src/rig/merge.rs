@@ -1,4 +1,4 @@
-//! Puts clouds of any origin together.
+//! Merges clouds of any origin.
 
 use std::borrow::Cow;
 
@@ -9,22 +9,23 @@ use planish_core::{
     Attribute, AttributeValues, FrameError, PointCloud, Precision, SensorPose, Xyz, internal::RigidTransform,
 };
 
-/// The field with the number of each point's scan.
+/// Name of the field with the number of each point's scan.
 const SCAN_FIELD: &str = "scan";
 
-/// Fields number at most this many clouds.
+/// Maximum number of clouds, which are numbered by a byte.
 const MOST_CLOUDS: usize = 256;
 
-/// Puts clouds together in one frame, each with its pose there (`world_from_cloud`; the identity leaves it where it
-/// is).
+/// Merges clouds in one frame, each placed by its pose there (`world_from_cloud`; the identity leaves a cloud in
+/// place).
 ///
-/// Holes are left out. Fields with the same name are merged, with zeros for points of clouds without them; types that
-/// differ become f64, packed colours red, green and blue. Normals are rotated. The field `scan` has the index of each
-/// point's cloud, or of its scan if a cloud has several, and the positions of their sensors are kept
-/// ([`PointCloud::scanners_m`]). Returns notes for users too, one clause each.
+/// Holes are left out. Fields with the same name are merged, with zeros for points of clouds without the field.
+/// Fields of different types become f64, and packed colours become red, green and blue. Normals are rotated. The
+/// field `scan` has the index of each point's cloud, or of its scan if a cloud has several. Sensor positions are kept
+/// ([`PointCloud::scanners_m`]). The second value is a list of notes for users, one clause each.
 ///
 /// # Errors
-/// If a pose is invalid, there are more than 256 clouds, none has a point, or one leaves the range of f32.
+/// If a pose is invalid, there are more than 256 clouds, no cloud has a point, or a coordinate exceeds the range of
+/// f32.
 pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, Vec<String>), FrameError> {
     if clouds.len() > MOST_CLOUDS {
         let (what, expected) = ("the clouds to merge".into(), MOST_CLOUDS);
@@ -50,7 +51,7 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
                 |values: &AttributeValues| std::mem::discriminant(values) == std::mem::discriminant(&field.values);
             let as_f64 = || (0..field.values.len()).map(|i| field.values.get_f64(i));
             if DIRECTIONS.iter().flatten().any(|name| *name == field.name) {
-                // Which are rotated.
+                // Directions are rotated as f32.
                 let values = as_f64().map(|value| value as f32).collect::<Vec<f32>>();
                 field.to_mut().values = values.into();
             } else if !others.map(|other| &other.values).all(has_type) {
@@ -89,7 +90,7 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
         let index = merged.attributes.iter().position(|field| field.name == name)?;
         Some(merged.attributes.remove(index).values)
     };
-    // The fused cloud's own field has the number of the cloud.
+    // The fused cloud's field `camera` has the index of the cloud.
     let (cloud_of, scan_of) = (take(CAMERA_FIELD), take(KEPT_SCAN));
     if let Some(AttributeValues::U8(cloud_of)) = cloud_of {
         let scan_of = match scan_of {
@@ -108,7 +109,7 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
     Ok((merged, notes))
 }
 
-/// Returns what merging changes of the fields.
+/// Returns notes on the fields that merging changes.
 fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
     let mut notes = Vec::new();
     let mut partial: Vec<&str> = Vec::new();
@@ -127,7 +128,8 @@ fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
     notes
 }
 
-/// Sets the positions of the merged cloud with all digits of the inputs, around the middle of all points.
+/// Sets the positions of the merged cloud with all digits of the inputs; far from the origin, relative to the middle
+/// of all points.
 fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -> Result<(), FrameError> {
     let mut exact: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(merged.len()));
     for (cloud, pose) in clouds {
@@ -148,7 +150,7 @@ fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -
         sample.sort_by(f64::total_cmp);
         sample[sample.len() / 2].round()
     };
-    // Differences of larger ones exceed f32's range.
+    // Differences of larger coordinates could exceed f32's range.
     let has_origin = is_far && largest_m <= f64::from(f32::MAX / 2.0);
     merged.origin_m = if has_origin { [0, 1, 2].map(|axis| middle(&exact[axis])) } else { [0.0; 3] };
     let origin_m = merged.origin_m;
@@ -161,13 +163,13 @@ fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -
     Ok(())
 }
 
-/// Coordinates beyond this need more digits than f32 has.
+/// Coordinate in metres beyond which f32 has too few digits.
 const FAR_M: f64 = 1000.0;
 
-/// Name of an input's field `scan` while clouds are put together.
+/// Temporary name of an input's field `scan` during merging.
 const KEPT_SCAN: &str = "scan of the input";
 
-/// Name of an input's field `camera` while clouds are put together.
+/// Temporary name of an input's field `camera` during merging.
 const KEPT_CAMERA: &str = "camera of the input";
 
 #[cfg(test)]

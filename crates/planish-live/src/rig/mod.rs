@@ -1,9 +1,9 @@
 //! Rigs: several cameras as one sensor.
 //!
 //! A [`Rig`] lists cameras and their poses; [`Rig::read`] reads it from a `rig.json`, and [`calibration`] converts
-//! calibrations of ROS, Kalibr and COLMAP. [`RigStream`] streams it. Each camera has a thread, and [`Matcher`] groups
-//! frames by their time stamps into moments. A moment is smoothed as [`RigWay`] selects, and [`RigSink`]s receive each
-//! camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
+//! ROS, Kalibr and COLMAP calibrations. [`RigStream`] streams it: each camera has a thread, and [`Matcher`] groups
+//! frames into moments by their timestamps. Each moment is smoothed in the selected [`RigWay`]; [`RigSink`]s receive
+//! each camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
 mod capture;
@@ -51,33 +51,35 @@ pub use statistics::{CameraStatistics, RigStatistics};
 pub use stream::{RigEvent, RigStream};
 pub use viewpoint::Viewpoint;
 
-/// Default tolerance between time stamps of one moment: half the time between frames at 30 Hz.
+/// Default tolerance between timestamps of one moment, in seconds: about half a frame interval at 30 Hz.
 const DEFAULT_TOLERANCE_S: f64 = 0.016;
 
 /// Maximum number of cameras that the field `camera` of a fused cloud distinguishes.
 const MOST_CAMERAS: usize = 256;
 
-/// Each holds what all cameras see from there.
+/// Maximum number of viewpoints. Each is an additional view of the points of all cameras.
 const MOST_VIEWPOINTS: usize = 64;
-/// Limit for all viewpoints together; each pixel takes about 80 bytes while a moment is smoothed.
+/// Maximum number of pixels of all viewpoints together. Each pixel takes about 80 bytes while a moment is smoothed.
 const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
 
-/// The reach of the windows of single frames at about 1.2 m.
+/// Default radius for merged points, in metres: the reach of a single frame's window at about 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
 
-/// A surface has some 30 voxels within this many: three times as many as a polynomial of degree 3 has coefficients.
+/// Minimum radius for points thinned to voxels, in voxels. A surface has about 30 voxels within it, three times the
+/// number of coefficients of a polynomial of degree 3.
 const VOXELS_IN_RADIUS: f32 = 3.0;
 
-/// Default distance between two cameras' surfaces due to errors of their poses: 0.2° and 2 mm at 1.5 m, plus a margin.
+/// Default maximum distance between two cameras' surfaces due to pose errors, in metres: 0.2° and 2 mm at 1.5 m, plus
+/// a margin.
 const DEFAULT_REGISTRATION_M: f64 = 0.01;
 
-/// More than any clock's seconds since any epoch.
+/// Maximum absolute time offset in seconds, longer than the time since any clock's epoch.
 const MOST_OFFSET_S: f64 = 1e10;
 
-/// Camera names become names of files and folders.
+/// Maximum length of a camera name, which is also used for files and folders.
 const LONGEST_NAME: usize = 64;
 
-/// Cameras that do not move against each other.
+/// A set of rigidly mounted cameras.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Rig {
@@ -85,11 +87,11 @@ pub struct Rig {
     pub cameras: Vec<RigCamera>,
     /// Name of the rig's frame (`frame_id` in ROS); it does not affect results.
     pub frame: Option<String>,
-    /// Maximum difference in seconds between time stamps of one moment: above 0, at most 1.
+    /// Maximum difference between timestamps of one moment, in seconds: above 0, at most 1.
     pub tolerance_s: f64,
     /// The clock by which frames are matched.
     pub clock: Clock,
-    /// Up to 64 places without a camera from which views are smoothed too.
+    /// Up to 64 viewpoints without a camera that are smoothed as additional views.
     pub viewpoints: Vec<Viewpoint>,
 }
 
@@ -97,8 +99,8 @@ pub struct Rig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Clock {
-    /// The frames' own time stamps. Frames without are matched by their arrival if their camera is live, and by their
-    /// number, 30 a second, if it is not.
+    /// The frames' own timestamps. Frames without a timestamp are matched by their arrival if their camera is live,
+    /// otherwise by their number at 30 frames per second.
     #[default]
     Source,
     /// Time of arrival, for live cameras with unrelated clocks.
@@ -109,31 +111,29 @@ pub enum Clock {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct RigCamera {
-    /// Its name: letters, digits, `-`, `_` and `.`, at most 64, not beginning with a dot.
+    /// Name of the camera: 1 to 64 letters, digits, `-`, `_` and `.`, not starting with a dot, and not `rig.json`.
     pub name: String,
-    /// Source of its frames, as for [`source::open`](crate::source::open). A bare calibration has none.
+    /// Source of its frames, as for [`source::open`](crate::source::open); `None` for a bare calibration.
     pub source: Option<String>,
-    /// Intrinsics and distortion, if its source does not state them. A width and height of 0 accept frames of any
-    /// shape.
+    /// Intrinsics and distortion; `None` keeps the source's. A width and height of 0 accept frames of any shape.
     pub camera: Option<Camera>,
-    /// Units of its depth images per metre, if the rig states it; otherwise the source decides (5000 for a data set in
-    /// TUM layout).
+    /// Units per metre of its depth images; `None` keeps the source's (5000 for a data set in TUM layout).
     pub depth_units_per_metre: Option<f64>,
-    /// Pose in the rig's frame, rig_from_camera. The camera looks along +z, with x to the right and y down, as optical
-    /// frames of ROS do.
+    /// Pose in the rig's frame, rig_from_camera. The camera looks along +z, with x to the right and y down, like the
+    /// optical frames of ROS.
     pub pose: SensorPose,
-    /// Sensor model of its depth; `None` takes that of the parameters.
+    /// Sensor model of its depth; `None` keeps the parameters' model.
     pub sensor: Option<SensorModel>,
-    /// Added to its time stamps, in seconds.
+    /// Offset added to its timestamps, in seconds.
     pub time_offset_s: f64,
-    /// The image of a RealSense or OpenNI2 camera that depth and colour are mapped to.
+    /// The image that depth and colour are mapped to, for RealSense and OpenNI2 cameras.
     pub alignment: Option<Alignment>,
-    /// The mode of a RealSense or an OpenNI2 camera.
+    /// Stream mode, for RealSense and OpenNI2 cameras.
     pub mode: Option<StreamMode>,
 }
 
 impl Rig {
-    /// Returns a rig of these cameras, matched by their time stamps.
+    /// Returns a rig of these cameras, matched by their timestamps.
     pub fn new(cameras: Vec<RigCamera>) -> Result<Self, ParamError> {
         let (tolerance_s, clock) = (DEFAULT_TOLERANCE_S, Clock::Source);
         let rig = Self { cameras, frame: None, tolerance_s, clock, viewpoints: Vec::new() };
@@ -151,13 +151,13 @@ impl Rig {
         Self { clock, ..self }
     }
 
-    /// Sets places without a camera from which views are smoothed too.
+    /// Sets the viewpoints without a camera that are smoothed as additional views.
     pub fn with_viewpoints(self, viewpoints: Vec<Viewpoint>) -> Self {
         Self { viewpoints, ..self }
     }
 
-    /// Returns the same rig for a `rig.json` in this folder: sources that are files or folders, and that are named as
-    /// from the working directory, are named as from there.
+    /// Returns the rig for a `rig.json` in `folder`: paths of sources, which are relative to the working directory,
+    /// become relative to `folder` if they are inside it, and absolute otherwise.
     pub fn seen_from(&self, folder: &Path) -> Self {
         let mut rig = self.clone();
         for camera in &mut rig.cameras {
@@ -166,7 +166,7 @@ impl Rig {
         rig
     }
 
-    /// Returns the index of the camera of that name.
+    /// Returns the index of the camera with this name.
     pub fn index_of(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
     }
@@ -215,7 +215,7 @@ impl Rig {
 }
 
 impl RigCamera {
-    /// Returns a camera of this name and place, without a source.
+    /// Creates a camera with this name and pose, without a source.
     pub fn new(name: &str, pose: SensorPose) -> Self {
         Self {
             name: name.to_owned(),
@@ -235,27 +235,27 @@ impl RigCamera {
         Self { source, ..self }
     }
 
-    /// Sets the intrinsics; `None` for the source's.
+    /// Sets the intrinsics; `None` keeps the source's.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }
 
-    /// Sets the number of depth units per metre; `None` for the source's.
+    /// Sets the number of depth units per metre; `None` keeps the source's.
     pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
         Self { depth_units_per_metre, ..self }
     }
 
-    /// Sets the sensor; `None` for the parameters'.
+    /// Sets the sensor model; `None` keeps the parameters' model.
     pub fn with_sensor(self, sensor: Option<SensorModel>) -> Self {
         Self { sensor, ..self }
     }
 
-    /// Sets an offset that is added to time stamps, in seconds.
+    /// Sets the offset added to timestamps, in seconds.
     pub fn with_time_offset_s(self, time_offset_s: f64) -> Self {
         Self { time_offset_s, ..self }
     }
 
-    /// Returns the options with which its source is opened.
+    /// Returns the options for opening its source.
     pub fn source_options(&self) -> SourceOptions {
         SourceOptions::default()
             .with_camera(self.camera)
@@ -271,7 +271,7 @@ impl RigCamera {
         let is_name = (1..=LONGEST_NAME).contains(&self.name.len())
             && !self.name.starts_with('.')
             && self.name.chars().all(is_allowed)
-            // That file is in the same folder as the cameras' results.
+            // `rig.json` is in the same folder as the cameras' results.
             && !self.name.eq_ignore_ascii_case("rig.json");
         if !is_name {
             let allowed = "letters, digits, - _ and ., 1 to 64 of them, not starting with a dot, and not rig.json";
@@ -280,7 +280,7 @@ impl RigCamera {
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
             return Err(of(problem));
         }
-        // PCD's code for an unknown orientation, which a rig's camera must have.
+        // PCD's code for an unknown orientation; a rig's camera needs a known one.
         if self.pose.orientation == [0.0; 4] {
             let value = "0, 0, 0, 0".to_owned();
             return Err(of(ParamError { field: "orientation", value, allowed: "a quaternion of length 1" }));
@@ -298,8 +298,8 @@ impl RigCamera {
     }
 }
 
-/// Returns a setting for the points of several depth cameras as one cloud: everything within 3 cm, edges kept, points
-/// without neighbours left out.
+/// Returns parameters for the points of several depth cameras as one cloud: a radius of 3 cm, edges kept, points
+/// without neighbours removed.
 pub fn merged_params() -> CloudParams {
     CloudParams::default().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
@@ -324,12 +324,12 @@ fn resolve_source(folder: &Path, source: &str) -> String {
     }
 }
 
-/// Returns a source as named in a rig file in another folder: relative if it is inside that folder, absolute otherwise.
+/// Returns a source as a rig file in `folder` names it: relative if it is inside that folder, absolute otherwise.
 fn source_seen_from(folder: &Path, source: &str) -> String {
     let seen = |path: &str| {
         let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
         match (whole(Path::new(path)), whole(folder)) {
-            // Not without the dot: a folder may be called as a camera is.
+            // Starts with `./`, since a folder may have the same name as a kind of camera.
             (Ok(path), Ok(folder)) => match path.strip_prefix(&folder) {
                 Ok(within) => Path::new(".").join(within).to_string_lossy().into_owned(),
                 Err(_) => path.to_string_lossy().into_owned(),
@@ -384,7 +384,7 @@ mod tests {
         ] {
             assert!(said.contains("\"left\"") || said.contains("\"right\""), "{said}");
         }
-        // Two of the simulator, or of one file, are fine.
+        // Two cameras may share the simulator or one file.
         let mut rig = rig(&["left", "right"]).unwrap();
         rig.cameras.iter_mut().for_each(|camera| camera.source = Some("synthetic".into()));
         assert!(rig.validate().is_ok());

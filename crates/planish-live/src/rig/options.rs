@@ -1,4 +1,4 @@
-//! How a rig is streamed.
+//! Options of a rig stream.
 
 use std::time::Duration;
 
@@ -8,44 +8,44 @@ use planish_core::{
     SmootherOptions, TemporalParams,
 };
 
-/// The smallest voxels, in metres: finer than any depth camera resolves.
+/// Minimum voxel size in metres, finer than any depth camera resolves.
 const SMALLEST_VOXEL_M: f64 = 1e-4;
 
-/// With a smaller radius, in voxels, most points have no neighbours.
+/// Minimum radius in voxels; with a smaller one, most points have no neighbours.
 const LEAST_VOXELS_IN_RADIUS: f64 = 1.999;
 
-/// How a rig is streamed.
+/// Options of a rig stream.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigOptions {
-    /// How the frames of a moment are smoothed.
+    /// The way in which the frames of a moment are smoothed.
     pub way: RigWay,
     /// The parameters of each camera's frames.
     pub params: Vec<FrameParams>,
     /// Parameters for the points of all cameras as one cloud.
     pub general_params: CloudParams,
-    /// For views: maximum distance between surfaces of two cameras due to errors of their poses, in metres, 0 to 0.1.
+    /// For views: maximum distance between two cameras' surfaces due to pose errors, in metres, 0 to 0.1.
     pub registration_m: f64,
-    /// For merged points: size in metres of the voxels to thin them to; `None` keeps all points.
+    /// For merged points: voxel size in metres for thinning; `None` keeps all points.
     pub voxel_m: Option<f64>,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices that cameras are spread over, instead of the one of the options; none for that one.
+    /// The devices that share the cameras; if empty, the device of the smoother options.
     pub devices: Vec<FleetDevice>,
     /// The steps before smoothing.
     pub preparation: Preparation,
-    /// How each camera's results are smoothed over time; `None` if they are not.
+    /// Parameters for smoothing each camera's results over time; `None` disables it.
     pub temporal: Option<TemporalParams>,
-    /// Whether smoothing over time estimates how each camera moves.
+    /// Whether smoothing over time estimates the motion of each camera.
     pub tracks_cameras: bool,
-    /// Stop after N moments.
+    /// Maximum number of moments; `None` for no limit.
     pub max_moments: Option<u64>,
-    /// Stop after this time.
+    /// Maximum duration; `None` for no limit.
     pub max_duration: Option<Duration>,
 }
 
 impl RigOptions {
-    /// Default settings for the sensor of each camera, and for unorganized clouds.
+    /// Creates options with default parameters for each camera's sensor and for merged points.
     pub fn new(rig: &Rig, way: RigWay, smoother: SmootherOptions) -> Self {
         let params = |camera: &super::RigCamera| {
             FrameParams::for_sensor(camera.sensor.unwrap_or_default(), planish_core::Strength::default())
@@ -66,12 +66,12 @@ impl RigOptions {
         }
     }
 
-    /// Creates options from settings. Each camera has the sensor of the settings, or the rig's if they name none. All
-    /// points as one cloud have the parameters of merged points ([`merged_params`](super::merged_params)), in voxels if
-    /// given, overridden by the settings.
+    /// Creates options from settings. Each camera uses the sensor of the settings or, if they name none, its sensor
+    /// in the rig. All points as one cloud use the parameters for merged points
+    /// ([`merged_params`](super::merged_params)), in voxels if `voxel_m` is given, overridden by the settings.
     ///
     /// # Errors
-    /// If settings contradict each other, a sensor is to be estimated, or a device is not there.
+    /// If settings contradict each other or set `fill`, a sensor is to be estimated, or a device is missing.
     pub fn from_settings(
         rig: &Rig,
         way: RigWay,
@@ -101,11 +101,12 @@ impl RigOptions {
         Ok(options.with_devices(settings.devices()?).with_voxel_m(voxel_m))
     }
 
-    /// Refuses options that contradict each other; [`RigStream::run`](super::RigStream::run) does so before it begins.
+    /// Refuses options that contradict each other. [`RigStream::run`](super::RigStream::run) calls this first.
     ///
     /// # Errors
-    /// If `registration_m` is above 0.1, or if `voxel_m` is set for another way than merged, below 0.1 mm, or above
-    /// half a fixed radius; or if `temporal` is invalid or used with voxels.
+    /// If `registration_m` is outside 0 to 0.1, `temporal` is invalid or used with voxels, or the outputs include
+    /// sigma; or if `voxel_m` is below 0.1 mm, above half a fixed radius, or set for another way than
+    /// [`RigWay::Merged`].
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
             let value = self.registration_m.to_string();
@@ -149,25 +150,25 @@ impl RigOptions {
         Self { preparation, ..self }
     }
 
-    /// Sets how each camera's results are smoothed over time, and whether the motion of each camera is estimated
+    /// Sets how each camera's results are smoothed over time, and whether each camera's motion is estimated
     /// ([`RigSmoother::with_temporal`](super::RigSmoother::with_temporal)).
     pub fn with_temporal(self, temporal: Option<TemporalParams>, tracks_cameras: bool) -> Self {
         Self { temporal, tracks_cameras, ..self }
     }
 
-    /// Sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.
+    /// Sets the maximum distance between two cameras' surfaces due to pose errors, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }
 
-    /// Thins merged points to one per voxel of this size in metres
-    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)), or with all of them. The parameters should be
-    /// for it ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
+    /// Sets the voxel size in metres for thinning merged points
+    /// ([`RigSmoother::with_voxel_m`](super::RigSmoother::with_voxel_m)); `None` keeps all points. The parameters
+    /// should match the size ([`merged_params_in_voxels`](super::merged_params_in_voxels)).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { voxel_m, ..self }
     }
 
-    /// Distributes cameras over these devices; with none, the options' device smooths all.
+    /// Distributes cameras over these devices; if empty, the options' device smooths all of them.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }

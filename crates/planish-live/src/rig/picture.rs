@@ -10,8 +10,9 @@ use super::{Rig, RigCamera, RigFrame, RigSink};
 use planish_core::{AttributeValues, Error, FrameError, PointCloud};
 use planish_io::RgbImage;
 
-/// Width and height of the picture in pixels, and of its margin.
+/// Width and height of the picture, in pixels.
 const SIZE_PX: usize = 1000;
+/// Width of the picture's margin, in pixels.
 const MARGIN_PX: f64 = 30.0;
 
 /// One colour per camera, repeated for more cameras.
@@ -32,15 +33,16 @@ pub(super) fn colour_of(camera: usize) -> [u8; 3] {
 
 const BACKGROUND: [u8; 3] = [18, 18, 22];
 
-/// Stray points beyond this share of the others, on either side, do not make the picture smaller.
+/// Fraction of the points, at either end of an axis, that is ignored when the picture is scaled.
 const STRAY_SHARE: f64 = 0.01;
 
-/// Length of the lines of a camera's view, as a share of the picture.
+/// Length of the lines of a camera's view, as a fraction of the picture.
 const FRUSTUM_SHARE: f64 = 0.08;
-/// Half of a camera's view where its intrinsics are not known.
+/// Tangent of half a camera's field of view if its intrinsics are unknown.
 const HALF_VIEW: f64 = 0.6;
 
-/// Draws a rig's fused cloud from above: up is where most cameras have it, to the nearest axis of the rig's frame.
+/// Draws a rig's fused cloud from above. Up is the axis of the rig's frame closest to the cameras' mean upward
+/// direction.
 ///
 /// # Errors
 /// If the results contradict their frames.
@@ -49,13 +51,13 @@ pub fn top_down(frame: &RigFrame) -> Result<RgbImage, FrameError> {
     Ok(draw(&frame.rig, fused))
 }
 
-/// Returns the axes of the picture: to the right, downwards, and up towards the one who looks.
+/// Returns the axes of the picture: right, down, and up towards the viewer.
 pub(super) fn axes(rig: &Rig) -> [DVec3; 3] {
-    // Down is a camera's y.
+    // A camera's y axis points down.
     let up: DVec3 = rig.cameras.iter().map(|camera| -axis_of(camera, 1)).sum();
     let signed = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|axis| [axis, -axis]);
     let up = signed.max_by(|a, b| a.dot(up).total_cmp(&b.dot(up))).unwrap_or(DVec3::Z);
-    // The rig's x to the right, unless that is up.
+    // The rig's x is to the right, unless x is vertical.
     let right = if up.x == 0.0 { DVec3::X } else { DVec3::Y };
     [right, right.cross(up), up]
 }
@@ -105,7 +107,7 @@ fn draw(rig: &Rig, fused: &PointCloud) -> RgbImage {
     picture.image()
 }
 
-/// Returns the box of the cameras and of most points.
+/// Returns the bounding box of the cameras and of most points.
 fn bounds(points: &[(DVec2, f64)], lenses: &[DVec2]) -> (DVec2, DVec2) {
     let span = |of: fn(&DVec2) -> f64| {
         let mut values: Vec<f64> = points.iter().map(|(p, _)| of(p)).collect();
@@ -118,7 +120,7 @@ fn bounds(points: &[(DVec2, f64)], lenses: &[DVec2]) -> (DVec2, DVec2) {
     (DVec2::new(x.0, y.0), DVec2::new(x.1, y.1))
 }
 
-/// Pixels, of which the highest point shows.
+/// Pixels, each showing its highest point.
 struct Picture {
     colours: Vec<[u8; 3]>,
     heights: Vec<f64>,
@@ -152,17 +154,17 @@ impl Picture {
     }
 }
 
-/// Keeps a picture of the rig in a file, drawn anew once a second.
+/// A sink that keeps a picture of the rig in a file and redraws it once per second.
 pub struct PictureSink {
     file: PathBuf,
     drawn: Option<Instant>,
 }
 
-/// Between two pictures.
+/// Minimum time between two pictures.
 const EVERY: Duration = Duration::from_secs(1);
 
 impl PictureSink {
-    /// For a file in PNG.
+    /// Creates a sink for a PNG file.
     pub fn create(file: &Path) -> Self {
         Self { file: file.to_path_buf(), drawn: None }
     }
@@ -198,8 +200,8 @@ mod tests {
         let wall = PointCloud::new((0..100).map(|i| [0.01 * i as f32 - 0.5, 0.0, 3.0]).collect());
         let fused = fuse(&[(0, ahead(0.0), &wall), (1, ahead(2.0), &wall)]).unwrap();
         let image = draw(&rig, &fused);
-        // The mean pixel of a colour, of the cameras in the left half of the picture and of their walls in the right
-        // one.
+        // The mean pixel of a colour: of the cameras in the left half of the picture, of their walls in the right
+        // half.
         let seen = |colour: [u8; 3], right: bool| {
             let at = |i: usize| DVec2::new((i % SIZE_PX) as f64, (i / SIZE_PX) as f64);
             let pixels = image.rgb.chunks_exact(3).enumerate().filter(|(_, pixel)| *pixel == colour);

@@ -1,4 +1,5 @@
-//! A rig in Rerun [feature `rerun`]: where its cameras stand and look, each camera's points, and the fused cloud.
+//! A Rerun sink for rigs [feature `rerun`]: poses and views of the cameras, each camera's points, and the fused
+//! cloud.
 
 use std::path::Path;
 
@@ -14,13 +15,13 @@ use super::{Rig, RigFrame, RigSink};
 use crate::{rig::fused::CAMERA_FIELD, stream::Recording};
 use planish_core::{AttributeValues, Error, IntoFrame, PointCloud};
 
-/// Radius of a point that is drawn, in metres.
+/// Radius of a drawn point, in metres.
 const POINT_M: f32 = 0.0015;
 /// Distance in metres between the lens and the drawn view of a camera.
 const FRUSTUM_M: f32 = 0.15;
 
-/// Shows every moment of a rig in Rerun. The outputs must include points; a moment of four cameras of 640x480 is about
-/// 35 MB.
+/// A sink that shows every moment of a rig in Rerun. The outputs must include points. A moment of four 640x480
+/// cameras takes about 35 MB.
 pub struct RigRerunSink {
     recording: Recording,
     /// For each camera, whether its intrinsics have been logged.
@@ -28,12 +29,12 @@ pub struct RigRerunSink {
 }
 
 impl RigRerunSink {
-    /// Starts the viewer, the program `rerun` of version 0.36, and shows moments there.
+    /// Starts the viewer, the program `rerun` (version 0.36), and shows moments in it.
     pub fn spawn(rig: &Rig) -> Result<Self, Error> {
         Self::start(Recording::spawn()?, rig)
     }
 
-    /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed.
+    /// Writes a file for Rerun's viewer, named `FILE.partial` until it is closed.
     pub fn save(file: &Path, rig: &Rig) -> Result<Self, Error> {
         Self::start(Recording::save(file)?, rig)
     }
@@ -116,7 +117,7 @@ fn at(fused: &PointCloud, i: usize) -> [f32; 3] {
     [0, 1, 2].map(|axis| (f64::from(p[axis]) + origin[axis]) as f32)
 }
 
-/// Which way is up.
+/// Returns the view coordinates for this up direction.
 fn coordinates(up: DVec3) -> ViewCoordinates {
     match up.to_array() {
         [x, ..] if x > 0.5 => ViewCoordinates::RIGHT_HAND_X_UP(),
@@ -128,7 +129,7 @@ fn coordinates(up: DVec3) -> ViewCoordinates {
     }
 }
 
-/// Shows each camera's points next to the fused cloud, both with the cameras.
+/// Returns a layout with each camera's points next to the fused cloud, both with the cameras.
 fn layout() -> Blueprint {
     let view = |name: &str, clouds: &str| {
         Spatial3DView::new(name).with_origin("rig").with_contents(["rig/cameras/**", clouds]).into()

@@ -14,13 +14,13 @@ use planish_io::{self as io, CloudRef, Encoding};
 
 /// Consumes a rig's results, one moment after another.
 pub trait RigSink: Send {
-    /// Its name in messages.
+    /// Returns the name of the sink for messages.
     fn name(&self) -> String;
 
     /// Consumes one moment.
     fn write(&mut self, frame: &RigFrame) -> Result<(), Error>;
 
-    /// Called after the last moment.
+    /// Finishes the output. Called after the last moment.
     fn close(&mut self) -> Result<(), Error> {
         Ok(())
     }
@@ -40,8 +40,8 @@ impl Consumer<RigFrame> for Box<dyn RigSink> {
     }
 }
 
-/// Writes the fused cloud of every moment to a folder, as `000000.pcd` and so on, each file atomically; `points.txt`
-/// lists them with their times, `rig.json` is the rig.
+/// A sink that writes the fused cloud of every moment to a folder, as `000000.pcd` and so on, each file atomically.
+/// `points.txt` lists the files with their times; `rig.json` describes the rig.
 pub struct FusedSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -51,7 +51,7 @@ const POINTS_LIST: &str = "points.txt";
 const RIG_FILE: &str = "rig.json";
 
 impl FusedSink {
-    /// Creates the folder. Refuses folders with files, and formats of depth images: a fused cloud stores only points.
+    /// Creates the folder. Refuses non-empty folders, and depth image formats: a fused cloud stores only points.
     pub fn create(folder: &Path, format: SinkFormat, rig: &Rig) -> Result<Self, Error> {
         if format == SinkFormat::DepthPng {
             let problem =
@@ -63,7 +63,7 @@ impl FusedSink {
     }
 }
 
-/// Creates a folder for the results of a rig, with its `rig.json`, in which cameras have other sources.
+/// Creates a folder for the results of a rig, with a `rig.json` in which `source` gives the source of each camera.
 fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option<String>) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     refuse_used(folder)?;
@@ -71,7 +71,7 @@ fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option
     let mut saved = rig.clone();
     saved.cameras.iter_mut().for_each(|camera| {
         camera.source = source(camera);
-        // The output has the camera in a file next to it.
+        // The source has its own camera file.
         if camera.source.is_some() {
             (camera.camera, camera.depth_units_per_metre) = (None, None);
             (camera.alignment, camera.mode) = (None, None);
@@ -105,8 +105,8 @@ impl RigSink for FusedSink {
     }
 }
 
-/// Writes each camera's frames into a separate folder, as [`FolderSink`] does, and a `rig.json`, which streams them
-/// again if they are data sets of depth images.
+/// A sink that writes each camera's frames to a separate folder, as [`FolderSink`] does, and a `rig.json`. If the
+/// frames are data sets of depth images, the `rig.json` can be streamed again.
 pub struct CamerasSink {
     folder: PathBuf,
     format: SinkFormat,
@@ -115,7 +115,7 @@ pub struct CamerasSink {
 }
 
 impl CamerasSink {
-    /// Creates the folder. Refuses one that has files already.
+    /// Creates the folder. Refuses a non-empty one.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs, rig: &Rig) -> Result<Self, Error> {
         // Other formats do not keep the frames' times.
         let is_data_set = format == SinkFormat::DepthPng;

@@ -15,24 +15,24 @@ use planish_core::{
     internal::{Rays, ResultFilter, RigidTransform, Threads},
 };
 
-/// How the frames of a moment are smoothed. The results are of the same kind: for each camera its points, on its grid
-/// and in its frame.
+/// The way in which the frames of a moment are smoothed. All ways give the same kind of results: each camera's
+/// points, on its grid and in its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RigWay {
     /// Each camera's frame separately, with the noise of its sensor.
     #[default]
     Each,
-    /// All points as one unorganized cloud, so that what several cameras see is supported by all of them.
+    /// All points as one unorganized cloud, so that surfaces that several cameras see use the points of all of them.
     Merged,
-    /// As range images from each camera's position, of the points that all cameras see from there. Each image is
-    /// smoothed as a frame of its camera, and every point becomes the mean of its estimates in the views. The cameras'
-    /// intrinsics must be known.
+    /// Range images from each camera's position, of the points of all cameras. Each image is smoothed as a frame of
+    /// its camera, and every point becomes the mean of its estimates in the views. The cameras' intrinsics must be
+    /// known.
     Views,
 }
 
 impl RigWay {
-    /// All there are.
+    /// All ways.
     pub const ALL: [Self; 3] = [Self::Each, Self::Merged, Self::Views];
 
     /// Returns the name used on the command line.
@@ -45,12 +45,12 @@ impl RigWay {
     }
 }
 
-/// Smooths the frames of a rig's cameras, moment after moment: one at a time, or with several in flight, as a
+/// A smoother for the frames of a rig's cameras. It smooths one moment at a time, or keeps several in flight, as a
 /// [`Smoother`] does with frames.
 pub struct RigSmoother {
     pub(super) way: RigWay,
     pub(super) options: SmootherOptions,
-    /// Devices that share the cameras; if empty, the one of the options.
+    /// Devices that share the cameras; if empty, the device of the options.
     pub(super) devices: Vec<FleetDevice>,
     /// The device that failed last.
     pub(super) failed: Option<FleetDevice>,
@@ -62,16 +62,16 @@ pub struct RigSmoother {
     pub(super) of_rig: usize,
     /// Whether the motion of each camera is estimated, if results are smoothed over time.
     pub(super) tracks_cameras: bool,
-    /// For all points together.
+    /// The smoother of all points together.
     pub(super) general: General,
     pub(super) engine: Engine,
-    /// Moments that were submitted and not received.
+    /// Moments submitted and not yet received.
     pub(super) flights: VecDeque<Flight>,
-    /// Time stamp of the next moment, in seconds.
+    /// Timestamp of the next moment, in seconds.
     pub(super) time_s: Option<f64>,
 }
 
-/// The smoother of one camera, open for the frames that it gives.
+/// The smoother of one camera, open for the shape of its frames.
 pub(super) struct CameraSmoother {
     pub(super) rig_from_camera: RigidTransform,
     /// The assigned device, if there are several.
@@ -83,11 +83,12 @@ pub(super) struct CameraSmoother {
     pub(super) params: FrameParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
-    /// Smooths its results over time.
+    /// The filter that smooths its results over time, if any.
     pub(super) video: Option<ResultFilter>,
 }
 
-/// The result of each camera that has a frame; a frame that cannot be smoothed is an error of its camera alone.
+/// The result of each camera; `None` for a camera without a frame. A frame that cannot be smoothed is an error of its
+/// camera alone.
 pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
 
 impl RigSmoother {
@@ -152,14 +153,14 @@ impl RigSmoother {
         })
     }
 
-    /// Spreads the cameras over these devices, each to the one with the fewest pixels; an empty list keeps the device
-    /// of the options. All points as one cloud are smoothed by the first. A failing device is reported as an error; the
-    /// smoother continues without it.
+    /// Distributes the cameras over these devices, each to the one with the fewest pixels; an empty list keeps the
+    /// device of the options. The first device smooths all points as one cloud. A failing device is reported as an
+    /// error; a [`RigStream`](super::RigStream) then continues without it.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// For views: sets the maximum distance between surfaces of two cameras due to errors of their poses, in metres.
+    /// For views: sets the maximum distance between two cameras' surfaces due to pose errors, in metres.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }
@@ -183,10 +184,10 @@ impl RigSmoother {
         self.engine
     }
 
-    /// Closes the engines; the next frames open them again, `Some` engine by that name. Moments in flight are lost.
+    /// Closes the engines; moments in flight are lost. The next frames open the engines again, or `engine` if given.
     pub(super) fn close(&mut self, engine: Option<Engine>) {
         self.flights.clear();
-        // Moments in flight are submitted again, so the videos may have seen them.
+        // Moments in flight are submitted again, and the videos may already include them.
         self.restart_videos();
         self.general.close();
         self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
@@ -196,7 +197,8 @@ impl RigSmoother {
         }
     }
 
-    /// Moves the cameras of a failed device to the others; returns false if there are none.
+    /// Removes the failed device, so that its cameras move to the others; returns false if none failed or no other is
+    /// left.
     pub(super) fn leave_failed_device(&mut self) -> bool {
         let Some(failed) = self.failed.take().filter(|_| self.devices.len() > 1) else { return false };
         self.devices.retain(|device| *device != failed);
@@ -207,7 +209,7 @@ impl RigSmoother {
     ///
     /// # Errors
     /// If the engine fails; moments in flight are then lost, and the next frames reopen the engines. A frame that
-    /// cannot be smoothed is an error in its position.
+    /// cannot be smoothed is an error in the result of its camera.
     pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         self.check_count(frames)?;
         let result = self.land_all().and_then(|()| self.smooth_now(frames));
@@ -231,7 +233,7 @@ impl RigSmoother {
         Err(FrameError::LengthMismatch { what: "the frames of a rig".into(), len, expected })
     }
 
-    /// Closes the engines after an error: some cameras' frames would be in flight, and others' not.
+    /// Closes the engines after an error, since only some cameras' frames may be in flight.
     pub(super) fn closed_by_error<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
         if result.is_err() {
             self.close(None);
@@ -247,9 +249,9 @@ impl RigSmoother {
         if self.cameras.iter().zip(frames).all(is_open) {
             return Ok(());
         }
-        // A camera's frames in flight are in the engine that is closed.
+        // Opening an engine closes the camera's previous one, with its frames in flight.
         self.land_all()?;
-        // All share one pool.
+        // All cameras share one thread pool.
         let options = self.options.clone().with_threads(None).with_outputs(outputs);
         for (i, frame) in frames.iter().enumerate() {
             let Some(frame) = *frame else { continue };
@@ -262,7 +264,7 @@ impl RigSmoother {
             }
             opened?;
         }
-        // They differ only if the CPU is one of several devices.
+        // Engines differ only if the CPU is one of several devices.
         let mut engines = self.cameras.iter().filter_map(|camera| Some(camera.smoother.as_ref()?.engine()));
         let first = engines.clone().next().unwrap_or(self.engine);
         self.engine = engines.find(|&engine| engine == Engine::Gpu).unwrap_or(first);
@@ -331,7 +333,7 @@ impl RigSmoother {
             .zip(&measured)
             .map(|(view, of)| view.as_ref().zip(of.as_ref()).map(|(view, of)| view.frame(of)).transpose())
             .collect::<Result<_, _>>()?;
-        // Points move to tangent planes.
+        // Points are moved to tangent planes.
         let of_views = outputs.with_depth(false).with_depth_m(false).with_points(true).with_normals(true);
         let results = self.smooth_each(&frames, of_views)?;
         drop(frames);
@@ -353,7 +355,7 @@ impl RigSmoother {
     }
 }
 
-/// Returns an error of the engine, or the result with a frame's own.
+/// Returns an error of the engine as the outer result, and an error of the frame as the inner one.
 fn by_fault(result: Result<Smoothed, Error>) -> Result<Result<Smoothed, FrameError>, Error> {
     match result {
         Ok(smoothed) => Ok(Ok(smoothed)),
@@ -368,12 +370,12 @@ impl CameraSmoother {
         Self { rig_from_camera, device, camera, rays, params, smoother: None, shape: (0, 0), video: None }
     }
 
-    /// Creates empty measurements for added viewpoints.
+    /// Creates the empty measurements of an added viewpoint.
     fn measures_nothing(&self) -> Option<Measured> {
         Some(Measured::nothing(self.camera?, self.params.sensor, self.rig_from_camera))
     }
 
-    /// Opens the engine for this frame, if it is not.
+    /// Opens the engine for the shape of this frame, unless it is open.
     fn open(&mut self, frame: Frame<'_>, options: &SmootherOptions) -> Result<(), Error> {
         let shape = frame.shape();
         if self.smoother.is_some() && shape == self.shape {
@@ -405,7 +407,7 @@ impl CameraSmoother {
         self.smoother.as_mut().ok_or_else(|| Self::not_open().into())
     }
 
-    /// For what cannot happen: every frame's smoother is opened before it is used.
+    /// Returns an error that cannot occur: every frame's smoother is opened before it is used.
     fn not_open() -> EngineError {
         EngineError::Unavailable { engine: "auto", reason: "the camera's smoother is not open".into() }
     }

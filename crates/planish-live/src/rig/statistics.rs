@@ -2,13 +2,13 @@
 
 use crate::stream::StreamStatistics;
 
-/// Counts of a camera.
+/// Frame counts of a camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CameraStatistics {
-    /// Its name.
+    /// Name of the camera.
     pub name: String,
-    /// Frames that came.
+    /// Frames received.
     pub frames_in: u64,
     /// Frames smoothed.
     pub frames_out: u64,
@@ -16,15 +16,15 @@ pub struct CameraStatistics {
     pub missing: u64,
     /// Frames that arrived after their moment.
     pub late: u64,
-    /// Frames with the time stamp of the previous frame, or an earlier one.
+    /// Frames with the timestamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
     /// Number of jumps of its clock.
     pub jumps: u64,
-    /// Frames of a live camera that newer ones replaced, since the engine was open.
+    /// Frames of a live camera that newer ones replaced after the engine was opened.
     pub dropped: u64,
     /// Frames that could not be read, or that the engine refused.
     pub unreadable: u64,
-    /// Whether it ended before the stream.
+    /// Whether the camera ended before the stream.
     pub has_ended: bool,
 }
 
@@ -32,10 +32,10 @@ pub struct CameraStatistics {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigStatistics {
-    /// Statistics of the moments: number, latency, sinks, engine. A moment that a newer one replaced is dropped.
+    /// Statistics of the moments: number, latency, sinks, engine. A moment replaced by a newer one counts as dropped.
     pub moments: StreamStatistics,
     /// Moments with a frame of every camera.
     pub complete: u64,
-    /// Of each camera.
+    /// Statistics of each camera.
     pub cameras: Vec<CameraStatistics>,
 }

@@ -22,10 +22,10 @@ use planish_core::{
     internal::{GpuLosses, LIVE_IN_FLIGHT, Recovery},
 };
 
-/// Maximum time for which frames of one moment wait for each other, unless the time between two frames is shorter.
+/// Maximum time that frames of one moment wait for each other, unless the frame interval is shorter.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
-/// Between two looks at whether the stream is to stop.
+/// Interval between checks whether the stream should stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// An event of a running rig.
@@ -34,7 +34,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub enum RigEvent<'a> {
     /// A moment was smoothed.
     Moment(&'a RigStatistics),
-    /// Something failed that the stream survives: a camera, an unreadable frame, a sink, a lost GPU.
+    /// A failure that the stream survives: a failing camera, an unreadable frame, a failing sink or a lost GPU.
     Warning(String),
 }
 
@@ -49,7 +49,7 @@ pub struct RigStream<'a> {
 }
 
 impl<'a> RigStream<'a> {
-    /// Creates a stream without sinks, stop flag and event handler.
+    /// Creates a stream without sinks, stop flag or event handler.
     ///
     /// `sources` are the sources of the rig's cameras, in their order: either all live, in which case only the newest
     /// moment is smoothed, or all recorded, in which case every frame is.
@@ -193,34 +193,35 @@ struct Running<'a> {
     /// Moments in flight, kept to be smoothed again if their device is lost.
     pending: VecDeque<Moment<Arrived>>,
     is_live: bool,
-    /// Whether an engine has received a moment.
+    /// Whether an engine has accepted a moment.
     was_open: bool,
     /// Number of GPU losses so far.
     losses: GpuLosses,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
-    /// Frames of each camera that were smoothed, and that the engine refused.
+    /// Number of smoothed frames of each camera.
     smoothed: Vec<u64>,
+    /// Number of frames of each camera that the engine refused.
     refused: Vec<u64>,
     /// Reported reasons for refusing each camera's frames.
     told_refusals: Vec<Vec<String>>,
     /// Cameras whose lost points were reported.
     told_lost_points: Vec<bool>,
-    /// Number of frames of each camera that were matched with another's.
+    /// Number of frames of each camera that were matched with another camera's.
     together: Vec<u64>,
-    /// Numbers dropped before the engine was open: frames of each camera, and moments.
+    /// Numbers of each camera's frames, and of moments, dropped before the engine was open.
     at_start: Option<(Vec<u64>, u64)>,
 }
 
 impl Running<'_> {
-    /// Runs until the end. If `stop` is set, a moment that may take long is abandoned.
+    /// Runs until the end. Once `stop` is set, a moment that takes long is abandoned.
     fn run_until(
         &mut self,
         inbox: &Inbox,
         stop: &AtomicBool,
         tell: &mut impl FnMut(RigEvent<'_>),
     ) -> Result<(), Error> {
-        /// Ends the watcher, also when the stream panics.
+        /// Guard that ends the watcher, even if the stream panics.
         struct Done<'a>(&'a AtomicBool);
         impl Drop for Done<'_> {
             fn drop(&mut self) {
@@ -233,7 +234,7 @@ impl Running<'_> {
                 while !is_done.load(Ordering::Relaxed) {
                     thread::park_timeout(PATIENCE);
                     if stop.load(Ordering::Relaxed) {
-                        // Again and again: the next moment forgets that the one before was stopped.
+                        // Repeated, since a stop applies only to the moment being smoothed.
                         stopper.stop();
                     }
                 }
@@ -263,7 +264,7 @@ impl Running<'_> {
             if is_over {
                 break;
             }
-            // With moments in flight, only their results are waited for.
+            // While moments are in flight, wait only for their results.
             let taken = match self.pending.len() {
                 0 => inbox.take(PATIENCE),
                 in_flight if in_flight < self.smoother.max_in_flight().min(most_at_once) => inbox.take(Duration::ZERO),
@@ -308,7 +309,7 @@ impl Running<'_> {
         Ok(true)
     }
 
-    /// Refuses a camera that cannot be a view.
+    /// Refuses cameras without known intrinsics, which views need.
     fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), ParamError> {
         let is_unknown = |(camera, arrived): &(&RigCamera, &Option<Arrived>)| {
             let knows_it = |arrived: &Arrived| arrived.frame.into_frame().is_ok_and(|frame| frame.camera().is_some());
@@ -437,7 +438,7 @@ impl Running<'_> {
         }
     }
 
-    /// Waits for the sinks and puts the counts together.
+    /// Waits for the sinks and completes the statistics.
     fn finish(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
         for sink in self.sinks.drain(..) {
             if let Some(warning) = sink.finish(&mut self.statistics.moments) {

@@ -15,7 +15,7 @@ use planish_core::{
 pub(super) struct PlacedFrames<'a> {
     /// Each frame with the transform of its points to the rig's frame.
     pub(super) frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
-    /// For depth images.
+    /// The rays of each camera, for depth images.
     pub(super) rays: Vec<Arc<Rays>>,
     /// The position of each camera in the rig's frame.
     pub(super) lenses: Vec<DVec3>,
@@ -23,7 +23,7 @@ pub(super) struct PlacedFrames<'a> {
 
 /// The points of all cameras in the rig's frame.
 pub(super) struct Together {
-    /// Camera by camera, holes left out, with the field `camera`.
+    /// The points camera by camera, without holes, with the field `camera`.
     pub(super) cloud: PointCloud,
     cameras: Vec<Option<Measured>>,
 }
@@ -91,13 +91,13 @@ impl Measured {
         Part { camera, rig_from_points, positions, attributes: Vec::new() }
     }
 
-    /// Points without holes.
+    /// Returns the indices of the pixels that are not holes.
     fn pixels(&self) -> Vec<usize> {
         (0..self.positions.len()).filter(|&i| self.positions.is_finite(i)).collect()
     }
 
-    /// Returns the results of these pixels, which begin at index `first` of all points, in the frame of the input;
-    /// normals face the camera.
+    /// Returns the results for `its_pixels`, which begin at index `first` of `all`, in the frame of the input.
+    /// Normals face the camera.
     fn given_back(&self, all: &Smoothed, first: usize, its_pixels: &[usize], origin: DVec3) -> Smoothed {
         let (width, height) = self.shape;
         let pixels = width * height;

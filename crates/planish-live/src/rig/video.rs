@@ -1,4 +1,4 @@
-//! Smooths each camera's results over time, after the results of a moment were smoothed in space.
+//! Smooths each camera's results over time, after they were smoothed in space.
 
 use rayon::prelude::*;
 
@@ -11,9 +11,9 @@ use planish_core::{Error, Frame, FrameError, Outputs, Smoothed, SmoothedView, Te
 type CameraResult = Option<Result<Smoothed, FrameError>>;
 
 impl RigSmoother {
-    /// Smooths each camera's results over time as well (docs/method.md, section 16), with one state per camera, on the
-    /// CPU; `None` smooths in space only. `tracks_cameras` estimates how each camera moves. Not for points thinned to
-    /// voxels.
+    /// Also smooths each camera's results over time (docs/method.md, section 16), on the CPU, with one state per
+    /// camera; `None` smooths in space only. `tracks_cameras` estimates the motion of each camera. Not supported for
+    /// points thinned to voxels.
     pub fn with_temporal(mut self, params: Option<TemporalParams>, tracks_cameras: bool) -> Self {
         for camera in &mut self.cameras[..self.of_rig] {
             camera.video = params.map(|params| ResultFilter::new(params, tracks_cameras));
@@ -22,19 +22,19 @@ impl RigSmoother {
         self
     }
 
-    /// Sets the time stamp of the next moment in seconds, if it has one. For cameras whose last frame was more than a
-    /// second and five intervals before, a new video begins.
+    /// Sets the timestamp of the next moment in seconds, or `None` for a moment without one. A camera's video
+    /// restarts if its last frame was more than one second, and more than five frame intervals, before.
     pub fn set_moment_time(&mut self, time_s: Option<f64>) {
         self.time_s = time_s;
     }
 
-    /// Begins a new video of each camera with the next moment, as after the rig was moved.
+    /// Restarts the video of each camera with the next moment, for example after the rig was moved.
     pub fn restart_videos(&mut self) {
         self.videos().for_each(ResultFilter::restart);
     }
 
-    /// Returns the cameras whose motion cannot be estimated, since their points are on the pixels of no camera; each
-    /// once per video.
+    /// Returns the cameras whose motion cannot be estimated because the camera of their points is unknown, each once
+    /// per video.
     pub(super) fn take_unknown_cameras(&mut self) -> Vec<usize> {
         let unknown = self.cameras.iter_mut().map(|camera| camera.video.as_mut()?.take_camera_unknown().then_some(()));
         unknown.enumerate().filter_map(|(i, unknown)| unknown.map(|()| i)).collect()
@@ -44,7 +44,7 @@ impl RigSmoother {
         self.cameras.iter_mut().filter_map(|camera| camera.video.as_mut())
     }
 
-    /// Returns the results in space from which the outputs follow.
+    /// Returns the outputs that smoothing in space must compute.
     pub(super) fn outputs_in_space(&self) -> Outputs {
         let outputs = self.options.outputs;
         let is_video = self.cameras.iter().any(|camera| camera.video.is_some());
@@ -63,7 +63,7 @@ impl RigSmoother {
             let (Some(frame), Some(Ok(smoothed))) = (frame, result) else { return Ok(()) };
             let sight = camera.look_at(*frame, time_s, outputs);
             if camera.video.is_some() && sight.is_none() {
-                // Points without a grid are no video.
+                // Points without a grid are not smoothed over time.
                 let (width, height) = (smoothed.width, smoothed.height);
                 smoothed.frames = outputs.frames.then(|| vec![1.0; width * height]);
                 smoothed.prepare(width, height, outputs);
@@ -77,7 +77,8 @@ impl RigSmoother {
 }
 
 impl CameraSmoother {
-    /// Looks at a frame that is being smoothed in space; `None` if its result is not smoothed over time.
+    /// Prepares a frame that is smoothed in space for smoothing over time; `None` if its result is not smoothed over
+    /// time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, time_s: Option<f64>, outputs: Outputs) -> Option<ResultSight> {
         self.video.as_mut()?.look_at(frame, time_s, self.params.sensor, outputs)
     }

@@ -1,4 +1,4 @@
-//! Additional viewpoints without a camera, from which views are smoothed too.
+//! Viewpoints without a camera that are smoothed as additional views.
 
 use glam::{DQuat, DVec3};
 
@@ -9,19 +9,20 @@ use planish_core::{Camera, FrameError, ParamError, SensorPose};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Viewpoint {
-    /// rig_from_camera, as for a [`RigCamera`](super::RigCamera).
+    /// Pose in the rig's frame, rig_from_camera, as for a [`RigCamera`](super::RigCamera).
     pub pose: SensorPose,
-    /// The size and the intrinsics of the view. Pixels that are finer than the cameras' have gaps between the samples.
+    /// The size and intrinsics of the view. If its pixels are finer than the cameras', the view has gaps between the
+    /// samples.
     pub camera: Camera,
 }
 
 impl Viewpoint {
-    /// Returns the view of a camera at this place.
+    /// Creates the view of this camera at this pose.
     pub fn new(pose: SensorPose, camera: Camera) -> Self {
         Self { pose, camera }
     }
 
-    /// Halfway between two places: in their middle, and turned halfway from one to the other.
+    /// Returns the viewpoint halfway between two poses, in position and rotation.
     ///
     /// # Errors
     /// If one of the poses is invalid.

@@ -1,11 +1,12 @@
 //! Smoothing by views: the points of all cameras, as range images from each camera's position.
 //!
-//! Each camera's grid is a view, and so is the grid of every added viewpoint. The front of a pixel is its sample or, in
-//! a pixel without one, the nearest point that falls into it. Samples of other cameras in that pixel belong to the same
-//! surface if they face the view and are no farther from the front than registration and noise allow. The view consists
-//! of their means, weighted by the inverse squared noise, and is smoothed as a frame of its camera. Every point then
-//! moves along its ray to the tangent planes of the pixels that it contributed to; its result is their mean, weighted
-//! by the squared cosine of incidence. A surface that is doubled by errors of the poses thus becomes one.
+//! Each camera's grid is a view, and so is the grid of every added viewpoint. The front of a pixel is its own sample
+//! or, without one, the nearest point of another camera that falls into it. Other cameras' samples in the pixel
+//! belong to the same surface if they face the view and are within registration error and noise of the front. The
+//! view consists of the means of these samples, weighted by the inverse squared noise, and is smoothed as a frame of
+//! its camera. Every point then moves along its ray to the tangent planes of the pixels that it contributed to; its
+//! result is their mean, weighted by the squared cosine of incidence. A surface that is doubled by pose errors thus
+//! becomes one.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -16,22 +17,22 @@ use planish_core::{
     internal::{GRAZING_COSINE, RigidTransform},
 };
 
-/// Two cameras' samples of one surface differ by at most this many standard deviations of both.
+/// Maximum difference between two cameras' samples of one surface, in standard deviations of their combined noise.
 const DEVIATIONS: f64 = 3.0;
 
-/// Surfaces seen at more than 80° do not count as facing a view.
+/// Minimum cosine of incidence of a surface that faces a view (80°).
 const FACING_COSINE: f64 = 0.17;
 
-/// Samples in adjacent pixels are up to two pixels apart, and a facing surface is at most 80° steep: this is the
-/// largest depth difference between them, in pixel widths.
+/// Maximum depth difference between samples in adjacent pixels of a facing surface, in pixel widths: two pixels at a
+/// slope of 80°.
 const STEEPEST_PX: f32 = 2.0 * 5.67;
 
-/// Pixels of one smooth surface have normals less than 30° apart, and the surface is at most this far from the extended
-/// tangent plane.
+/// Minimum cosine between normals of one smooth surface (30°).
 const SAME_SURFACE_COSINE: f64 = 0.866;
+/// Maximum distance of one smooth surface from its extended tangent plane, in metres.
 const SAME_SURFACE_M: f64 = 0.003;
 
-/// Marks a sample that is in no pixel, or not part of its front.
+/// Marks a sample that falls into no pixel, or is not part of the pixel's front.
 const NOWHERE: u32 = u32::MAX;
 
 /// Measurements of a camera, in its frame.
@@ -52,7 +53,8 @@ pub(super) struct Measured {
 pub(super) struct View {
     points: Xyz,
     shape: (usize, usize),
-    /// For each camera, the pixel in which each of its samples was counted; none for the view's camera.
+    /// For each camera, the pixel in which each of its samples was counted; `None` for the view's own camera and
+    /// cameras without samples.
     counted: Vec<Option<Vec<u32>>>,
 }
 
@@ -93,8 +95,8 @@ impl Measured {
         (self.camera.width, self.camera.height)
     }
 
-    /// Returns the view from this camera, of its points and those of others. Errors of poses separate surfaces of two
-    /// cameras by at most `registration_m`.
+    /// Returns the view of all cameras' points from this camera. Pose errors separate the surfaces of two cameras by
+    /// at most `registration_m`.
     pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
         let (width, height) = self.shape();
         let landings: Vec<Option<Landings>> = all
@@ -139,7 +141,8 @@ impl Measured {
         View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
     }
 
-    /// Returns the depth of each pixel's front: its sample or, without one, the nearest point of another camera.
+    /// Returns the depth in metres of each pixel's front: its sample or, without one, the nearest point of another
+    /// camera.
     fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
         let mut front_m = self.points.z().to_vec();
         for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
@@ -161,7 +164,7 @@ impl Measured {
         (0..width * height).into_par_iter().with_min_len(PIXELS_OF_A_TASK).map(screened).collect()
     }
 
-    /// Projects the samples of another camera into this one's grid.
+    /// Projects the samples of another camera into this camera's grid.
     fn landings(&self, other: &Self) -> Landings {
         let here_from_other = self.rig_from_camera.inverse().after(other.rig_from_camera);
         let landing = |i: usize| {
@@ -215,7 +218,7 @@ impl Measured {
         self.finish(back, own, normals, outputs)
     }
 
-    /// This camera's samples in another one's view.
+    /// Returns this camera's samples in another camera's view.
     fn seen_in<'a>(&self, index: usize, (view, smoothed): &'a (View, Smoothed), of: &'a Self) -> Option<Seen<'a>> {
         let pixels = view.counted[index].as_ref()?;
         let normals = smoothed.normals.as_ref()?;
@@ -268,7 +271,7 @@ impl View {
     }
 }
 
-/// Drops pixels in which only one camera's samples were counted: seen from a viewpoint without a camera, they add
+/// Drops samples of pixels around which only one camera was counted: seen from a viewpoint without a camera, they add
 /// nothing to that camera's view.
 fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
     const SEVERAL: u16 = u16::MAX;
@@ -287,14 +290,14 @@ fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)
     }
 }
 
-/// Returns a pixel and those around it.
+/// Returns a pixel and its neighbours.
 fn beside(pixel: usize, (width, height): (usize, usize)) -> impl Iterator<Item = usize> {
     let (u, v) = (pixel % width, pixel / width);
     let columns = u.saturating_sub(1)..(u + 2).min(width);
     (v.saturating_sub(1)..(v + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
 }
 
-/// Pixels of another grid into which a camera's samples fall, and their positions in that frame.
+/// The pixels of another camera's grid into which a camera's samples fall, and the samples in that camera's frame.
 struct Landings {
     pixels: Vec<u32>,
     points: Vec<[f32; 3]>,
@@ -309,11 +312,11 @@ impl Landings {
 
 /// A camera's samples in another camera's view.
 struct Seen<'a> {
-    /// Where each was counted.
+    /// The pixel in which each sample was counted.
     pixels: &'a [u32],
     points: &'a Xyz,
     normals: &'a Xyz,
-    /// The view's.
+    /// The view's camera.
     camera: &'a Camera,
     here_from_view: RigidTransform,
     view_from_here: RigidTransform,
@@ -417,7 +420,7 @@ impl Blend {
     }
 }
 
-/// Returns the inverse of the noise squared; sensors without noise count alike.
+/// Returns the inverse squared noise; noise below 0.1 mm counts as 0.1 mm.
 fn weight(sigma_m: f64) -> f64 {
     const LEAST_SIGMA_M: f64 = 1e-4;
     1.0 / sigma_m.max(LEAST_SIGMA_M).powi(2)

@@ -10,7 +10,7 @@ use planish_core::{
     internal::{VoxelMap, Voxels, downsample},
 };
 
-/// Surfaces whose normals are turned against each other by more than this cosine's angle, 37°, are two.
+/// Minimum cosine between normals of one surface (37°).
 const LEAST_COSINE: f64 = 0.8;
 
 /// A moment in voxels.
@@ -19,7 +19,7 @@ pub(super) struct InVoxels {
     voxels: Voxels,
     /// The centroid of each voxel's points, and the camera of the point nearest to it.
     cloud: PointCloud,
-    /// Result for the voxels.
+    /// Result for the voxels; `None` until they are smoothed.
     smoothed: Option<Smoothed>,
 }
 
@@ -30,7 +30,7 @@ impl InVoxels {
         Ok(Self { together, voxels, cloud, smoothed: None })
     }
 
-    /// Smooths the centroids, if they are not. The smoother must give normals.
+    /// Smooths the centroids, unless they are smoothed already. The smoother must compute normals.
     pub(super) fn smooth(&mut self, smoother: &mut Smoother) -> Result<(), Error> {
         if self.smoothed.is_none() {
             let mut smoothed = Smoothed::default();
@@ -64,7 +64,7 @@ impl InVoxels {
         if points.len() < cloud.len() { cloud.select(&points) } else { cloud }
     }
 
-    /// Each camera's points on the surface that the centroids make.
+    /// Returns each camera's points, moved onto the surface of the smoothed centroids.
     pub(super) fn given_back(&self, fields: Outputs) -> Vec<Option<Smoothed>> {
         let of_voxels = self.smoothed.as_ref().filter(|smoothed| !smoothed.points.is_empty());
         let spread = of_voxels.map(|of_voxels| self.spread(of_voxels, fields));
@@ -103,16 +103,16 @@ struct Surface<'a> {
     of_voxels: &'a Smoothed,
 }
 
-/// A point on it.
+/// A point moved onto a [`Surface`].
 struct Carried {
-    /// In which it lies.
+    /// The voxel that contains the point, if any.
     voxel: Option<usize>,
     point: [f32; 3],
     normal: [f32; 3],
 }
 
 impl Surface<'_> {
-    /// Puts a point onto the surface of the voxels round it (docs/method.md, section 13).
+    /// Moves a point onto the surface of the voxels around it (docs/method.md, section 13).
     fn carry(&self, point: [f32; 3]) -> Carried {
         let nothing = Carried { voxel: None, point: [f32::NAN; 3], normal: [f32::NAN; 3] };
         let Some(own) = self.map.at(point) else { return nothing };
@@ -140,7 +140,8 @@ impl Surface<'_> {
         if normal == DVec3::ZERO {
             return Carried { voxel: Some(own), point, normal: [f32::NAN; 3] };
         }
-        // The mean of both ends' normals is exact on spheres: chords leave them at the same angle at both.
+        // The mean of the normals at both ends is exact on spheres, since a chord meets a sphere at the same angle at
+        // both ends.
         let distance = |(at, of_patch, weight): &(DVec3, DVec3, f64)| weight * (p - at).dot(0.5 * (of_patch + normal));
         let weight: f64 = found.iter().map(|(_, _, weight)| weight).sum();
         let on_surface = p - normal * (found.iter().map(distance).sum::<f64>() / weight);
@@ -151,7 +152,7 @@ impl Surface<'_> {
         self.of_voxels.points.vector(voxel)
     }
 
-    /// NaN for a voxel without a normal.
+    /// Returns the normal of a voxel; NaN for a voxel without one.
     fn normal(&self, voxel: usize) -> DVec3 {
         let normals: Option<&Xyz> = self.of_voxels.normals.as_ref();
         normals.map_or(DVec3::NAN, |normals| normals.vector(voxel))

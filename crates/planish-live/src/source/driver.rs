@@ -1,4 +1,4 @@
-//! Drivers of cameras: C libraries, loaded at run time and never linked.
+//! Camera drivers: C libraries, loaded at run time and never linked.
 
 use std::error::Error;
 use std::path::Path;
@@ -8,8 +8,8 @@ use libloading::Library;
 
 use planish_core::DeviceError;
 
-/// Declares the functions used from a C library: `find` looks them up by their names, without a common prefix. They are
-/// valid as long as the struct lives.
+/// Declares a struct of functions from a C library, which are valid as long as the struct lives. `find` looks them up
+/// by their names, to which it adds the common prefix.
 macro_rules! c_functions {
     ($(#[$about:meta])* $visible:vis struct $name:ident($prefix:literal) {
         $($(#[$note:meta])* $function:ident($($argument:ty),* $(,)?) $(-> $result:ty)?;)*
@@ -22,7 +22,7 @@ macro_rules! c_functions {
 
         impl $name {
             /// # Safety
-            /// The library's functions of these names have these signatures.
+            /// The library's functions with these names must have these signatures.
             unsafe fn find(library: libloading::Library) -> Result<Self, libloading::Error> {
                 // SAFETY: as above; the functions are stored together with their library.
                 unsafe {
@@ -37,7 +37,7 @@ macro_rules! c_functions {
 }
 pub(super) use c_functions;
 
-/// Loads a library once in a process. It is never unloaded, since it keeps threads.
+/// Loads a library once per process. It is never unloaded, since its threads keep running.
 pub(super) fn load_once<T>(
     loaded: &Mutex<Option<&'static T>>,
     load: impl FnOnce() -> Result<T, DeviceError>,
@@ -51,7 +51,7 @@ pub(super) fn load_once<T>(
     Ok(functions)
 }
 
-/// Loads the file named by the environment variable, otherwise the first existing file among the usual names.
+/// Loads the file named by the environment variable, otherwise the first of the usual names that can be loaded.
 pub(super) fn load(
     variable: &str,
     usual: impl IntoIterator<Item = String>,
@@ -64,11 +64,11 @@ pub(super) fn load(
     };
     let mut first_error = None;
     for name in names {
-        // SAFETY: the drivers of cameras run nothing of note when they are loaded.
+        // SAFETY: loading a camera driver runs no code with preconditions.
         match unsafe { Library::new(&name) } {
             Ok(library) => return Ok(library),
             Err(error) => {
-                // The reason is in the system's own error.
+                // The system's own error has the reason.
                 let reason = error.source().map_or_else(|| error.to_string(), ToString::to_string);
                 first_error.get_or_insert_with(|| format!("{} cannot be loaded: {reason}", Path::new(&name).display()));
             }

@@ -6,7 +6,8 @@ use super::{OwnedFrame, Source, malformed, with_shape};
 use planish_core::{Camera, DepthFrame, DepthView, Error, IoError};
 use planish_io::{self as io, Contents, ReadOptions, Work};
 
-/// Reads the frame files of a folder in the order of the numbers in their names, or repeats one file endlessly.
+/// A source that reads the frame files of a folder in the order of the numbers in their names, or repeats one file
+/// endlessly.
 pub struct FileSource {
     files: Vec<PathBuf>,
     camera: Option<Camera>,
@@ -26,7 +27,7 @@ impl FileSource {
         Self::folder_within(folder, camera, ReadOptions::default())
     }
 
-    /// Does the same as [`Self::folder`] with other options than the default ones.
+    /// Same as [`Self::folder`], with explicit read options.
     pub(super) fn folder_within(folder: &Path, camera: Option<Camera>, read: ReadOptions) -> Result<Self, Error> {
         let files = io::frame_files(folder)?;
         let Some(first) = files.first() else {
@@ -78,7 +79,7 @@ impl Source for FileSource {
     }
 }
 
-/// Returns the name of a file without its extension, if that is text.
+/// Returns the name of a file without its extension; `None` if it is not UTF-8.
 pub(super) fn file_stem(file: &Path) -> Option<String> {
     file.file_stem()?.to_str().map(str::to_owned)
 }

@@ -1,5 +1,5 @@
-//! Recordings of libfreenect: a folder with INDEX.txt, depth in d-*.pgm, colour in r-*.ppm, as its tool
-//! `fakenect-record` writes.
+//! libfreenect recordings: a folder with INDEX.txt, depth in d-*.pgm and colour in r-*.ppm, as written by its tool
+//! `fakenect-record`.
 //!
 //! Depth is the Kinect's raw 11-bit disparity, two bytes per pixel, little-endian; 2047 is a hole. Files are named
 //! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity comes from the infrared camera and colour from the colour
@@ -18,17 +18,18 @@ use planish_core::{Camera, DepthFrame, Error, IoError};
 #[cfg(any(test, feature = "internal"))]
 use planish_io;
 
-/// Raw disparities from this value on are holes.
+/// Smallest raw disparity of a hole.
 const HOLE_DISPARITY: u16 = 2047;
 
 const REACH_M: f64 = 10.0;
 
-/// The infrared camera, which raw disparity is in: N. Burrus, "Kinect calibration", 2011.
+/// The infrared camera, which measures raw disparities: N. Burrus, "Kinect calibration", 2011.
 const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
 
-/// The colour camera, and the transform from the infrared camera to it, from the same reference. Axes follow our
-/// convention: x to the right, y down.
+/// The colour camera, from the same reference as [`INFRARED_CAMERA`].
 const COLOUR_CAMERA: Camera = Camera::new((640, 480), [529.21508, 525.56394], [328.94272, 267.48068]);
+/// Rotation from the infrared camera to the colour camera, from the same reference as [`INFRARED_CAMERA`]. Axes follow
+/// our convention: x to the right, y down.
 const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
     0.999_846_29,
     -0.001_477_91,
@@ -61,9 +62,9 @@ fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
     frame.raw.iter().enumerate().flat_map(|pixel| colour_at(pixel).unwrap_or_default()).collect()
 }
 
-/// Depth in metres of a Kinect v1's raw 11-bit disparity: z = 0.1236 tan(d/2842.5 + 1.1863), the fit of S. Magnenat
-/// (OpenKinect, "Imaging Information", 2010), good to some 4 mm at 1 m. NaN for a hole, and beyond the 10 m that the
-/// sensor reaches.
+/// Returns the depth in metres of a Kinect v1's raw 11-bit disparity: z = 0.1236 tan(d/2842.5 + 1.1863), the fit of
+/// S. Magnenat (OpenKinect, "Imaging Information", 2010), accurate to about 4 mm at 1 m. NaN for a hole, and beyond
+/// the sensor's range of 10 m.
 pub fn disparity_depth_m(disparity: u16) -> f64 {
     let angle = f64::from(disparity) / 2842.5 + 1.1863;
     // The tangent is negative beyond its pole.
@@ -97,16 +98,16 @@ pub(super) fn frame_of_disparities(
     frame
 }
 
-/// Reads a recording: every depth image, with the last colour image taken before it.
+/// A source that reads a recording: every depth image, with the last colour image taken before it.
 pub struct FreenectRecording {
-    /// Depth and colour.
+    /// The files of each depth image and its colour image.
     files: Vec<(PathBuf, Option<PathBuf>)>,
     camera: Option<Camera>,
     next: usize,
 }
 
 impl FreenectRecording {
-    /// Opens the folder that has INDEX.txt. The default camera is a typical Kinect's infrared one.
+    /// Opens the folder that has INDEX.txt. The default camera is the infrared camera of a typical Kinect.
     pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let index = folder.join("INDEX.txt");
         let text =
@@ -139,8 +140,8 @@ impl Source for FreenectRecording {
     }
 }
 
-/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit pixels
-/// are little-endian, against the PGM standard.
+/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit
+/// pixels are little-endian, contrary to the PGM standard.
 fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
     let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
     let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
@@ -201,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_point_takes_the_colour_of_the_pixel_that_the_colour_camera_saw_it_in() {
-        // The colour camera's picture: red its column, green its row, both halved or so to fit a byte.
+        // The colour camera's picture: red is the column, green the row, both divided by 4 to fit a byte.
         let rgb: Vec<u8> = (0..640 * 480).flat_map(|i| [((i % 640) / 4) as u8, ((i / 640) / 4) as u8, 77]).collect();
         let disparity = depth_disparity(1.0);
         let mut bytes = disparity.to_le_bytes().repeat(640 * 480);

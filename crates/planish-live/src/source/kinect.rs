@@ -23,7 +23,7 @@ use super::silence::longest_silence;
 use super::{OwnedFrame, Source, malformed, with_shape};
 use planish_core::{Camera, DepthFrame, DeviceError, Error};
 
-/// Pixels of a frame: both cameras run at their medium resolution.
+/// Number of pixels of a frame: both cameras run at their medium resolution.
 const PIXELS: usize = 640 * 480;
 
 // From libfreenect.h, version 0.5.
@@ -33,7 +33,7 @@ const DEPTH_11BIT: c_int = 0;
 const DEPTH_REGISTERED: c_int = 4;
 const DEVICE_CAMERA: c_int = 2;
 const LOG_ERROR: c_int = 1;
-/// A signal interrupted the wait.
+/// Returned if a signal interrupted the wait.
 const LIBUSB_INTERRUPTED: c_int = -10;
 
 /// `freenect_frame_mode`.
@@ -121,13 +121,14 @@ impl Freenect {
 
 /// The state of the callbacks, behind the device's user pointer. They run on the thread that owns the device.
 struct Events {
-    /// True: depth is registered, in millimetres; false: 11-bit disparities.
+    /// Whether depth is registered, in millimetres; otherwise it is 11-bit disparities.
     registered: bool,
-    /// The caller's camera instead of a usual Kinect's.
+    /// The caller's camera; `None` for a typical Kinect's.
     camera: Option<Camera>,
     rgb: Option<Vec<u8>>,
-    /// The last time stamp, and all ticks until then: the device's counter wraps after 71 s.
+    /// The device's last timestamp, in ticks; its counter wraps after 71 s.
     last_ticks: u32,
+    /// The number of ticks until the last timestamp, without wrapping.
     ticks: u64,
     newest: Newest,
 }
@@ -149,12 +150,12 @@ impl Newest {
     }
 }
 
-/// A Kinect v1 that is running.
+/// A running Kinect v1.
 pub struct KinectSource {
     newest: Arc<Mutex<Option<DepthFrame>>>,
     dropped: Arc<AtomicU64>,
     arrived: Receiver<()>,
-    /// The thread reports here why it ended.
+    /// The result of the thread, once it has ended.
     ended: Arc<Mutex<Option<Result<(), DeviceError>>>>,
     stop: Option<SyncSender<()>>,
     thread: Option<JoinHandle<()>>,
@@ -168,7 +169,7 @@ impl KinectSource {
             let folder = std::env::var_os("FAKENECT_PATH").unwrap_or_default();
             let file = Path::new(&folder).join("INDEX.txt");
             if !file.is_file() {
-                // It would exit the process.
+                // Without a recording, the playback library would exit the process.
                 let problem =
                     "no recording for the playback library: FAKENECT_PATH names the folder that has INDEX.txt";
                 return Err(malformed(&file, problem).into());
@@ -299,7 +300,7 @@ fn run(
 }
 
 /// # Safety
-/// The context and the device are open, and this is their thread.
+/// The context and the device must be open, and this must run on their thread.
 unsafe fn run_device(
     freenect: &Freenect,
     context: Context,
@@ -309,8 +310,8 @@ unsafe fn run_device(
     opened: &SyncSender<()>,
     stopped: &Receiver<()>,
 ) -> Result<(), DeviceError> {
-    // SAFETY: as for `run`; `events` outlives the streams that use it: they are stopped, and the pointer to it taken
-    // back, whatever failed before.
+    // SAFETY: as for `run`. `events` outlives the streams that use it: they are stopped, and the pointer to it is
+    // reset, even after a failure.
     unsafe {
         let registered =
             !freenect.is_playback && (freenect.find_depth_mode)(RESOLUTION_MEDIUM, DEPTH_REGISTERED).is_valid != 0;
@@ -318,7 +319,7 @@ unsafe fn run_device(
         GET_USER.set(freenect.get_user);
         (freenect.set_user)(device, (&raw mut events).cast());
         let result = start_streams(freenect, device, registered).and_then(|()| {
-            // Nobody receives the signal once the source is dropped.
+            // Sending fails if the source was already dropped.
             let _ = opened.send(());
             handle_events(freenect, context, stopped)
         });
@@ -331,7 +332,7 @@ unsafe fn run_device(
 }
 
 /// # Safety
-/// The device is open, has its user pointer, and this is its thread.
+/// The device must be open and have its user pointer, and this must run on its thread.
 unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -> Result<(), DeviceError> {
     let check = |what: &str, code: c_int| match code {
         0.. => Ok(()),
@@ -351,10 +352,10 @@ unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -
     }
 }
 
-/// Handles events until stopped, the channel closes, or the device is gone.
+/// Handles events until the channel `stopped` closes, a recording ends, or the device is gone.
 ///
 /// # Safety
-/// The context is open, and this is its thread.
+/// The context must be open, and this must run on its thread.
 unsafe fn handle_events(freenect: &Freenect, context: Context, stopped: &Receiver<()>) -> Result<(), DeviceError> {
     while stopped.try_recv() != Err(TryRecvError::Disconnected) {
         let mut timeout = TimeVal { seconds: 0, microseconds: 100_000 };
@@ -384,7 +385,7 @@ unsafe extern "C" fn no_user(_: Device) -> *mut c_void {
 }
 
 /// # Safety
-/// Called by libfreenect for a device whose user pointer is an [`Events`], on its thread.
+/// Must be called on the thread of a device whose user pointer is null or points to an [`Events`].
 unsafe fn events_of<'a>(device: Device) -> Option<&'a mut Events> {
     // SAFETY: set in `run_device`, where the events live until the streams are stopped.
     unsafe { (GET_USER.get())(device).cast::<Events>().as_mut() }
@@ -411,7 +412,7 @@ unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
     events.newest.put(frame);
 }
 
-/// Registered depth is the colour camera's, in millimetres.
+/// Returns the camera of registered depth: the colour camera, in millimetres.
 fn registered_camera(camera: Option<Camera>) -> Camera {
     let camera = with_shape(camera.unwrap_or(Camera::kinect_v1()), (640, 480));
     camera.with_depth_units_per_metre(1000.0)

@@ -1,7 +1,7 @@
 //! Sources of frames: cameras, data sets, folders, files, the simulator.
 //!
 //! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To add a
-//! camera, implement [`Source`]; [`stream`](crate::stream) accepts any.
+//! camera, implement [`Source`]; [`stream`](crate::stream) accepts any implementation.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -51,7 +51,7 @@ pub use tum::{TumRecorder, TumSource};
 pub trait Source: Send {
     /// Returns the next frame; `None` at the end. A live source waits for it.
     ///
-    /// An unreadable frame is an error, after which the caller may ask for the next frame.
+    /// An unreadable frame is an error, after which the caller may request the next frame.
     fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error>;
 
     /// Returns the name of the last frame, if it has one: its file's name without the extension.
@@ -64,23 +64,23 @@ pub trait Source: Send {
         None
     }
 
-    /// Takes a flag that a stream sets when it ends, before the first frame. A source that may wait for long looks at
-    /// it.
+    /// Receives, before the first frame, a flag that the stream sets when it ends. A source that may wait for long
+    /// checks it.
     fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 
-    /// Returns how many frames a live source has replaced by newer ones before they were taken.
+    /// Returns the number of frames that a live source replaced by newer ones before they were taken.
     fn dropped(&self) -> u64 {
         0
     }
 
-    /// Returns true if frames arrive at their own pace and are lost if not taken in time. A stream then wants the
-    /// newest frame; of any other source it wants every frame.
+    /// Returns true if frames arrive at their own pace and are lost if not taken in time. A stream takes the newest
+    /// frame of such a source, and every frame of any other.
     fn is_live(&self) -> bool {
         false
     }
 }
 
-/// Returns the warning for the `number`th unreadable frame of a source, from 1; none after the tenth.
+/// Returns the warning for the `number`th unreadable frame of a source, counted from 1; `None` after the tenth.
 ///
 /// A list of a million files that do not exist would fill the terminal.
 pub fn unreadable_warning(error: &Error, number: u64) -> Option<String> {
@@ -89,7 +89,7 @@ pub fn unreadable_warning(error: &Error, number: u64) -> Option<String> {
     (number <= MOST_TOLD).then(|| format!("{error}{only_counted}"))
 }
 
-/// Which image of a camera depth and colour are both mapped to.
+/// The image of a camera that depth and colour are both mapped to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Alignment {
@@ -104,7 +104,7 @@ pub enum Alignment {
 impl Alignment {
     const ALL: [Self; 3] = [Self::Depth, Self::Colour, Self::None];
 
-    /// Its name in files and options.
+    /// Returns its name in files and options.
     pub fn name(self) -> &'static str {
         match self {
             Self::Depth => "depth",
@@ -132,7 +132,7 @@ pub struct StreamMode {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// Frames a second; any without.
+    /// Frames per second; `None` for any rate.
     pub fps: Option<u32>,
 }
 
@@ -168,23 +168,28 @@ impl fmt::Display for StreamMode {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SourceOptions {
-    /// The camera; depth images need one. Width and height 0 mean the frames' shape; other values must match it.
+    /// The camera; depth images need one. A width and height of 0 accept frames of any shape; other values must match
+    /// the frames.
     pub camera: Option<Camera>,
-    /// Depth units per metre of a data set in TUM layout, if not its standard 5000.
+    /// Depth units per metre of a data set in TUM layout; `None` keeps the data set's, by default 5000.
     pub tum_units_per_metre: Option<f64>,
-    /// Plays a source that is not live at this rate, in frames per second, as if it were.
+    /// Rate in frames per second at which a source that is not live is played as if it were live; `None` plays it as
+    /// fast as possible.
     pub fps: Option<f64>,
-    /// The topic of a recording in MCAP; may be left out where only one has depth.
+    /// The topic of an MCAP recording; may be omitted if only one topic has depth.
     pub topic: Option<String>,
     /// The topic with the camera of an MCAP recording, if it is not next to the images' topic.
     pub camera_info_topic: Option<String>,
-    /// Which image of a RealSense or an OpenNI2 camera depth and colour are mapped to; without it what its source says.
+    /// The image that depth and colour of a RealSense or OpenNI2 camera are mapped to; `None` uses the default of the
+    /// source.
     pub alignment: Option<Alignment>,
-    /// The mode of a RealSense or an OpenNI2 camera; without it its default.
+    /// The mode of a RealSense or OpenNI2 camera; `None` uses its default.
     pub mode: Option<StreamMode>,
-    /// How many frames will be taken, if that is known. A source that prepares its frames prepares no more.
+    /// The number of frames that will be taken, if known. A source that prepares frames in advance prepares no more
+    /// than that.
     pub frames: Option<u64>,
-    /// How files and recordings are read. Frames that a stream could not smooth within the memory limit are refused.
+    /// Options for reading files and recordings. Frames that a stream could not smooth within the memory limit are
+    /// refused.
     pub read: ReadOptions,
 }
 
@@ -194,7 +199,7 @@ impl SourceOptions {
         Self { camera, ..self }
     }
 
-    /// Sets the depth units per metre of data sets in TUM layout; `None` for the data set's.
+    /// Sets the depth units per metre of data sets in TUM layout; `None` keeps the data set's.
     pub fn with_tum_units_per_metre(self, tum_units_per_metre: Option<f64>) -> Self {
         Self { tum_units_per_metre, ..self }
     }
@@ -230,9 +235,9 @@ impl SourceOptions {
     }
 }
 
-/// Opens `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`, `synthetic[:SEED]`, a data set
-/// in TUM RGB-D layout, a recording of libfreenect, one of ROS 2 in MCAP (with the feature `mcap`), a folder of frames,
-/// or one file, which is repeated without end.
+/// Opens a source by name: `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`,
+/// `synthetic[:SEED]`, a data set in TUM RGB-D layout, a libfreenect recording, a ROS 2 recording in MCAP (with the
+/// feature `mcap`), a folder of frames, or a single file, which is repeated endlessly.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
     let &SourceOptions { camera, alignment, mode, fps, frames, .. } = options;
@@ -267,7 +272,7 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
     }
 }
 
-/// Returns true if a source named on the command line is a camera, which may be unplugged and come back.
+/// Returns true if a source named on the command line is a camera, which may be unplugged and reconnected.
 pub fn is_camera(name: &str) -> bool {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
     match kind {
@@ -311,7 +316,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
     Ok(Box::new(FileSource::folder_within(path, options.camera, options.read)?))
 }
 
-/// Refuses topics where there are none.
+/// Refuses topics for sources that have none.
 fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
     match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
         None => Ok(()),
@@ -322,7 +327,7 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
     }
 }
 
-/// Refuses units of depth where the camera states them.
+/// Refuses depth units for sources that state their own.
 fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
     let allowed = "no value for this source, which states it";
     options
@@ -330,7 +335,7 @@ fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
         .map_or(Ok(()), |units| Err(ParamError { field: "depth_units_per_metre", value: units.to_string(), allowed }))
 }
 
-/// Refuses what only cameras with modes have.
+/// Refuses options that apply only to RealSense and OpenNI2 cameras.
 fn refuse_modes(options: &SourceOptions) -> Result<(), ParamError> {
     let allowed = "only a RealSense or an OpenNI2 camera";
     if let Some(alignment) = options.alignment {
@@ -349,12 +354,12 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
     number.parse().map_err(|_| malformed(Path::new(name), "a whole number after the colon").into())
 }
 
-/// Returns the camera for frames of a shape; one without a shape takes it.
+/// Returns the camera with this shape if it has none, otherwise unchanged.
 pub(crate) fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
     if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
 }
 
-/// Returns an error about a file or source of that name.
+/// Returns an error about a file or source with this name.
 fn malformed(path: &Path, problem: impl Into<String>) -> IoError {
     IoError { path: PathBuf::from(path), problem: FormatError::Malformed(problem.into()) }
 }

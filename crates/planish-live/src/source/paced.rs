@@ -8,16 +8,17 @@ use std::time::{Duration, Instant};
 use super::{OwnedFrame, Source};
 use planish_core::{Error, ParamError};
 
-/// Delivers the frames of another source at a fixed rate, as a live camera would: a late caller gets the next one.
+/// A source that delivers the frames of another at a fixed rate, as a live camera would: a late caller gets the next
+/// one.
 pub struct Paced {
     source: Box<dyn Source>,
     interval: Duration,
     next: Option<Instant>,
-    /// Whether nobody wants another frame.
+    /// Set when no more frames are wanted.
     ended: Arc<AtomicBool>,
 }
 
-/// Between two looks at whether a frame is still wanted.
+/// Interval at which a wait checks whether a frame is still wanted.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 impl Paced {
@@ -42,8 +43,8 @@ impl Source for Paced {
             }
             thread::sleep(left.min(PATIENCE));
         }
-        // Intervals count from the due time, not from the arrival, so delays do not add up; frames missed during a
-        // longer delay are dropped.
+        // Intervals count from the due time, not from the arrival, so delays do not add up. Intervals missed during a
+        // longer delay are skipped.
         let missed = now.saturating_duration_since(due).as_nanos() / self.interval.as_nanos().max(1);
         let missed = u32::try_from(missed).unwrap_or(u32::MAX);
         self.next =

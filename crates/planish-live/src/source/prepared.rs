@@ -1,4 +1,4 @@
-//! The steps before smoothing.
+//! A source that prepares frames for smoothing.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -15,12 +15,12 @@ pub struct PreparedSource {
 }
 
 impl PreparedSource {
-    /// Wraps a source; the sensor's noise tells surfaces apart.
+    /// Wraps a source. The noise of the sensor is used to tell surfaces apart.
     pub fn new(source: Box<dyn Source>, steps: Preparation, sensor: SensorModel) -> Self {
         Self { source, steps, sensor, camera: None }
     }
 
-    /// Sets the camera of clouds that do not state theirs, which is scaled with them.
+    /// Sets the camera for clouds that do not state theirs; it is scaled with them.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }

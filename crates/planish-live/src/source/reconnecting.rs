@@ -10,16 +10,16 @@ use planish_core::{DeviceError, Error};
 /// Time between two attempts to open a camera.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
-/// Opens a camera, or returns the reason for the failure.
+/// A function that opens a camera, or returns the reason for the failure.
 type Open = Box<dyn FnMut() -> Result<Box<dyn Source>, Error> + Send>;
 
-/// A camera that is waited for while it is missing, and reopened when it returns.
+/// A camera that is reopened when it returns after it was missing. The source waits for it.
 pub struct Reconnecting {
     open: Open,
     source: Option<Box<dyn Source>>,
-    /// Set by the caller, who wants no more frames.
+    /// Set by the caller when it wants no more frames.
     stop: Arc<AtomicBool>,
-    /// Set by the stream, which has ended.
+    /// Set by the stream when it ends.
     ended: Arc<AtomicBool>,
     until: Option<Instant>,
     retry: Duration,

@@ -1,11 +1,11 @@
-//! How long a device may deliver nothing before it counts as gone.
+//! The time without frames after which a device counts as gone.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 static SECONDS: AtomicU64 = AtomicU64::new(5);
 
-/// Returns how long a device may be silent before it counts as gone, in whole seconds.
+/// Returns the time without frames after which a device counts as gone, in whole seconds.
 pub(super) fn longest_silence() -> Duration {
     Duration::from_secs(SECONDS.load(Ordering::Relaxed))
 }

@@ -9,7 +9,7 @@ use planish_eval::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Truth};
 /// Frames in one round of the camera: 2 s at 30 frames/s.
 const ROUND: u64 = 60;
 
-/// A Kinect v1 that circles before a table endlessly, at 30 frames/s by its time stamps.
+/// A simulated Kinect v1 that circles endlessly in front of a table, with timestamps at 30 frames/s.
 ///
 /// The first round is rendered when the source is opened, since rendering takes longer than smoothing; later rounds
 /// repeat it.
@@ -22,7 +22,7 @@ pub struct SyntheticSource {
 }
 
 impl SyntheticSource {
-    /// Frames per second, by the time stamps.
+    /// Frame rate of the timestamps, in frames per second.
     pub const FPS: f64 = 30.0;
 
     /// Renders a round of the scene with this seed.
@@ -30,7 +30,7 @@ impl SyntheticSource {
         Self::of_frames(seed, camera, ROUND)
     }
 
-    /// Renders only the first frames, for callers that need no more; further ones repeat them.
+    /// Renders only the first `frames` frames, at most one round; later frames repeat them.
     pub fn of_frames(seed: u64, camera: Camera, frames: u64) -> Result<Self, Error> {
         camera.validate()?;
         let (scene, start) = Scene::tabletop(seed);

@@ -1,7 +1,7 @@
-//! Data sets in the layout of the TUM RGB-D benchmark: depth/ and rgb/ with PNGs, and lists of time stamps and files.
+//! Data sets in the layout of the TUM RGB-D benchmark: PNGs in depth/ and rgb/, and lists of timestamps and files.
 //!
-//! Depth has 5000 units per metre. The camera is the caller's, or that of `camera.json` next to the lists, which
-//! [`TumRecorder`] writes, or the benchmark's default of 525, 525, 319.5, 239.5.
+//! Depth has 5000 units per metre. The camera is the caller's; otherwise the one in `camera.json` next to the lists,
+//! which [`TumRecorder`] writes; otherwise the benchmark's default of 525, 525, 319.5, 239.5.
 
 use std::fs;
 use std::io::Write;
@@ -16,17 +16,17 @@ use planish_io::{self as io, ReadOptions, RgbImage};
 /// The benchmark's depth units per metre.
 const UNITS_PER_METRE: f64 = 5000.0;
 
-/// Shape of frames for which a Kinect's camera is assumed: width and height.
+/// Width and height of frames for which a Kinect's camera is assumed.
 const KINECT_SHAPE: (usize, usize) = (640, 480);
 
-/// Colour and depth images further apart in time than this are not paired, as in the benchmark's own tools (0.02 s).
+/// Maximum time in seconds between paired colour and depth images, as in the benchmark's own tools.
 const NEAR_IN_TIME_S: f64 = 0.02;
 
-/// Reads a data set in order.
+/// A source that reads a data set in order.
 pub struct TumSource {
     folder: PathBuf,
     camera: Camera,
-    /// Whether nobody said what camera it is.
+    /// Whether the camera is unknown, and a Kinect's is assumed.
     is_assumed: bool,
     entries: Vec<Entry>,
     next: usize,
@@ -42,8 +42,8 @@ struct Entry {
 impl TumSource {
     /// Opens a folder that has depth.txt and optionally rgb.txt, or associations.txt.
     ///
-    /// Depth has 5000 units per metre whatever the camera says, unless `units_per_metre` or the data set's own
-    /// camera.json says otherwise.
+    /// Depth has 5000 units per metre, regardless of `camera`, unless `units_per_metre` or the data set's own
+    /// camera.json states otherwise.
     pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
         let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
         let entries = match lists.iter().find(|list| list.is_file()) {
@@ -104,7 +104,7 @@ impl Source for TumSource {
     }
 }
 
-/// Returns the lines of a list, split at blanks, without comments.
+/// Returns the lines of a list, split at whitespace, without comments.
 fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
     const MAX_BYTES: u64 = 256 << 20;
     let bytes = io::read_bytes(list, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
@@ -128,7 +128,8 @@ fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Returns pairs of depth and colour from lines that list them in either order; their folders identify them.
+/// Returns pairs of depth and colour from lines that list them in either order; the name of the colour image begins
+/// with `rgb`.
 fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     let line = |words: Vec<String>| {
         let [first_s, first, second_s, second] = &words[..] else {
@@ -157,11 +158,12 @@ fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     Ok(depths.into_iter().map(entry).collect())
 }
 
-/// Writes a data set in TUM layout: files of 16-bit depth in 5000 units per metre, as the layout has it, if the
-/// camera's unit is a whole multiple of that, as a millimetre is. Finer units are kept, and `camera.json` states them.
+/// A writer of a data set in TUM layout. Depth files have 16 bits and the layout's 5000 units per metre if the
+/// camera's unit is a whole multiple of 0.2 mm, such as a millimetre. Other units are kept, and `camera.json` states
+/// them.
 ///
-/// Files are named by time stamps in microseconds; one that repeats or goes back becomes 1 us later than the one
-/// before.
+/// Files are named by their timestamps in seconds, with six decimals. A timestamp that repeats or goes back is
+/// replaced by the previous one plus 1 us.
 pub struct TumRecorder {
     folder: PathBuf,
     units: Option<Units>,
@@ -170,12 +172,12 @@ pub struct TumRecorder {
     too_far: u64,
 }
 
-/// Format of depth; the first frame determines it.
+/// Depth units of the camera and of the files, set by the first frame.
 #[derive(Clone, Copy)]
 struct Units {
     of_camera: f64,
     of_files: f64,
-    /// Units of the files in one of the camera's.
+    /// Number of the files' units per unit of the camera.
     factor: u32,
 }
 
@@ -200,18 +202,19 @@ impl Units {
 }
 
 impl TumRecorder {
-    /// Starts a recording; refuses a folder that has files. The folder is made with the first frame.
+    /// Starts a recording; refuses a non-empty folder. The folder is created with the first frame.
     pub fn create(folder: &Path) -> Result<Self, Error> {
         refuse_used(folder)?;
         Ok(Self { folder: folder.to_path_buf(), units: None, frames: 0, last_s: f64::NEG_INFINITY, too_far: 0 })
     }
 
-    /// How many pixels were too far for 5000 units per metre, more than 13.1 m, and became holes.
+    /// Returns the number of pixels that became holes because they were too far for 16 bits: more than 13.1 m at 5000
+    /// units per metre.
     pub fn too_far(&self) -> u64 {
         self.too_far
     }
 
-    /// Depth units per metre of the files, once there is one.
+    /// Returns the depth units per metre of the files; `None` before the first frame.
     pub fn depth_units_per_metre(&self) -> Option<f64> {
         self.units.map(|units| units.of_files)
     }
@@ -251,7 +254,7 @@ impl TumRecorder {
         };
         let raw: Vec<u16> = frame.raw.iter().map(converted).collect();
         let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
-        // Names are time stamps: a clock that stands still or jumps back must not overwrite earlier files.
+        // Names are timestamps: a clock that stands still or jumps back must not overwrite earlier files.
         let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
         self.last_s = seconds;
         let name = format!("{seconds:.6}");
@@ -263,7 +266,7 @@ impl TumRecorder {
             planish_io::write_rgb_png(&self.folder.join(&file), &image)?;
             self.append("rgb.txt", &format!("{name} {file}\n"))?;
         }
-        // Written after its images, so that an interrupted recording is whole up to there.
+        // Written after its images, so that an interrupted recording is complete up to its last line.
         self.append("depth.txt", &format!("{name} {depth}\n"))?;
         if self.frames == 0 {
             let camera = camera.with_depth_units_per_metre(units.of_files);

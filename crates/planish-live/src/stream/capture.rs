@@ -6,7 +6,7 @@ use super::mailbox::{Arrived, Mailbox};
 use crate::source::Source;
 use planish_core::Error;
 
-/// Ends a mailbox when it is dropped, also by a panic.
+/// Guard that ends a mailbox when it is dropped, even by a panic.
 struct EndOf<'a>(&'a Mailbox);
 
 impl Drop for EndOf<'_> {
@@ -15,13 +15,13 @@ impl Drop for EndOf<'_> {
     }
 }
 
-/// Moves frames from the source into the mailbox until either ends.
+/// Moves frames from the source into the mailbox until the source ends or the mailbox is closed.
 pub(super) fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     let _end = EndOf(mailbox);
     // A live source that fails repeatedly counts as gone; other sources end on their own.
     let mut failures = 0;
-    // Frames that came while an engine was opened, which takes longer than many frames, do not count as dropped. A
-    // source may know of them only with the frame after them.
+    // Frames that arrive while an engine is being opened, which takes many frame intervals, do not count as dropped.
+    // A source may report them only with the next frame.
     let (mut is_ready, mut missed_before) = (false, Some(0));
     while !mailbox.is_closed() {
         if let Some(missed) = missed_before {

@@ -1,4 +1,4 @@
-//! How much depth flickers from frame to frame, before and after smoothing over time.
+//! The flicker of depth from frame to frame, before and after smoothing over time.
 
 use planish_core::{Outputs, Smoothed, Status};
 
@@ -6,42 +6,42 @@ use crate::source::OwnedFrame;
 
 /// Approximate number of pixels compared per frame.
 const SAMPLES: usize = 10_000;
-/// Points averaged over fewer frames count as restarted.
+/// Number of averaged frames below which a point counts as restarted.
 const FEW_FRAMES: f32 = 1.5;
-/// From this share of points without any past on, a frame begins a new scene or video.
+/// Fraction of points without a past above which a frame begins a new scene or video.
 const ALL: f64 = 0.99;
-/// Share of the changes used; the largest belong to moving edges. Unlike a median, their mean is not 0 for depth in
-/// coarse steps.
+/// Fraction of the changes, the smallest ones, that is averaged; the largest belong to moving edges. Unlike a median,
+/// this mean is not 0 for depth in coarse steps.
 const COUNTED: f64 = 0.95;
 /// Mean magnitude of the smaller 95 % of a normal distribution.
 const MEAN_OF_COUNTED: f64 = 0.7168;
 
-/// How a frame of a video differs from the frame before.
+/// Difference between a frame of a video and the previous frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Flicker {
     /// Jitter of the input in metres: standard deviation of the depth change per pixel divided by √2, estimated from
     /// the smallest 95 % of the changes. It includes the motion of a moving camera.
     pub measured_m: f64,
-    /// Jitter after smoothing.
+    /// Jitter after smoothing, in metres.
     pub smoothed_m: f64,
-    /// Share of the points averaged over fewer than 1.5 frames: new surfaces, or most points if the camera moves.
+    /// Fraction of the points averaged over fewer than 1.5 frames: new surfaces, or most points if the camera moves.
     pub restarted: f64,
-    /// Share of the points that were carried over from the frame before.
+    /// Fraction of the points that were carried over from the previous frame.
     pub carried: f64,
 }
 
-/// From this share of restarted points on, the camera probably moves. Objects that move cover less.
+/// Fraction of restarted points above which the camera probably moves. Moving objects cover less.
 const MOVING: f64 = 0.2;
 
 impl Flicker {
-    /// Returns true if so many points start again that the camera probably moves. With tracking, this means
-    /// that tracking fails.
+    /// Returns true if so many points restart that the camera probably moves. With tracking, this means that tracking
+    /// fails.
     pub fn looks_like_a_moving_camera(&self) -> bool {
         self.restarted > MOVING
     }
 
-    /// The mean of `count` frames and one more.
+    /// Returns the mean of `count` frames, given by `self`, and one more.
     pub(super) fn mean_with(self, count: f64, one_more: Self) -> Self {
         let mean = |before: f64, now: f64| before + (now - before) / (count + 1.0);
         Self {
@@ -63,13 +63,13 @@ pub(super) struct FlickerMeter {
 }
 
 impl FlickerMeter {
-    /// The outputs that it needs.
+    /// Returns `outputs` and the outputs that the meter needs.
     pub(super) fn outputs(outputs: Outputs) -> Outputs {
         outputs.with_status(true).with_frames(true)
     }
 
-    /// Compares a frame with the one before; `None` if that had another shape, showed
-    /// another scene, or too few points are in both.
+    /// Compares a frame with the previous one; `None` if the previous one had another shape or showed another scene,
+    /// or if too few points are in both.
     pub(super) fn add(&mut self, frame: &OwnedFrame, smoothed: &Smoothed) -> Option<Flicker> {
         let shape @ (width, height) = (smoothed.width, smoothed.height);
         let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
@@ -84,7 +84,7 @@ impl FlickerMeter {
             (None, Some(raw), OwnedFrame::Depth(depth)) => depth.camera.depth_m(raw[i]),
             _ => f32::NAN,
         };
-        // Filled values jump as their rims do, and were not measured.
+        // Filled values were not measured, and jump like the rims of their holes.
         let is_filled = |i: usize| smoothed.status.as_ref().is_some_and(|status| status[i] == Status::Filled);
         let result_m = |i: usize| if is_filled(i) { f32::NAN } else { result_m(i) };
         let is_next = self.shape == shape;
@@ -101,14 +101,14 @@ impl FlickerMeter {
         }
         let share = |count: f64| count / points.max(1.0);
         let (restarted, carried) = (share(restarted), share(carried));
-        // Nothing is compared over a gap or a cut.
+        // Frames are not compared across a gap or a cut.
         if share(fresh) > ALL {
             return None;
         }
         Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })
     }
 
-    /// Returns the jitter between the previous depths and these, which replace them.
+    /// Returns the jitter in metres between the previous depths and these, which replace them.
     fn jitter_m(
         &mut self,
         is_next: bool,

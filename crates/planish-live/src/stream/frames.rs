@@ -10,31 +10,31 @@ use super::{Sink, Stream, StreamEvent, StreamFrame, StreamOptions, StreamStatist
 use crate::source::Source;
 use planish_core::{EngineError, Error};
 
-/// Results that wait to be taken from a source that is not live.
+/// Maximum number of results that wait to be taken, for a source that is not live.
 const MAX_WAITING: usize = 2;
-/// Warnings that are kept until they are taken. A file that is played again may fail in the same way for ever.
+/// Maximum number of warnings kept until they are taken. A repeated file may fail in the same way forever.
 const MAX_WARNINGS: usize = 100;
-/// How often a thread that waits checks whether the stream is to stop.
+/// Interval at which a waiting thread checks whether the stream should stop.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A running stream as an iterator over its frames.
 ///
-/// A live source's newest frame replaces a frame that waits; any other source waits for the caller. When
-/// this is dropped, the stream stops.
+/// The newest frame of a live source replaces a waiting one; any other source waits for the caller. Dropping the
+/// iterator stops the stream.
 #[derive(Debug)]
 pub struct Frames {
     shared: Arc<Shared>,
     is_live: bool,
 }
 
-/// What [`Frames::next_within`] found.
+/// The result of [`Frames::next_within`].
 #[derive(Debug)]
 pub enum Waited {
     /// The next frame.
     Frame(Arc<StreamFrame>),
     /// The stream has ended.
     Ended,
-    /// Neither, yet.
+    /// The timeout passed before the next frame or the end.
     TimedOut,
 }
 
@@ -48,7 +48,7 @@ struct Shared {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<Arc<StreamFrame>>,
-    /// Results of a live source that a newer one replaced before they were taken.
+    /// Number of results of a live source that a newer one replaced before they were taken.
     replaced: u64,
     warnings: Vec<String>,
     has_ended: bool,
@@ -90,7 +90,7 @@ impl Frames {
     ///
     /// # Errors
     ///
-    /// The error that ended the stream, once.
+    /// Returns the error that ended the stream, once.
     pub fn next_within(&self, timeout: Duration) -> Result<Waited, Error> {
         let mut state = self.shared.lock();
         let until = Instant::now() + timeout;
@@ -123,7 +123,7 @@ impl Frames {
         Some(statistics)
     }
 
-    /// Asks the stream to stop, after which [`has_ended`](Self::has_ended) becomes true. Frames that wait can still be
+    /// Asks the stream to stop, after which [`has_ended`](Self::has_ended) becomes true. Waiting frames can still be
     /// taken.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
@@ -174,7 +174,7 @@ impl Shared {
     }
 }
 
-/// Marks the end of a stream, even after a panic.
+/// Guard that marks the end of a stream, even after a panic.
 struct Ending(Arc<Shared>);
 
 impl Ending {
@@ -214,7 +214,7 @@ impl Sink for Handover {
     }
 
     fn write(&mut self, _: &StreamFrame) -> Result<(), Error> {
-        // Frames come by `write_shared`.
+        // Frames arrive through `write_shared`.
         Ok(())
     }
 
@@ -239,7 +239,7 @@ mod tests {
     use crate::source::OwnedFrame;
     use planish_core::{Camera, DepthFrame, FrameParams, SmootherOptions};
 
-    /// Small frames without end.
+    /// A source of small frames, without end.
     struct Walls;
 
     impl Source for Walls {
@@ -282,7 +282,7 @@ mod tests {
         let mut frames = start(options());
         frames.next().unwrap().unwrap();
         frames.stop();
-        // Only frames that waited.
+        // Only waiting frames are left.
         assert!(frames.by_ref().count() < 20);
         assert!(frames.has_ended() && frames.statistics().is_some());
     }

@@ -11,12 +11,12 @@ use planish_core::Error;
 /// A frame that has arrived from the source.
 pub(super) struct Arrived {
     pub(super) frame: OwnedFrame,
-    /// Its own name, where the source has one for it.
+    /// Name of the frame, if the source has one for it.
     pub(super) name: Option<String>,
     pub(super) since: Instant,
 }
 
-/// A frame; or an error, and whether the source ends with it.
+/// A frame, or an error and whether the source ends with it.
 pub(super) type Item = Result<Arrived, (Error, bool)>;
 
 /// Accumulated time, added to by one thread and read by another.
@@ -40,17 +40,17 @@ impl TimeSpent {
 /// Policy for a frame that arrives while another waits.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Policy {
-    /// It replaces the waiting one.
+    /// The new frame replaces the waiting one.
     NewestWins,
-    /// It queues behind it; when the queue has this length, the source waits.
+    /// The new frame is queued; while the queue has this length, the source waits.
     Every(usize),
 }
 
 pub(super) enum Taken {
     Item(Box<Item>),
-    /// There is nothing yet.
+    /// No item yet.
     Nothing,
-    /// There will be nothing more.
+    /// The source has ended, and all items were taken.
     End,
 }
 
@@ -65,11 +65,11 @@ pub(super) struct Mailbox {
 #[derive(Default)]
 struct State {
     items: VecDeque<Box<Item>>,
-    /// The source has ended.
+    /// Whether the source has ended.
     ended: bool,
-    /// The receiver is gone.
+    /// Whether the receiver is gone.
     closed: bool,
-    /// The engine is open.
+    /// Whether the engine is open.
     ready: bool,
     frames: u64,
     dropped: u64,
@@ -83,7 +83,7 @@ impl Mailbox {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // The state is consistent at any time.
+        // The state is consistent even after a panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -113,7 +113,7 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Takes the oldest item; waits up to a timeout.
+    /// Takes the oldest item, waiting at most `patience`; `None` does not wait.
     pub(super) fn take(&self, patience: Option<Duration>) -> Taken {
         let mut state = self.lock();
         if let Some(patience) = patience.filter(|patience| !patience.is_zero()) {
@@ -133,7 +133,7 @@ impl Mailbox {
         }
     }
 
-    /// The source has ended.
+    /// Records that the source has ended.
     pub(super) fn end(&self) {
         self.lock().ended = true;
         self.changed.notify_all();

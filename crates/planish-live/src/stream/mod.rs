@@ -1,8 +1,9 @@
 //! Streams: source, smoother, sinks; frames are smoothed as they arrive.
 //!
-//! A capture thread moves frames from the source into a mailbox. Of a live source only the newest frame waits, and
-//! dropped ones are counted; of other sources every frame is kept, in order. The calling thread smooths, with several
-//! frames in flight on a GPU. Each sink has a thread and a short queue, so that none blocks the source or another sink.
+//! A capture thread moves frames from the source into a mailbox. For a live source, only the newest frame waits, and
+//! dropped frames are counted; for other sources, every frame is kept, in order. The calling thread smooths, with
+//! several frames in flight on a GPU. Each sink has a thread and a short queue, so that no sink blocks the source or
+//! another sink.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -42,16 +43,17 @@ pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
-/// A stream ends after this many frames in a row that cannot be smoothed: a repeated file would fail for ever.
+/// Number of consecutive frames that cannot be smoothed after which a stream ends; a repeated file would fail
+/// forever.
 const MOST_LEFT_OUT: u64 = 1000;
 
-/// How many frames are read ahead from a source that is not live.
+/// Number of frames read ahead from a source that is not live.
 const READ_AHEAD: usize = 4;
 
-/// A frame with its result, as sinks get it.
+/// A frame with its result, as sinks receive it.
 #[non_exhaustive]
 pub struct StreamFrame {
-    /// Its index among the frames smoothed, from 0.
+    /// Its index among the smoothed frames, from 0.
     pub index: u64,
     /// Name of the frame, if its source provides one: the file name without extension.
     pub name: Option<String>,
@@ -59,11 +61,11 @@ pub struct StreamFrame {
     pub source: OwnedFrame,
     /// Its result.
     pub smoothed: Smoothed,
-    /// From its arrival until its result was available.
+    /// Time from its arrival until its result was available.
     pub latency: Duration,
-    /// When its result was available.
+    /// The time at which its result was available.
     pub received: Instant,
-    /// How it differs from the frame before, if frames are smoothed over time.
+    /// Difference from the previous frame, if frames are smoothed over time.
     pub flicker: Option<Flicker>,
 }
 
@@ -82,7 +84,7 @@ impl std::fmt::Debug for StreamFrame {
 pub enum StreamEvent<'a> {
     /// A frame was smoothed.
     Frame(&'a StreamStatistics),
-    /// Something failed that the stream survives: an unreadable frame, a sink, a lost GPU.
+    /// A failure that the stream survives: an unreadable frame, a failing sink or a lost GPU.
     Warning(String),
 }
 
@@ -109,7 +111,7 @@ pub struct Stream<'a> {
 }
 
 impl<'a> Stream<'a> {
-    /// Creates a stream without sinks, which nothing stops and nobody observes.
+    /// Creates a stream without sinks, stop flag or event handler.
     pub fn new(source: Box<dyn Source>, options: StreamOptions) -> Self {
         Self { source, options, sinks: Vec::new(), stop: None, tell: Box::new(|_| ()) }
     }
@@ -130,16 +132,16 @@ impl<'a> Stream<'a> {
         Self { tell: Box::new(tell), ..self }
     }
 
-    /// Runs the stream until its source ends, its limits are reached, or the stop flag is set; then waits for the sinks
-    /// and closes them.
+    /// Runs the stream until its source ends, its limits are reached, all sinks have failed, or the stop flag is set;
+    /// then waits for the sinks and closes them.
     ///
     /// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes
     /// over; with several devices, the others continue. Frames keep their order. A frame or sink that fails is reported
     /// and counted, and the stream continues.
     ///
     /// # Errors
-    /// If the settings are not allowed, an engine fails for good, or the source fails for good; and the first error of
-    /// a frame if no frame at all could be smoothed.
+    /// If the settings are invalid, or an engine or the source fails for good. If no frame could be smoothed, returns
+    /// the first error of a frame.
     pub fn run(self) -> Result<StreamStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { mut source, options, sinks, stop, tell } = self;
@@ -200,7 +202,7 @@ fn run(
         if let (0, Some(error), Ok(())) = (stream.statistics.frames_out, stream.first_error.take(), &result) {
             result = Err(error);
         }
-        // Frames that arrive while the engine is closed are not missed.
+        // Frames that arrive after the end do not count as dropped.
         mailbox.close();
         let Running { sinks, mut statistics, smooth_time, session, .. } = stream;
         statistics.time_smoothing = smooth_time.total();
@@ -213,7 +215,7 @@ fn run(
         result.map(|()| statistics)
     });
     mailbox.close();
-    // The wait for a live source is bounded, so that this is seen.
+    // The wait for a live source is bounded, so this flag is noticed.
     ended.store(true, Ordering::Relaxed);
     if capture.join().is_err() {
         tell(StreamEvent::Warning("the source panicked".to_owned()));
@@ -244,14 +246,15 @@ struct Running<'a> {
     smooth_time: TimeSpent,
     /// Number of the next frame of the source.
     number: u64,
-    /// Why the first frame that was left out was.
+    /// The error of the first frame that was left out.
     first_error: Option<Error>,
-    /// Frames that were unreadable or refused: all, and since the last smoothed one.
+    /// Number of frames that were unreadable or refused.
     left_out: u64,
+    /// Number of frames that were unreadable or refused since the last smoothed one.
     left_out_in_a_row: u64,
 }
 
-/// A frame that was submitted.
+/// A submitted frame.
 struct InFlight {
     frame: Arc<OwnedFrame>,
     name: Option<String>,
@@ -281,7 +284,7 @@ impl Running<'_> {
             }
             let in_flight = self.pending.len();
             let most = self.session.max_in_flight();
-            // With frames in flight, only their results are waited for.
+            // While frames are in flight, wait only for their results.
             let next = match in_flight {
                 0 => mailbox.take(Some(Duration::from_millis(100))),
                 _ if in_flight < most => mailbox.take(Some(Duration::ZERO)),
@@ -303,7 +306,7 @@ impl Running<'_> {
                         return Err(error);
                     }
                     Err((error, false)) => {
-                        // It has a number, too.
+                        // An unreadable frame has a number, too.
                         self.number += 1;
                         self.tell_unreadable(error, tell);
                     }
@@ -320,7 +323,7 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// Returns true if nobody would get the results any more, which is reported.
+    /// Returns true, and reports it, if no sink is left to receive results.
     fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {
@@ -358,13 +361,13 @@ impl Running<'_> {
         self.statistics.engine = self.session.engine().unwrap_or(self.statistics.engine);
     }
 
-    /// Leaves a frame out that the engine does not take.
+    /// Leaves out a frame that the engine refuses.
     fn refuse(&mut self, error: FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.statistics.unreadable += 1;
         self.tell_unreadable(error.into(), tell);
     }
 
-    /// Reports a frame that is left out, unless too many were.
+    /// Counts a frame that is left out, and reports it unless too many were.
     fn tell_unreadable(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.left_out += 1;
         self.left_out_in_a_row += 1;
@@ -426,7 +429,7 @@ impl Running<'_> {
         flicker
     }
 
-    /// Warns once if a frame lost more than a hundredth of its points.
+    /// Warns once if a frame lost more than 1 % of its points.
     fn tell_lost_points(&mut self, frame: &OwnedFrame, smoothed: &Smoothed, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(frame) = frame.into_frame().ok().filter(|_| !self.told_lost_points) else { return };
         if let Some(warning) = smoothed.lost_points_warning(frame) {

@@ -1,4 +1,4 @@
-//! How a stream runs, and the session that it opens.
+//! Options of a stream, and the session that it opens.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use planish_core::{
 };
 use planish_io::Trajectory;
 
-/// How a stream runs.
+/// Options of a stream.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct StreamOptions {
@@ -16,13 +16,13 @@ pub struct StreamOptions {
     pub params: StreamParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices that frames are dealt to, instead of the one of the options; none for that one.
+    /// The devices over which frames are distributed; if empty, the device of the smoother options.
     pub devices: Vec<FleetDevice>,
-    /// Stop after N frames.
+    /// Maximum number of frames; `None` for no limit.
     pub max_frames: Option<u64>,
-    /// Stop after this time.
+    /// Maximum duration; `None` for no limit.
     pub max_duration: Option<Duration>,
-    /// Poses of the camera, by the time stamps or the numbers of frames.
+    /// Poses of the camera, by timestamp or frame number.
     pub poses: Option<Trajectory>,
 }
 
@@ -32,7 +32,7 @@ pub struct StreamOptions {
 pub enum StreamParams {
     /// Settings of a user, resolved with the first frame.
     Settings(Settings),
-    /// These parameters.
+    /// Explicit parameters.
     Params(FrameParams),
 }
 
@@ -51,9 +51,9 @@ impl StreamOptions {
     /// Creates options from settings, without limits.
     ///
     /// # Errors
-    /// If settings contradict each other or are not for frames on a grid, or a device is not there.
+    /// If settings contradict each other or are not for frames on a grid, or if a device is missing.
     pub fn from_settings(settings: Settings) -> Result<Self, Error> {
-        // Before anything is opened or written; a sensor to be estimated changes no error.
+        // Checked before anything is opened or written. Estimating a sensor does not change the errors.
         let mut of_known_sensor = settings.clone();
         of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
         of_known_sensor.frame_params()?;
@@ -103,7 +103,7 @@ impl StreamOptions {
         Ok(session.with_cloud_estimates(false))
     }
 
-    /// Distributes frames over these devices; with none, the options' device smooths all.
+    /// Distributes frames over these devices; if empty, the options' device smooths all of them.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }

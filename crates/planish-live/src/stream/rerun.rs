@@ -1,5 +1,5 @@
-//! Rerun as a sink [feature `rerun`]: the raw and the smoothed cloud side by side, the depth image, latency and rate,
-//! in its viewer or as a file for it.
+//! A Rerun sink [feature `rerun`]: the raw and the smoothed cloud side by side, the depth image, latency and rate, in
+//! the viewer or as a file for it.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -16,31 +16,31 @@ use crate::source::OwnedFrame;
 use planish_core::{DeviceError, Error, FormatError, FrameError, IoError, OrganizedCloud, Outputs, Xyz};
 use planish_eval::render::{difference_normals, relief};
 
-/// The rate is averaged over this many results.
+/// Number of results over which the rate is averaged.
 const RATE_FRAMES: usize = 30;
 
-/// A viewer that accepts nothing for this long counts as gone.
+/// Maximum time for which a viewer may accept nothing before it counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// Shows every result in Rerun. The stream's outputs must include points.
+/// A sink that shows every result in Rerun. The stream's outputs must include points.
 ///
-/// A frame of 640x480 is about 7 MB. Clouds without colours are shaded as relief.
+/// A 640x480 frame takes about 7 MB. Clouds without colours are shaded as relief.
 pub struct RerunSink {
     recording: Recording,
     results: VecDeque<Instant>,
 }
 
 impl RerunSink {
-    /// The outputs that a stream must compute for it.
+    /// The outputs that a stream must compute for this sink.
     pub const OUTPUTS: Outputs = Outputs::POINTS;
 
-    /// Starts the viewer, the program `rerun` of version 0.36, and shows results there.
+    /// Starts the viewer, the program `rerun` (version 0.36), and shows results in it.
     pub fn spawn() -> Result<Self, Error> {
         Self::start(Recording::spawn()?)
     }
 
-    /// Writes a file for Rerun's viewer. It is called `FILE.partial` until it is closed; if the process is killed
-    /// before, the viewer opens the part that was written.
+    /// Writes a file for Rerun's viewer, named `FILE.partial` until it is closed. If the process is killed before,
+    /// the viewer opens the part that was written.
     pub fn save(file: &Path) -> Result<Self, Error> {
         Self::start(Recording::save(file)?)
     }
@@ -97,7 +97,7 @@ impl Recording {
         Ok(Self { name, stream: Some(stream), file: Some((file.to_path_buf(), partial)) })
     }
 
-    /// Logs something, unless it is closed.
+    /// Logs data, unless the recording is closed.
     pub(crate) fn with<E: std::fmt::Display>(
         &self,
         log: impl FnOnce(&RecordingStream) -> Result<(), E>,
@@ -115,8 +115,8 @@ impl Recording {
         }
     }
 
-    /// Waits until the viewer has all, so that results which it is too slow for are dropped, and counted, by the
-    /// stream.
+    /// Waits until the viewer has everything, so that the stream drops and counts results for which the viewer is too
+    /// slow.
     pub(crate) fn flush(&self) -> Result<(), DeviceError> {
         let gone = |error| DeviceError::Gone { what: format!("{} cannot store more frames: {error}", self.name) };
         self.stream.as_ref().map_or(Ok(()), |stream| stream.flush_with_timeout(SILENCE).map_err(gone))
@@ -183,7 +183,7 @@ impl Sink for RerunSink {
     }
 }
 
-/// Returns the clouds above; depth, latency, rate and flicker below; nothing else.
+/// Returns the layout: clouds above; depth, latency, rate and flicker below.
 fn layout() -> Blueprint {
     let clouds = Horizontal::new([
         Spatial3DView::new("raw").with_origin("raw").into(),

@@ -17,24 +17,24 @@ use planish_io::{self as io, CloudRef, Encoding, RgbImage};
 
 /// Consumes results, one after another.
 pub trait Sink: Send {
-    /// Its name in messages.
+    /// Returns the name of the sink for messages.
     fn name(&self) -> String;
 
     /// Consumes one result.
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error>;
 
-    /// Consumes one result that it may keep without a copy; calls [`write`](Self::write) by default.
+    /// Consumes one result that may be kept without a copy; calls [`write`](Self::write) by default.
     fn write_shared(&mut self, frame: &Arc<StreamFrame>) -> Result<(), Error> {
         self.write(frame)
     }
 
-    /// Called after the last result.
+    /// Finishes the output. Called after the last result.
     fn close(&mut self) -> Result<(), Error> {
         Ok(())
     }
 }
 
-/// The kind of files that a folder sink writes.
+/// The file format of a folder sink.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SinkFormat {
@@ -56,24 +56,24 @@ impl SinkFormat {
     }
 }
 
-/// Writes every result to a folder, under the name of its frame or else as `000000.pcd` and so on, each file
-/// atomically.
+/// A sink that writes every result to a folder, each file atomically. A file has the name of its frame, otherwise
+/// `000000.pcd` and so on.
 ///
-/// Depth becomes a data set in TUM layout: `depth.txt` with the time stamps, `camera.json` with intrinsics and units,
-/// and colour in `rgb` with `rgb.txt`. NAME.origin.png shows the origin of each pixel
-/// if values may be filled or carried over time. Clouds whose source has time stamps are listed in `points.txt`.
+/// Depth becomes a data set in TUM layout: `depth.txt` with the timestamps, `camera.json` with intrinsics and units,
+/// and colour in `rgb` with `rgb.txt`. NAME.origin.png shows the origin of each pixel if values may be filled or
+/// carried over time. Clouds whose source has timestamps are listed in `points.txt`.
 pub struct FolderSink {
     folder: PathBuf,
     format: SinkFormat,
     outputs: Outputs,
-    /// Names that were used.
+    /// Names already used.
     names: HashSet<String>,
     /// Whether the camera has been written.
     has_camera: bool,
 }
 
 impl FolderSink {
-    /// Creates the folder. `outputs` are the fields to add to points. Refuses a folder that has files.
+    /// Creates the folder. `outputs` are the fields to add to points. Refuses a non-empty folder.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         refuse_used(folder)?;
         std::fs::create_dir_all(folder)
@@ -81,7 +81,7 @@ impl FolderSink {
         Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
     }
 
-    /// Returns the name of a frame's file without its extension: no two frames have one name.
+    /// Returns a unique name for a frame's file, without its extension.
     fn name_of(&mut self, frame: &StreamFrame) -> String {
         let number = format!("{:06}", frame.index);
         let is_free = |name: &String| !self.names.contains(name);
@@ -111,7 +111,7 @@ impl FolderSink {
             planish_io::write_rgb_png(&self.folder.join(&colour), &RgbImage { width, height, rgb: rgb.clone() })?;
             self.append("rgb.txt", &format!("{seconds:.6} {colour}\n"))?;
         }
-        // After its images, so that a stream that is cut off leaves a data set up to there.
+        // Written after its images, so that an interrupted stream leaves a complete data set.
         self.append("depth.txt", &format!("{seconds:.6} {file}\n"))?;
         let camera = match &frame.source {
             OwnedFrame::Depth(depth) => Some(depth.camera),
@@ -159,14 +159,14 @@ impl Sink for FolderSink {
     }
 }
 
-/// For sources without time stamps.
+/// Assumed frame rate of sources without timestamps, in frames per second.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Reported when a stream ends because nobody would get its results.
+/// Warning when a stream ends because all of its sinks have failed.
 pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream ends";
 
-/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full a live stream drops results; any
-/// other waits.
+/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full, a live stream drops results, and
+/// any other waits.
 const QUEUE: usize = 8;
 
 /// Consumes results of one type on a separate thread.
@@ -190,7 +190,7 @@ impl Consumer<StreamFrame> for Box<dyn Sink> {
     }
 }
 
-/// A sink on its thread.
+/// A sink on a separate thread.
 pub(crate) struct SinkThread<T> {
     name: String,
     frames: Option<SyncSender<Arc<T>>>,
@@ -217,7 +217,7 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
         Ok(Self { name, frames: Some(frames), thread: Some(thread), dropped: 0, warned: false, time })
     }
 
-    /// Queues a result; returns a warning, once, if the sink failed.
+    /// Queues a result; returns a warning, once each, if the sink failed or is too slow.
     pub(crate) fn give(&mut self, frame: &Arc<T>, live: bool) -> Option<String> {
         let frames = self.frames.as_ref()?;
         let given = if live {
@@ -245,7 +245,7 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
         !sinks.is_empty() && sinks.iter().all(|sink| sink.frames.is_none())
     }
 
-    /// Returns why it failed, once its thread has ended.
+    /// Waits for the thread to end, and returns the reason if the sink failed.
     fn reason(&mut self) -> Option<String> {
         match self.thread.take()?.join() {
             Ok(Ok(())) => None,
@@ -254,7 +254,7 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
         }
     }
 
-    /// Waits until it has written everything, and updates the counts; returns a warning if it failed.
+    /// Waits until the sink has written everything, and updates the counts; returns a warning if the sink failed.
     pub(crate) fn finish(mut self, statistics: &mut StreamStatistics) -> Option<String> {
         let had_failed = self.frames.take().is_none();
         statistics.dropped_by_sinks += self.dropped;

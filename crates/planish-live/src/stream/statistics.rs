@@ -25,29 +25,29 @@ pub struct StreamStatistics {
     pub failed_sinks: u64,
     /// Frames without a pose, if poses were given.
     pub without_pose: u64,
-    /// Gaps in the time stamps after which smoothing over time began again; known at the end.
+    /// Gaps in the timestamps after which smoothing over time restarted. Known at the end.
     pub gaps: u64,
-    /// Time spent in the source, including the wait for a live frame. Known at the end, like the next two.
+    /// Time spent in the source, including the wait for a live frame. Known at the end.
     pub time_capturing: Duration,
-    /// Time spent handing frames to the engine and waiting for results.
+    /// Time spent handing frames to the engine and waiting for results. Known at the end.
     pub time_smoothing: Duration,
-    /// Time spent in the sinks, summed over them.
+    /// Time spent in the sinks, summed over them. Known at the end.
     pub time_in_sinks: Duration,
     /// The engine that smoothed the last frame.
     pub engine: Engine,
-    /// How frames differed from those before, on average, if they are smoothed over time.
+    /// Mean difference between consecutive frames, if they are smoothed over time.
     pub flicker: Option<Flicker>,
-    /// Frames in that average.
+    /// Number of frames averaged in `flicker`.
     flickering: u32,
     started: Instant,
     first: Option<Instant>,
     last: Option<Instant>,
     duration: Option<Duration>,
-    /// In microseconds, up to 100 s with 3 digits. Never `None`: the bounds are constants.
+    /// Latencies in microseconds, up to 100 s with 3 digits. Never `None`, since the bounds are constants.
     latency: Option<Histogram<u64>>,
 }
 
-/// Latency: from a frame's arrival until its result is available.
+/// Latency, the time from a frame's arrival until its result is available.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Latency {
@@ -108,12 +108,12 @@ impl StreamStatistics {
         self.duration = Some(self.started.elapsed());
     }
 
-    /// Returns the time from opening to the end.
+    /// Returns the time from the start to the end of the stream, or until now while it runs.
     pub fn duration(&self) -> Duration {
         self.duration.unwrap_or_else(|| self.started.elapsed())
     }
 
-    /// Returns results per second, from the first to the last.
+    /// Returns the number of results per second, from the first result to the last.
     pub fn fps(&self) -> f64 {
         match (self.first, self.last) {
             (Some(first), Some(last)) if last > first => (self.frames_out - 1) as f64 / (last - first).as_secs_f64(),

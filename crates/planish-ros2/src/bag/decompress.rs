@@ -1,7 +1,7 @@
-//! Decompression of chunks without C: zstd by ruzstd, LZ4 by lz4_flex.
+//! Decompression of chunks without C code: zstd by ruzstd, LZ4 by lz4_flex.
 //!
-//! Both work on whatever part of a chunk has been read, so that a recording that ends in the middle of a chunk gives
-//! every message before that.
+//! Both decompress whatever part of a chunk has been read, so that every message before the end of a truncated
+//! recording can be read.
 
 use std::io::Read;
 
@@ -16,11 +16,11 @@ pub(super) fn register(reader: &mut LinearReader) -> McapResult<()> {
     reader.add_decompressor(Lz4::default())
 }
 
-/// Magic numbers of frames to skip, in both formats: the last four bits are any.
+/// Magic number of skippable frames in both formats; its last four bits are arbitrary.
 const SKIPPABLE: u32 = 0x184D_2A50;
-/// Bytes of the magic number and the length of a frame to skip.
+/// Size in bytes of the header of a skippable frame: its magic number and its length.
 const SKIPPABLE_HEADER: usize = 8;
-/// Bytes of the longest header of a zstd frame.
+/// Maximum size of the header of a zstd frame in bytes.
 const LONGEST_ZSTD_HEADER: usize = 18;
 
 const NOTHING: DecompressResult = DecompressResult { consumed: 0, wrote: 0 };
@@ -33,18 +33,18 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-/// Returns the length of a frame to skip, if one begins here.
+/// Returns the length in bytes of a skippable frame that begins here, if any.
 fn skippable(src: &[u8]) -> Option<usize> {
     let is_skippable = u32_at(src, 0)? & !0xF == SKIPPABLE;
     is_skippable.then(|| u32_at(src, 4).map(|length| SKIPPABLE_HEADER + length as usize))?
 }
 
-/// Decompresses zstd frames, one after another.
+/// A decompressor of zstd frames, one after another.
 #[derive(Default)]
 struct Zstd {
-    /// The frame that is being decompressed.
+    /// The current frame.
     frame: Option<Box<FrameDecoder>>,
-    /// Bytes left of a frame to skip.
+    /// Number of bytes of a skippable frame that are still to be skipped.
     skipping: usize,
 }
 
@@ -68,7 +68,7 @@ impl Decompressor for Zstd {
                     return self.decompress(src, dst);
                 }
                 let mut frame = Box::new(FrameDecoder::new());
-                // The header must be there whole.
+                // The decoder needs the whole header.
                 match frame.init(&mut &src[..]) {
                     Ok(()) => Box::new(FrameDecoder::new()),
                     Err(_) if src.len() < LONGEST_ZSTD_HEADER => return Ok(NOTHING),
@@ -77,7 +77,7 @@ impl Decompressor for Zstd {
             }
         };
         let (consumed, wrote) = frame.decode_from_to(src, dst).map_err(damaged)?;
-        // It claims the four bytes of a checksum also where they have not been read yet.
+        // The decoder also counts the four bytes of a checksum that have not been read yet.
         let consumed = if consumed > src.len() { 0 } else { consumed };
         if !frame.is_finished() || frame.can_collect() > 0 {
             self.frame = Some(frame);
@@ -95,19 +95,19 @@ impl Decompressor for Zstd {
     }
 }
 
-/// Decompresses LZ4 frames, one after another. lz4_flex decompresses their blocks; its own frames need a reader that
-/// waits.
+/// A decompressor of LZ4 frames, one after another. lz4_flex decompresses their blocks; its own frame decoder needs a
+/// blocking reader.
 #[derive(Default)]
 struct Lz4 {
     frame: Option<Lz4Frame>,
-    /// The last block, and the 64 KiB before it that it may refer to.
+    /// The last block, and up to 64 KiB before it, which the next block may refer to.
     window: Vec<u8>,
     /// The offset in `window` of the first byte not yet returned.
     unread: usize,
     skipping: usize,
 }
 
-/// The values in the header of a frame.
+/// The header of a frame.
 #[derive(Clone, Copy)]
 struct Lz4Frame {
     largest_block: usize,
@@ -117,10 +117,10 @@ struct Lz4Frame {
 
 impl Lz4Frame {
     const MAGIC: u32 = 0x184D_2204;
-    /// How far back a block may refer.
+    /// Maximum distance in bytes that a block may refer back.
     const WINDOW: usize = 64 << 10;
 
-    /// Reads the header of a frame and its length; `None` where it is not there whole.
+    /// Reads the header of a frame; returns it with its length in bytes, or `None` if it is incomplete.
     fn read(src: &[u8]) -> McapResult<Option<(Self, usize)>> {
         let (Some(magic), Some(&[flags, sizes])) = (u32_at(src, 0), src.get(4..6).and_then(|two| two.first_chunk()))
         else {
@@ -144,7 +144,7 @@ impl Lz4Frame {
 }
 
 impl Lz4 {
-    /// Hands out what has been decompressed.
+    /// Copies decompressed bytes to `dst`; returns their number.
     fn hand_out(&mut self, dst: &mut [u8]) -> usize {
         let mut unread = &self.window[self.unread..];
         let wrote = unread.read(dst).unwrap_or(0);
@@ -152,7 +152,7 @@ impl Lz4 {
         wrote
     }
 
-    /// Decompresses the block at the beginning of `src`; returns its length, or `None` where it is not there whole.
+    /// Decompresses the block at the beginning of `src`; returns its length in bytes, or `None` if it is incomplete.
     fn block(&mut self, frame: Lz4Frame, src: &[u8]) -> McapResult<Option<usize>> {
         const UNCOMPRESSED: u32 = 1 << 31;
         let Some(size) = u32_at(src, 0) else { return Ok(None) };

@@ -1,7 +1,7 @@
-//! Foxglove's messages in Protocol Buffers: images, clouds and cameras, as the messages of ROS that they are like.
+//! Foxglove's Protocol Buffers messages for images, clouds and cameras, converted to the corresponding ROS messages.
 //!
-//! Fields are read by their numbers in Foxglove's published schemas. A smoothed message is the original one with other
-//! data, so that fields unknown here are kept.
+//! Fields are read by their numbers in Foxglove's published schemas. A smoothed message is a copy of the original
+//! with other data, so that unknown fields are kept.
 
 use super::super::ros::{CameraInfo, DepthMessage, DepthPixels, Header, Image, PointCloud2, PointField, Time};
 use planish_core::FormatError;
@@ -14,10 +14,10 @@ pub(super) const COMPRESSED_TYPE: &str = "foxglove.CompressedImage";
 pub(super) const CLOUD_TYPE: &str = "foxglove.PointCloud";
 pub(super) const CAMERA_TYPE: &str = "foxglove.CameraCalibration";
 
-/// Numbers of Foxglove's types of values, in the order of ROS's: i8, u8, i16, u16, i32, u32, f32, f64.
+/// Foxglove's numbers of the scalar types, in the order of ROS: i8, u8, i16, u16, i32, u32, f32, f64.
 const TYPES: [u64; 8] = [2, 1, 4, 3, 6, 5, 7, 8];
 
-/// A value of a message.
+/// The value of a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Value<'a> {
     Varint(u64),
@@ -114,7 +114,7 @@ impl Value<'_> {
         }
     }
 
-    /// Appends the numbers of a list, which is packed or has a field for each.
+    /// Appends the numbers of a repeated field: all numbers of a packed field, or one of an unpacked field.
     fn push_to(self, numbers: &mut Vec<f64>) {
         match self {
             Value::Eight(bytes) => numbers.push(f64::from_le_bytes(bytes)),
@@ -130,7 +130,7 @@ impl Value<'_> {
         let mut time = Time::default();
         for field in Fields(bytes) {
             match field? {
-                // A negative number has all bits above it set.
+                // Negative numbers are sign-extended to 64 bits.
                 (1, Value::Varint(seconds), _) => time.sec = i32::try_from(seconds as i64).unwrap_or_default(),
                 (2, Value::Varint(nanoseconds), _) => time.nanosec = u32::try_from(nanoseconds).unwrap_or_default(),
                 _ => {}
@@ -162,7 +162,7 @@ pub(super) fn image(message: &[u8]) -> Result<Image, FormatError> {
     Ok(image)
 }
 
-/// A `CompressedImage`: stamp and frame, format, and the image as a file.
+/// A `CompressedImage`: stamp and frame, format, and the encoded image.
 pub(super) struct CompressedImage {
     pub(super) header: Header,
     pub(super) format: String,
@@ -184,13 +184,13 @@ pub(super) fn compressed_image(message: &[u8]) -> Result<CompressedImage, Format
 }
 
 impl CompressedImage {
-    /// Returns true for a PNG of 16-bit grey.
+    /// Returns true if the image is a 16-bit greyscale PNG.
     pub(super) fn is_depth(&self) -> bool {
         const HEADER: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
         self.data.starts_with(HEADER) && self.data.get(24..26) == Some(&[16, 0])
     }
 
-    /// Returns the image without compression.
+    /// Decompresses the image.
     pub(super) fn image(self, options: &ReadOptions) -> Result<Image, FormatError> {
         if !self.is_depth() {
             return Err(FormatError::Unsupported(format!(
@@ -258,7 +258,7 @@ pub(super) fn camera(message: &[u8]) -> Result<CameraInfo, FormatError> {
             _ => {}
         }
     }
-    // A matrix that was left out is one of zeros.
+    // A missing matrix becomes all zeros.
     info.k = k.try_into().unwrap_or_default();
     info.r = r.try_into().unwrap_or_default();
     info.p = p.try_into().unwrap_or_default();
@@ -277,7 +277,7 @@ fn without(message: &[u8], numbers: &[u64]) -> Result<Vec<u8>, FormatError> {
     Ok(kept)
 }
 
-/// Returns a `RawImage` with the depth of another.
+/// Returns a copy of a `RawImage` with the depth of `image`.
 pub(super) fn with_image(original: &[u8], image: &Image) -> Result<Vec<u8>, FormatError> {
     let mut message = without(original, &[5, 6])?;
     push_four(&mut message, 5, image.step);
@@ -285,7 +285,7 @@ pub(super) fn with_image(original: &[u8], image: &Image) -> Result<Vec<u8>, Form
     Ok(message)
 }
 
-/// Returns a `CompressedImage` with other depth.
+/// Returns a copy of a `CompressedImage` with the depth of `image`.
 pub(super) fn with_compressed_image(
     original: &[u8],
     image: &Image,
@@ -299,7 +299,7 @@ pub(super) fn with_compressed_image(
     Ok(message)
 }
 
-/// Returns a `PointCloud` with other points.
+/// Returns a copy of a `PointCloud` with the points of `cloud`.
 pub(super) fn with_cloud(original: &[u8], cloud: &PointCloud2) -> Result<Vec<u8>, FormatError> {
     let mut message = without(original, &[4, 5, 6])?;
     push_four(&mut message, 4, cloud.point_step);

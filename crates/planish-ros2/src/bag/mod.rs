@@ -1,6 +1,6 @@
-//! Recordings of ROS 2 in MCAP: copied with their depth smoothed, read as a source of frames, or written from frames.
+//! ROS 2 recordings in MCAP: copied with their depth smoothed, read as a source of frames, or written from frames.
 //!
-//! Recordings are read and written record by record: memory holds one chunk and one message, whatever the length.
+//! Recordings are read and written record by record, so memory holds one chunk and one message, whatever the length.
 //! Messages are types of [`ros`](crate::ros).
 
 mod decompress;
@@ -26,10 +26,10 @@ pub use source::BagSource;
 pub use survey::{MessageKind, OtherTopic, Survey, Topic};
 pub use writer::{BagWriter, finish_recordings, refuse_cut_off};
 
-/// The bytes that a recording in MCAP begins with.
+/// The first bytes of an MCAP recording.
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 
-/// Returns true if a path is a recording in MCAP: a file by its first bytes, or a folder of rosbag2 with such files.
+/// Returns true if a path is an MCAP recording: a file with its first bytes, or a rosbag2 folder with .mcap files.
 pub fn is_bag(path: &Path) -> bool {
     let has_parts = || match parts::parts_of(path) {
         Ok(parts) => parts.iter().any(|part| is_named_mcap(part)),
@@ -38,7 +38,7 @@ pub fn is_bag(path: &Path) -> bool {
     is_recording(path) || path.join("metadata.yaml").is_file() && has_parts()
 }
 
-/// Returns true if a file begins as a recording does.
+/// Returns true if a file begins with the first bytes of an MCAP recording.
 fn is_recording(path: &Path) -> bool {
     use std::io::Read;
     let mut first = [0; 8];
@@ -47,11 +47,11 @@ fn is_recording(path: &Path) -> bool {
         && first == MAGIC
 }
 
-/// Resolves the name of a recording: the file, the only .mcap in a folder of rosbag2, or the folder itself if it has
-/// several, which are read one after another.
+/// Returns the path to read for a recording: `path` itself, or the only .mcap file of a rosbag2 folder. A folder with
+/// several files is returned unchanged; its files are read one after another.
 ///
 /// # Errors
-/// If a folder of rosbag2 has recordings of another kind only.
+/// If a rosbag2 folder contains recordings in another format, or lacks a file that it lists.
 pub fn file_of(path: &Path) -> Result<PathBuf, IoError> {
     if !path.join("metadata.yaml").is_file() {
         return Ok(path.to_path_buf());
@@ -94,12 +94,12 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     })
 }
 
-/// Returns true if a file is a recording in MCAP by its name.
+/// Returns true if a file name has the extension of an MCAP recording.
 pub fn is_named_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Converts an error of a truncated recording; any other error.
+/// Converts an error of the MCAP reader or writer.
 fn of_mcap(error: mcap::McapError) -> FormatError {
     match error {
         mcap::McapError::Io(error) => FormatError::Os(error),

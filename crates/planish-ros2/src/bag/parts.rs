@@ -1,4 +1,4 @@
-//! Recordings in several files, as rosbag2 splits them: read as one.
+//! Recordings that rosbag2 split into several files, which are read as one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,8 @@ use super::is_named_mcap;
 use planish_core::FormatError;
 use planish_io::internal::quoted;
 
-/// Returns the files of a recording in their order: the file, or those that the metadata of rosbag2's folder lists.
+/// Returns the files of a recording in order: the file itself, or the files that the metadata of a rosbag2 folder
+/// lists. If it lists none, returns all .mcap files of the folder.
 ///
 /// # Errors
 /// If a listed file is missing.
@@ -23,7 +24,7 @@ pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
     if !files.is_empty() {
         return Ok(files);
     }
-    // Some programs list nothing.
+    // Some programs list no files.
     let files = std::fs::read_dir(path)?.flatten().map(|entry| entry.path());
     let mut files: Vec<PathBuf> = files.filter(|file| is_named_mcap(file) && file.is_file()).collect();
     files.sort_by_cached_key(|file| {
@@ -35,7 +36,7 @@ pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
     Ok(files)
 }
 
-/// Returns the names of the files under `relative_file_paths`. Old versions put the folder before them.
+/// Returns the names of the files under `relative_file_paths`, without the folder that old versions put before them.
 fn listed(metadata: &str) -> Vec<String> {
     let mut lines = metadata.lines().map(str::trim);
     if !lines.any(|line| line == "relative_file_paths:") {
@@ -46,20 +47,21 @@ fn listed(metadata: &str) -> Vec<String> {
     names.filter_map(|name| Some(Path::new(name).file_name()?.to_str()?.to_owned())).collect()
 }
 
-/// Numbers of schemas and channels that are the same in all files of a recording. The first file keeps its own.
+/// Common numbers of schemas and channels for all files of a recording. The first file keeps its own numbers.
 #[derive(Default)]
 pub(super) struct Numbers {
     /// Number of a schema by name, encoding and text.
     schemas: BTreeMap<(String, String, Vec<u8>), u16>,
     /// Number of a channel by topic, schema and encoding of its messages.
     channels: BTreeMap<(String, u16, String), u16>,
-    /// Numbers that schemas or channels have.
+    /// Numbers in use by schemas or channels.
     used: BTreeSet<u16>,
-    /// Numbers in the current file.
+    /// Number of each schema in all files, by its number in the current file.
     schema: BTreeMap<u16, u16>,
+    /// Number of each channel in all files, by its number in the current file.
     channel: BTreeMap<u16, u16>,
     is_later: bool,
-    /// All numbers before it, from the first free one, are used.
+    /// Number from which the search for a free number continues.
     next_free: u16,
 }
 
@@ -71,8 +73,9 @@ impl Numbers {
         self.is_later = true;
     }
 
-    /// Returns the number of something in all files: its own in the first file; in later ones the known number or a
-    /// free one from the middle, where recorders and [`smooth_bag`](super::smooth_bag) have none.
+    /// Returns the number of a schema or channel in all files: its own number in the first file; in later files, the
+    /// known number or a free one from the middle of the range, where neither recorders nor
+    /// [`smooth_bag`](super::smooth_bag) allocate numbers. Returns `None` if no number is free.
     fn number(&mut self, known: Option<u16>, own: u16) -> Option<u16> {
         const FIRST_FREE: u16 = 0x8000;
         let number = match known {
@@ -89,7 +92,7 @@ impl Numbers {
         Some(number)
     }
 
-    /// Renumbers a record; `None` for one that an earlier file had.
+    /// Renumbers a record; returns `None` for a record that an earlier file already had.
     pub(super) fn renumbered(&mut self, record: Record<'static>) -> Result<Option<Record<'static>>, FormatError> {
         let too_many = || FormatError::Malformed("more channels than a recording can have".into());
         Ok(Some(match record {

@@ -15,36 +15,36 @@ use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
 use planish_io::internal::{guarded, quoted};
 
-/// Number of bytes to read at once, whatever length a record claims.
+/// Maximum number of bytes to read at once, whatever length a record claims.
 const READ_BYTES: usize = 1 << 20;
 
 /// Next item of a recording.
 pub(super) enum Next {
     /// A record.
     Record(Record<'static>),
-    /// The end of a chunk whose checksum is wrong: records of it, which came before, may be damaged.
+    /// The end of a chunk with a wrong checksum. Its records, which were already returned, may be damaged.
     DamagedChunk,
     /// The end of the section.
     End,
-    /// The file ends in the middle of it.
+    /// The file ends in the middle of the section.
     CutOff,
-    /// The rest of a file cannot be read, for this reason; another one follows.
+    /// The rest of a file cannot be read, for the given reason; another file follows.
     DamagedFile(String),
 }
 
-/// Reads the data section of a recording, chunks decompressed, or its summary.
+/// A reader of a recording's data section, with chunks decompressed, or of its summary.
 pub(super) struct Records {
     file: BufReader<File>,
     reader: LinearReader,
     options: ReadOptions,
     path: PathBuf,
-    /// Files that follow.
+    /// Files still to be read.
     rest: std::vec::IntoIter<PathBuf>,
     numbers: Numbers,
 }
 
 impl Records {
-    /// From the beginning, file after file.
+    /// Opens a recording at its beginning. Its files are read one after another.
     pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
         let opened = || -> Result<_, FormatError> {
             let mut rest = parts_of(path)?.into_iter();
@@ -55,9 +55,10 @@ impl Records {
         opened().map_err(IoError::at(path))
     }
 
-    /// From the summary on, if there is one.
+    /// Opens a file at its summary; returns `None` if it has no summary or is damaged.
     fn open_summary(path: &Path, options: &ReadOptions, numbers: Numbers) -> Option<Self> {
-        /// The footer's opcode and length, its two offsets and its checksum, and the magic bytes.
+        /// Size in bytes of the end of a file: the footer's opcode and length, its two offsets and its checksum, and
+        /// the magic bytes.
         const FOOTER_BYTES: i64 = 1 + 8 + 20 + 8;
         let mut file = File::open(path).ok()?;
         file.seek(SeekFrom::End(-FOOTER_BYTES)).ok()?;
@@ -73,7 +74,7 @@ impl Records {
         Some(Self { file: BufReader::new(file), reader, options: *options, path, rest, numbers })
     }
 
-    /// Returns the next record; the indices of chunks are left out.
+    /// Returns the next record. Message indices are skipped.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
             let next = match self.next_of_file() {
@@ -118,7 +119,8 @@ impl Records {
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
-                // Without them, the reader continues as if the chunk did not end. It returns no chunks otherwise.
+                // Without overflow checks, the reader continues as if the chunk did not end. Only then it returns a
+                // chunk record.
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     return Ok(Next::Record(parse_record(opcode, data)?.into_owned()));
@@ -143,7 +145,8 @@ fn beyond_its_chunk() -> FormatError {
     FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
 }
 
-/// Returns a record is in memory twice: in the reader's buffer, and decoded.
+/// Returns the options of a reader, which limit a record to half of the allowed memory: it is in memory twice, in the
+/// buffer of the reader and decoded.
 fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
     let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
     LinearReaderOptions::default().with_record_length_limit(limit)
@@ -166,15 +169,15 @@ pub(super) fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, Format
     mcap::parse_record(opcode, data).map_err(of_mcap)
 }
 
-/// Returns true if the texts, tables and data of a record fit into it: the parser would allocate the claimed sizes, or
-/// panic.
+/// Returns true if the texts, tables and data of a record fit into it. The parser does not check this: it would
+/// allocate the claimed sizes, or panic.
 fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
-    /// Skips what has its length in four bytes before it.
+    /// Skips a text or block that follows its length in four bytes.
     fn skip(data: &[u8]) -> Option<&[u8]> {
         let (length, rest) = data.split_first_chunk::<4>()?;
         rest.get(u32::from_le_bytes(*length) as usize..)
     }
-    /// Skips a table of texts, two for each entry.
+    /// Skips a table whose entries are two texts each.
     fn skip_texts(data: &[u8]) -> Option<&[u8]> {
         let after = skip(data)?;
         let mut table = &data[4..data.len() - after.len()];
@@ -183,13 +186,13 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
         }
         Some(after)
     }
-    /// Skips a table of entries of this many bytes. The parser reads whole entries, even beyond the table's end.
+    /// Skips a table with entries of `bytes` bytes. Returns `None` if the last entry is incomplete: the parser would
+    /// read beyond the end of the table.
     fn skip_entries(data: &[u8], bytes: usize) -> Option<&[u8]> {
         let after = skip(data)?;
         (data.len() - after.len() - 4).is_multiple_of(bytes).then_some(after)
     }
-    /// Skips the data of an attachment, whose length is in eight bytes before it and whose checksum is in four behind
-    /// it.
+    /// Skips the data of an attachment, between its length in eight bytes and its checksum in four bytes.
     fn skip_attached(data: &[u8]) -> Option<&[u8]> {
         let (length, rest) = data.split_first_chunk::<8>()?;
         rest.get(usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_add(4)?..)
@@ -216,13 +219,13 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
 pub(super) struct Summary {
     /// Topic and type of each channel.
     pub(super) channels: BTreeMap<u16, (String, String)>,
-    /// The numbers of its schemas.
+    /// Name of each schema by number.
     pub(super) schemas: BTreeMap<u16, String>,
-    /// Messages of each channel, and of all.
+    /// Number of messages of each channel, and of all channels.
     pub(super) messages: Option<(BTreeMap<u16, u64>, u64)>,
-    /// Of its first chunk.
+    /// Compression of the first chunk.
     pub(super) compression: Option<String>,
-    /// Whether a schema or a channel of the data is not repeated here.
+    /// Whether the summary lacks a schema or channel of the data.
     pub(super) is_partial: bool,
 }
 
@@ -246,7 +249,7 @@ impl Summary {
         Some(summary)
     }
 
-    /// Adds the summary of a file; returns the numbers for the next file.
+    /// Adds the summary of a file; returns the numbering for the next file, or `None` if the summary is damaged.
     fn add(&mut self, mut records: Records) -> Option<Numbers> {
         let summary = self;
         loop {
@@ -278,10 +281,11 @@ impl Summary {
     }
 }
 
-/// How the first chunk of a recording is compressed; nothing where a message comes before any chunk, `None` where
-/// neither comes.
+/// Returns the compression of the first chunk of a recording: an empty string if a message comes before any chunk,
+/// `None` if the recording has neither.
 pub(super) fn first_compression(path: &Path) -> Option<String> {
-    /// Both times, the size without compression and the checksum of a chunk.
+    /// Size in bytes of the part of a chunk before the name of its compression: two times, the uncompressed size and
+    /// the checksum.
     const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;
     let first = parts_of(path).ok()?.into_iter().next()?;
     let mut file = BufReader::new(File::open(first).ok()?);

@@ -20,13 +20,13 @@ use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
 use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
 
-/// Bytes before a record: its kind and its length.
+/// Size in bytes of the header of a record: its opcode and its length.
 const RECORD_HEADER: u64 = 9;
 
-/// No recorder has this much in one record that is being written, in bytes.
+/// Maximum number of bytes lost by a cut, since no recorder writes larger records. A larger loss means damage.
 const LARGEST_LOSS: u64 = 256 << 20;
 
-/// What [`recover`] did.
+/// Result of [`recover`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Recovered {
@@ -36,9 +36,9 @@ pub struct Recovered {
     pub was_whole: bool,
     /// Number of messages.
     pub messages: u64,
-    /// Incomplete bytes removed from the end (0 for a compressed chunk with whole messages).
+    /// Number of incomplete bytes removed from the end (0 for a compressed chunk with whole messages).
     pub dropped_bytes: u64,
-    /// Chunks that cannot be read; they stay in the file, without an index.
+    /// Number of chunks that cannot be read; they stay in the file, without an index.
     pub damaged_chunks: u64,
 }
 
@@ -49,9 +49,8 @@ pub fn part_of(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Completes a recording that was cut off, by a killed process or a full disk, in place; `NAME.mcap.part` is then
-/// renamed to `NAME.mcap`. Every whole message is kept, also those of a chunk that was cut. Damaged chunks stay as they
-/// are.
+/// Completes in place a recording that was cut off by a killed process or a full disk, and renames `NAME.mcap.part`
+/// to `NAME.mcap`. Every whole message is kept, including those of a cut chunk. Damaged chunks are left unchanged.
 ///
 /// # Errors
 /// If the file is not a recording, is being written, is read-only, or is damaged instead of cut off; or if another file
@@ -83,7 +82,8 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
     recovered().map_err(IoError::at(path))
 }
 
-/// Marks a file as being written, until it is closed. Windows would keep others from reading it.
+/// Marks a file as being written until it is closed. Has no effect on Windows, where the lock would keep others from
+/// reading the file.
 pub(super) fn mark_as_being_written(file: &File) {
     #[cfg(unix)]
     let _ = file.try_lock();
@@ -91,7 +91,7 @@ pub(super) fn mark_as_being_written(file: &File) {
     let _ = file;
 }
 
-/// Returns true if another process, or another part of this one, is writing the file; otherwise it is marked.
+/// Returns true if another process, or another part of this one, is writing the file; otherwise marks the file.
 pub(super) fn is_being_written(file: &File) -> bool {
     #[cfg(unix)]
     return matches!(file.try_lock(), Err(std::fs::TryLockError::WouldBlock));
@@ -102,7 +102,7 @@ pub(super) fn is_being_written(file: &File) -> bool {
     }
 }
 
-/// Completes a recording under the name that it has.
+/// Completes a recording without renaming it.
 pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Result<Recovered, FormatError> {
     let bytes = file.metadata()?.len();
     let mut scan = Scan::default();
@@ -116,7 +116,7 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     };
     let summary = summary_start(file, bytes)?;
     let is_ended = summary.is_some();
-    // The summary follows the data at once; a footer without one does too.
+    // In a complete file, the data are directly followed by the summary, or by a footer without one.
     if end.is_data_end && (summary == Some(end.after) || summary == Some(0) && bytes - end.after == FOOTER_BYTES) {
         return Ok(recovered(true, 0));
     }
@@ -140,12 +140,13 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     Ok(recovered(false, end.dropped))
 }
 
-/// The end of a recording's whole part.
+/// The end of the whole records of a recording, as offsets and sizes in bytes.
 struct End {
     valid: u64,
     dropped: u64,
-    /// It ends with the record that ends the data, after which comes this offset.
+    /// Whether the record that ends the data follows.
     is_data_end: bool,
+    /// Offset after the record that ends the data; the same as `valid` if that record is missing.
     after: u64,
 }
 
@@ -158,7 +159,7 @@ struct Scan {
     counts: BTreeMap<u16, u64>,
     times: Option<(u64, u64)>,
     chunks: Vec<ChunkIndex>,
-    /// Indices of messages that the last chunk lacks.
+    /// Message indices that the last chunk lacks.
     missing: BTreeMap<u16, Vec<MessageIndexEntry>>,
     /// Whole records of a chunk that was cut.
     salvaged: Option<Contents>,
@@ -168,7 +169,7 @@ struct Scan {
 }
 
 impl Scan {
-    /// Reads the records up to the end of the data, or to the first that is not whole.
+    /// Reads the records up to the end of the data, or to the first incomplete record.
     fn run(&mut self, file: &mut File, bytes: u64, options: &ReadOptions) -> Result<End, FormatError> {
         let mut magic = [0; MAGIC.len()];
         file.seek(SeekFrom::Start(0))?;
@@ -225,7 +226,7 @@ impl Scan {
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                     let mut contents = Contents::default();
                     let is_read = contents.add(opcode, &data, false);
-                    // As in the rest of a record that became zeros.
+                    // Unknown channels appear in the rest of a record that became zeros.
                     if !self.knows_channels(&contents) {
                         return cut(bytes - at);
                     }
@@ -240,7 +241,7 @@ impl Scan {
         }
     }
 
-    /// Keeps the whole records of a chunk that was cut; returns the bytes that are lost.
+    /// Keeps the whole records of a chunk that was cut; returns the number of lost bytes.
     fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
         // After a power failure a message may end in zeros.
         let zeros = data.iter().rev().take_while(|&&byte| byte == 0).count();
@@ -263,19 +264,19 @@ impl Scan {
         data.len().saturating_sub(kept) as u64
     }
 
-    /// Returns true if all messages are of channels that are there.
+    /// Returns true if the channels of all messages are known.
     fn knows_channels(&self, contents: &Contents) -> bool {
         contents.index.keys().all(|id| self.channels.contains_key(id) || contents.channels.contains_key(id))
     }
 
-    /// Indexes a whole chunk. Its indices of messages follow.
+    /// Indexes a chunk, whose message indices follow, or counts it as damaged.
     fn chunk(&mut self, at: u64, length: u64, data: &[u8], contents: Contents, is_whole: bool) {
         self.missing.clear();
         let header = match parse_record(op::CHUNK, data) {
             Ok(Record::Chunk { header, .. }) if is_whole => header,
             _ => {
                 self.damaged_chunks += 1;
-                // Later chunks may refer to them.
+                // Later chunks may refer to its schemas and channels.
                 self.schemas.extend(contents.schemas);
                 self.channels.extend(contents.channels);
                 return;
@@ -296,7 +297,7 @@ impl Scan {
         });
     }
 
-    /// Registers an index of messages of the last chunk.
+    /// Registers a message index of the last chunk.
     fn message_index(&mut self, at: u64, length: u64, data: &[u8]) {
         let (Some(chunk), Some(&[low, high])) = (self.chunks.last_mut(), data.first_chunk()) else { return };
         let channel = u16::from_le_bytes([low, high]);
@@ -379,14 +380,14 @@ impl Scan {
         for chunk in &chunks {
             record(&mut tail, op::CHUNK_INDEX, &encoded(chunk)?);
         }
-        // 0: no table of the summary's parts, and no checksum.
+        // 0 means no table of the parts of the summary, and no checksum.
         record(&mut tail, op::FOOTER, &encoded(&Footer { summary_start, summary_offset_start: 0, summary_crc: 0 })?);
         tail.extend(MAGIC);
         Ok(tail)
     }
 }
 
-/// Appends the indices of a chunk's messages; `to` begins at the offset `at` of the file.
+/// Appends the message indices of a chunk to `to`, which begins at the offset `at` of the file.
 fn index_messages(
     to: &mut Vec<u8>,
     at: u64,
@@ -408,10 +409,10 @@ fn encoded<T: for<'a> BinWrite<Args<'a> = ()>>(value: &T) -> Result<Vec<u8>, For
     Ok(bytes.into_inner())
 }
 
-/// Bytes of the record of a footer, and the magic bytes.
+/// Size in bytes of a footer record and the magic bytes after it.
 const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
 
-/// Returns where the summary begins by the footer, 0 without a summary; `None` without a footer.
+/// Returns the offset of the summary that the footer states, 0 if there is no summary; `None` without a footer.
 fn summary_start(file: &mut File, bytes: u64) -> Result<Option<u64>, FormatError> {
     if bytes < FOOTER_BYTES {
         return Ok(None);
@@ -423,7 +424,7 @@ fn summary_start(file: &mut File, bytes: u64) -> Result<Option<u64>, FormatError
     Ok(start.filter(|_| footer[0] == op::FOOTER && footer.ends_with(&MAGIC)))
 }
 
-/// Returns true if only zeros follow.
+/// Returns true if the rest of the file consists of zeros.
 fn is_zero(file: &mut File) -> Result<bool, FormatError> {
     let mut buffer = vec![0; 1 << 16];
     loop {

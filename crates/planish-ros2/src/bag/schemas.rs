@@ -1,8 +1,10 @@
 //! Message definitions as stored in a recording: the definition of the message, then those of its parts.
 
-/// Encoding of these definitions, and encoding of the messages.
+/// Encoding of the message definitions.
 pub(super) const SCHEMA_ENCODING: &str = "ros2msg";
+/// Encoding of the messages.
 pub(super) const MESSAGE_ENCODING: &str = "cdr";
+/// MCAP profile of ROS 2 recordings.
 pub(super) const PROFILE: &str = "ros2";
 
 pub(super) const IMAGE_TYPE: &str = "sensor_msgs/msg/Image";

@@ -18,24 +18,24 @@ use crate::ros::{MessageError, MessageSmoother, PointCloud2, to_cdr};
 use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError};
 use planish_io::{ReadOptions, internal::AtomicFile};
 
-/// Which topics of a recording are smoothed, and with which cameras.
+/// Options for smoothing a recording.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SmoothBagOptions {
-    /// The topics to smooth; none for the only one with depth.
+    /// The topics to smooth; if empty, the only topic with depth.
     pub topics: Vec<String>,
-    /// The topic with the camera of all images, if their namespaces have none.
+    /// The topic with the camera of all images, which replaces the cameras in their namespaces.
     pub camera_info_topic: Option<String>,
-    /// The camera, which replaces the recording's. A width and height of 0 accept images of any shape.
+    /// A camera that replaces the recording's. A width and height of 0 accept images of any shape.
     pub camera: Option<Camera>,
-    /// Adds a cloud for each depth image on this topic.
+    /// The topic of clouds to add, one for each depth image; `None` adds no clouds.
     pub points_topic: Option<String>,
-    /// The limit to the memory that a message or a chunk may take.
+    /// The memory limit for a message or chunk.
     pub read: ReadOptions,
 }
 
 impl SmoothBagOptions {
-    /// Sets the topics.
+    /// Sets the topics to smooth.
     pub fn with_topics(self, topics: Vec<String>) -> Self {
         Self { topics, ..self }
     }
@@ -50,7 +50,7 @@ impl SmoothBagOptions {
         Self { camera, ..self }
     }
 
-    /// Sets a topic for clouds of the depth images; `None` for none.
+    /// Sets the topic of the clouds to add for depth images; `None` adds no clouds.
     pub fn with_points_topic(self, points_topic: Option<String>) -> Self {
         Self { points_topic, ..self }
     }
@@ -65,15 +65,15 @@ impl SmoothBagOptions {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TopicReport {
-    /// Its name.
+    /// Name of the topic.
     pub topic: String,
-    /// The type of its messages.
+    /// Type of the messages.
     pub kind: MessageKind,
-    /// Messages smoothed.
+    /// Number of messages smoothed.
     pub smoothed: u64,
-    /// Messages copied as they were, since they could not be smoothed.
+    /// Number of messages copied unchanged because they could not be smoothed.
     pub failed: u64,
-    /// Why the first of those could not be.
+    /// Reason why the first of the failed messages could not be smoothed.
     pub first_failure: Option<String>,
 }
 
@@ -81,17 +81,17 @@ pub struct TopicReport {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SmoothBagReport {
-    /// The topics smoothed.
+    /// The smoothed topics.
     pub topics: Vec<TopicReport>,
-    /// Warning that the first of some messages lost many of its points.
+    /// Warning about the first message that lost many of its points.
     pub warning: Option<String>,
-    /// Messages of other topics, copied bit for bit.
+    /// Number of messages of other topics, copied bit for bit.
     pub copied: u64,
-    /// Chunks whose checksum is wrong; their messages were smoothed and copied like all others, and may be damaged.
+    /// Number of chunks with a wrong checksum. Their messages, smoothed or copied like all others, may be damaged.
     pub damaged_chunks: u64,
-    /// Why the recording ends before it should; everything before that was written.
+    /// Reason why the recording ends early; everything before its end was written.
     pub cut_off: Option<String>,
-    /// Other topics with depth or points, copied too, where none was named.
+    /// Other topics with depth or points, which were copied because no topic was named.
     pub not_chosen: Vec<String>,
 }
 
@@ -99,13 +99,14 @@ pub struct SmoothBagReport {
 /// times, sequence numbers, channels with their IDs and metadata, attachments and private records. Chunks keep the
 /// compression of the input.
 ///
-/// A message that cannot be smoothed is copied and counted. A truncated recording is smoothed up to its end. After each
-/// smoothed message, `tell` is called with the current and the total number, if known. The output is either complete or
-/// absent.
+/// A message that cannot be smoothed is copied and counted. A truncated recording is smoothed up to its end. After
+/// each message of the chosen topics, `tell` is called with their number so far and in total, if known. The output is
+/// either complete or absent.
 ///
 /// # Errors
-/// If the recording lacks such topics or cameras, is in another format, or is damaged at the beginning; if the engine
-/// fails; if the output cannot be written; [`EngineError::Stopped`] if `stop` was set.
+/// If the recording lacks the topics or their cameras, is in another format, or is damaged at the beginning; if
+/// `points_topic` is invalid or already exists; if the engine fails; if the output cannot be written;
+/// [`EngineError::Stopped`] if `stop` was set.
 pub fn smooth_bag(
     input: &Path,
     output: &Path,
@@ -171,7 +172,7 @@ pub fn smooth_bag(
                     Ok(()) => {}
                     Err(CopyError::Engine(error)) => return Err(error),
                     Err(CopyError::Write(McapError::Io(error))) => return Err(at_output(error.into())),
-                    // The rest is the input's fault: numbers that contradict each other.
+                    // Other errors come from the input: its numbers contradict each other.
                     Err(CopyError::Write(error)) if copy.done + copy.copied > 0 => {
                         cut_off = Some(of_mcap(error).to_string());
                         break;
@@ -220,7 +221,7 @@ pub fn smooth_bag(
     Ok(SmoothBagReport { topics, warning, copied, damaged_chunks, cut_off, not_chosen })
 }
 
-/// Returns true if a topic may have this name.
+/// Returns true if the name is a valid topic name.
 fn is_topic(name: &str) -> bool {
     let is_word = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_word))
@@ -252,7 +253,7 @@ fn open_writer(
     options.create(BufWriter::new(whole.file().try_clone()?)).map_err(of_mcap)
 }
 
-/// Why a record could not be copied.
+/// Reason why a record could not be copied.
 enum CopyError {
     Write(McapError),
     Engine(Error),
@@ -265,31 +266,31 @@ impl From<McapError> for CopyError {
 }
 
 impl Chosen {
-    /// Returns the topic of the origins of its pixels.
+    /// Returns the name of the topic for the origins of the pixels.
     fn origin_topic(&self) -> String {
         format!("{}/origin", self.topic)
     }
 }
 
-/// The messages that replace one.
+/// The messages that replace one input message.
 struct Rewritten {
     message: Vec<u8>,
-    /// A cloud, if it is wanted.
+    /// A cloud, if requested.
     points: Option<Vec<u8>>,
-    /// The origins of a depth image's pixels, if some may not be measured.
+    /// The origins of a depth image's pixels, if the settings allow pixels that were not measured.
     origin: Option<Vec<u8>>,
 }
 
-/// A recording on its way.
+/// The state of copying a recording.
 struct Copy<'a> {
     chosen: Vec<Chosen>,
     options: &'a SmoothBagOptions,
     smoother: &'a mut MessageSmoother,
     channels: Channels,
     reports: BTreeMap<String, TopicReport>,
-    /// Channels that the input lacks, by topic.
+    /// Channels added to the output, by topic.
     added: BTreeMap<String, u16>,
-    /// Numbers of channels and schemas that the input has.
+    /// Numbers of the channels and schemas of the input.
     taken: BTreeSet<u16>,
     copied: u64,
     done: u64,
@@ -299,7 +300,7 @@ impl Copy<'_> {
     fn record<W: Write + Seek>(&mut self, writer: &mut Writer<W>, record: Record<'_>) -> Result<(), CopyError> {
         self.channels.add(&record);
         match record {
-            // Schema 0 means none.
+            // Schema 0 means that a channel has no schema.
             Record::Schema { header, data } if header.id != 0 => {
                 writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
             }
@@ -392,7 +393,8 @@ impl Copy<'_> {
         Ok(Rewritten { message, points, origin: origin.as_ref().map(to_cdr).transpose()? })
     }
 
-    /// Returns the channel of a topic that the input lacks, with IDs of channel and schema that are unused there.
+    /// Returns the channel of a topic that the input lacks. Creates it on first use, with a channel ID and a schema
+    /// ID that the input does not use.
     fn added_channel<W: Write + Seek>(
         &mut self,
         writer: &mut Writer<W>,

@@ -12,7 +12,7 @@ use planish_core::{
 };
 use planish_io::{ReadOptions, Work};
 
-/// Reads the depth images or clouds of a topic in order, with their time stamps.
+/// A source of the depth images or clouds of one topic, in order and with their timestamps.
 pub struct BagSource {
     path: PathBuf,
     records: Records,
@@ -20,16 +20,15 @@ pub struct BagSource {
     chosen: Chosen,
     camera: Option<Camera>,
     options: ReadOptions,
-    /// Whether the rest cannot be read.
+    /// Whether the rest of the recording cannot be read.
     is_over: bool,
 }
 
 impl BagSource {
-    /// Opens a recording. `topic` may be left out where only one has depth; `camera` is taken instead of the
-    /// recording's.
+    /// Opens a recording. `topic` is optional if only one topic has depth. `camera` replaces the recording's camera.
     ///
     /// # Errors
-    /// If the file is not a recording, or lacks such a topic or its camera, or has several.
+    /// If the file is not a recording, lacks the topic or its camera, or has several depth topics and none is named.
     pub fn open(
         path: &Path,
         topic: Option<&str>,
@@ -39,10 +38,10 @@ impl BagSource {
         Self::open_with(path, topic, camera_info_topic, camera, ReadOptions::default())
     }
 
-    /// [`open`](Self::open) with a memory limit. Frames that a stream could not smooth within it are refused.
+    /// Same as [`open`](Self::open), with a memory limit. Refuses frames that a stream could not smooth within it.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// Same as [`open`](Self::open).
     pub fn open_with(
         path: &Path,
         topic: Option<&str>,
@@ -69,7 +68,7 @@ impl BagSource {
         })
     }
 
-    /// Returns the next frame; `None` at the end. After an error the caller may ask for the next frame.
+    /// Returns the next frame; `None` at the end. Further frames may follow an error.
     ///
     /// # Errors
     /// If the recording is damaged, or a message cannot be converted.
@@ -79,7 +78,7 @@ impl BagSource {
 
     /// Returns true if the first readable message is an unorganized cloud. Skips that message.
     pub fn has_clouds_without_grid(&mut self) -> bool {
-        /// Messages that may be damaged at the beginning.
+        /// Number of messages to try, since some at the beginning may be damaged.
         const TRIED: usize = 16;
         if self.chosen.kind != MessageKind::PointCloud2 {
             return false;
@@ -89,11 +88,11 @@ impl BagSource {
         first.next().flatten() == Some(false)
     }
 
-    /// Returns the next cloud with all its fields and its time stamp in seconds, on its grid or without one; `None` at
-    /// the end, and for topics of images.
+    /// Returns the next cloud, organized or not, with all its fields and its timestamp in seconds; `None` at the end,
+    /// and for image topics.
     ///
     /// # Errors
-    /// As [`next_frame`](Self::next_frame).
+    /// Same as [`next_frame`](Self::next_frame).
     pub fn next_cloud(&mut self) -> Result<Option<(PointCloud, f64)>, Error> {
         match self.chosen.kind {
             MessageKind::PointCloud2 => self.next_as(|source, log_time, data| {
@@ -105,7 +104,7 @@ impl BagSource {
         }
     }
 
-    /// Converts the next message, which was logged at this time.
+    /// Reads the next message and passes its log time in nanoseconds and its data to `convert`.
     fn next_as<T>(
         &mut self,
         convert: impl Fn(&Self, u64, &[u8]) -> Result<T, FormatError>,
@@ -130,7 +129,7 @@ impl BagSource {
                 }
                 Ok(Next::DamagedFile(problem)) => return Err(FormatError::Malformed(problem)),
                 Ok(Next::End) => return Ok(None),
-                // Told once: there is nothing more to read.
+                // Reported once, since nothing more can be read.
                 Ok(Next::CutOff) => {
                     self.is_over = true;
                     let problem = "truncated within a record; all earlier frames were read";
@@ -187,7 +186,7 @@ impl BagSource {
     }
 }
 
-/// Returns the time stamp of a message, or the log time if the stamp was never set.
+/// Returns the timestamp of a message in seconds, or the log time if the timestamp was never set.
 fn seconds(header: &Header, log_time: u64) -> f64 {
     match header.stamp.seconds() {
         0.0 => 1e-9 * log_time as f64,

@@ -1,4 +1,4 @@
-//! Which topics a recording has, and which of them to smooth.
+//! The topics of a recording, and the choice of topics to smooth.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -14,7 +14,7 @@ use crate::ros::{CameraInfo, DepthMessage, camera_info_topic as beside, is_recti
 use planish_core::{Camera, Error, FormatError, IoError};
 use planish_io::{ReadOptions, printable_line};
 
-/// Type of the messages of a topic.
+/// Message type of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum MessageKind {
@@ -40,38 +40,39 @@ impl MessageKind {
     }
 }
 
-/// A topic that planish may have to do with.
+/// A topic with images, clouds or cameras.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Topic {
-    /// Its name.
+    /// Name of the topic.
     pub name: String,
-    /// What its messages are.
+    /// Type of the messages.
     pub kind: MessageKind,
-    /// The name of their type in the recording.
+    /// Name of the message type in the recording.
     pub type_name: String,
     pub(super) wire: Wire,
-    /// Number of its messages, if the recording states it.
+    /// Number of messages, if the recording states it.
     pub messages: Option<u64>,
-    /// From its first message: the encoding of an image, the format of a compressed one, the shape of a cloud.
+    /// Description of the first message: the encoding of an image, the format of a compressed image, or the shape of a
+    /// cloud or camera.
     pub encoding: String,
-    /// The frame of its first message.
+    /// Coordinate frame of the first message.
     pub frame_id: String,
-    /// Whether its first message holds depth, or points.
+    /// Whether the first message contains depth or points.
     pub is_depth: bool,
-    /// The first message, of a camera.
+    /// The first message of a camera topic.
     pub(super) camera_info: Option<CameraInfo>,
 }
 
-/// A topic that planish copies as it is.
+/// A topic that planish copies unchanged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct OtherTopic {
-    /// Its name.
+    /// Name of the topic.
     pub name: String,
-    /// The type of its messages; empty if the recording does not state it.
+    /// Type of the messages; empty if the recording does not state it.
     pub type_name: String,
-    /// Number of its messages, if the recording states it.
+    /// Number of messages, if the recording states it.
     pub messages: Option<u64>,
 }
 
@@ -83,11 +84,11 @@ pub struct Survey {
     pub topics: Vec<Topic>,
     /// All other topics, by name: from the summary or, without one, from the part that was read.
     pub others: Vec<OtherTopic>,
-    /// Number of messages of the recording, if it states it.
+    /// Number of messages in the recording, if the recording states it.
     pub messages: Option<u64>,
-    /// How its chunks are compressed: `zstd`, `lz4` or nothing; `None` where that is not known.
+    /// Compression of the chunks: `zstd`, `lz4`, or an empty string for none; `None` if unknown.
     pub compression: Option<String>,
-    /// Numbers of channels and schemas, as far as the summary has them.
+    /// Numbers of the channels and schemas in the summary.
     pub(super) taken: BTreeSet<u16>,
 }
 
@@ -97,12 +98,12 @@ pub(super) struct Chosen {
     pub(super) topic: String,
     pub(super) kind: MessageKind,
     pub(super) wire: Wire,
-    /// The topic of its camera, and the first message of that.
+    /// The topic of the camera, and the latest message on it.
     pub(super) camera: Option<(String, CameraInfo)>,
 }
 
 impl Survey {
-    /// Looks through a recording: at its summary, and at the first message of each topic.
+    /// Surveys a recording: reads its summary and the first message of each topic.
     ///
     /// # Errors
     /// If it is not an MCAP recording, or is damaged before the first messages of all topics.
@@ -111,9 +112,11 @@ impl Survey {
         survey(path, options).map_err(IoError::at(path))
     }
 
-    /// Chooses topics to smooth: the named ones; otherwise the only one with depth images; otherwise the only one with
-    /// compressed depth; otherwise the only one with clouds. Unless the caller gives a camera, a depth image needs one:
-    /// on the named topic, on the conventional topic next to it, or the only one in the same frame.
+    /// Chooses the topics to smooth: the named topics, or, if none is named, the only topic with depth images, with
+    /// compressed depth or with clouds, in this order of preference.
+    ///
+    /// A depth image needs a camera unless the caller gives one: on `camera_info_topic`, on the conventional topic
+    /// next to the image, or the only camera in the same coordinate frame.
     pub(super) fn choose(
         &self,
         path: &Path,
@@ -151,7 +154,8 @@ impl Survey {
         chosen.into_iter().map(with_camera).collect()
     }
 
-    /// Images come before compressed ones, which may be the same, and both before clouds, which may be made of them.
+    /// Returns the only topic with depth. Images come before compressed images, which may be the same images, and
+    /// both come before clouds, which may be computed from them.
     fn only_topic(&self) -> Result<&Topic, String> {
         let found = || self.topics.iter().filter(|topic| topic.is_depth);
         for kind in [MessageKind::Image, MessageKind::CompressedImage, MessageKind::PointCloud2] {
@@ -206,8 +210,7 @@ impl Survey {
 }
 
 impl Chosen {
-    /// Takes the newer camera of a message, if it is from the topic of this camera; one that is damaged changes
-    /// nothing.
+    /// Replaces the camera by the one in a message on the camera's topic; ignores damaged messages.
     pub(super) fn note_camera(&mut self, channel: &Channel, data: &[u8]) {
         if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (channel.kind, &mut self.camera)
             && *camera_topic == channel.topic
@@ -217,12 +220,12 @@ impl Chosen {
         }
     }
 
-    /// Returns true if messages of a channel are meant: a topic may have messages of several types.
+    /// Returns true if a channel has this topic and message type; a topic may have messages of several types.
     pub(super) fn is(&self, topic: &str, kind: MessageKind, wire: Wire) -> bool {
         self.topic == topic && self.kind == kind && self.wire == wire
     }
 
-    /// Returns the camera of an image of that shape, the caller's if there is one.
+    /// Returns the camera of an image with this shape; the caller's camera, if given, comes first.
     pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
         match (given, &self.camera) {
             (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
@@ -233,7 +236,7 @@ impl Chosen {
     }
 }
 
-/// A channel of messages that planish may have to do with.
+/// A channel with images, clouds or cameras.
 #[derive(Debug, Clone)]
 pub(super) struct Channel {
     pub(super) topic: String,
@@ -242,17 +245,17 @@ pub(super) struct Channel {
     type_name: String,
 }
 
-/// The channels of a recording, by their numbers.
+/// The channels of a recording by number.
 #[derive(Default)]
 pub(super) struct Channels {
     types: BTreeMap<u16, String>,
     known: BTreeMap<u16, Channel>,
-    /// Topic and type of all.
+    /// Topic and message type of all channels.
     all: BTreeMap<u16, (String, String)>,
 }
 
 impl Channels {
-    /// Notes schemas and channels.
+    /// Registers a schema or channel; ignores other records.
     pub(super) fn add(&mut self, record: &Record<'_>) {
         match record {
             Record::Schema { header, .. } => {
@@ -283,7 +286,7 @@ impl Channels {
 fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
     let summary = Summary::of(path, options);
     let mut counts = BTreeMap::<String, u64>::new();
-    // Topics with messages that are still to be found; not known without a summary.
+    // Topics whose first message is still to be found; `None` without a complete summary.
     let mut awaited = None;
     if let Some(Summary { channels, messages: Some((of_channels, _)), is_partial: false, .. }) = &summary {
         let mut topics = BTreeSet::new();
@@ -343,7 +346,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
 /// Description of a topic whose first message cannot be read.
 const DAMAGED: &str = "damaged";
 
-/// Describes a topic from its first message; an unreadable one does not count as depth.
+/// Describes a topic by its first message; an unreadable message does not count as depth.
 fn first_message(channel: &Channel, data: &[u8], options: &ReadOptions) -> Topic {
     let Channel { topic: name, kind, wire, type_name } = channel.clone();
     let mut topic = Topic {

@@ -1,4 +1,4 @@
-//! Messages of a channel by the encoding that it states.
+//! Decoding and encoding of messages, by the encoding that their channel states.
 
 use super::foxglove;
 use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE, MESSAGE_ENCODING};
@@ -7,18 +7,18 @@ use crate::ros::{CameraInfo, DepthMessage, PointCloud2, from_cdr, to_cdr};
 use planish_core::FormatError;
 use planish_io::ReadOptions;
 
-/// How a message is written.
+/// Encoding of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Wire {
-    /// As ROS 2 writes it.
+    /// CDR, as written by ROS 2.
     Ros,
-    /// As Foxglove writes it, in Protocol Buffers.
+    /// Protocol Buffers, in Foxglove's schemas.
     Foxglove,
-    /// The same, an image in a PNG.
+    /// Protocol Buffers, in Foxglove's schemas, with the image as a PNG.
     FoxglovePng,
 }
 
-/// Returns the kind and the encoding of the messages of a channel; `None` for unsupported ones.
+/// Returns the kind and the encoding of the messages of a channel; `None` if they are not supported.
 pub(super) fn kind_of(type_name: &str, message_encoding: &str) -> Option<(MessageKind, Wire)> {
     Some(match (message_encoding, type_name) {
         (MESSAGE_ENCODING, IMAGE_TYPE) => (MessageKind::Image, Wire::Ros),
@@ -33,13 +33,13 @@ pub(super) fn kind_of(type_name: &str, message_encoding: &str) -> Option<(Messag
     })
 }
 
-/// Returns true for the name of a type that [`kind_of`] knows in some encoding.
+/// Returns true if [`kind_of`] supports the type in any encoding.
 pub(super) fn is_known_type(type_name: &str) -> bool {
     [MESSAGE_ENCODING, foxglove::MESSAGE_ENCODING].iter().any(|encoding| kind_of(type_name, encoding).is_some())
 }
 
 impl Wire {
-    /// Reads a depth image of this kind.
+    /// Reads a depth image from a message of the given kind.
     pub(super) fn depth(
         self,
         kind: MessageKind,
@@ -64,7 +64,7 @@ impl Wire {
         if self == Self::Ros { from_cdr(data) } else { foxglove::camera(data) }
     }
 
-    /// Writes the smoothed message of an original one.
+    /// Encodes a smoothed depth image to replace the original message.
     pub(super) fn with_depth(
         self,
         original: &[u8],
@@ -81,7 +81,7 @@ impl Wire {
         }
     }
 
-    /// Writes the smoothed cloud of an original one.
+    /// Encodes a smoothed cloud to replace the original message.
     pub(super) fn with_cloud(self, original: &[u8], smoothed: &PointCloud2) -> Result<Vec<u8>, FormatError> {
         if self == Self::Ros { to_cdr(smoothed) } else { foxglove::with_cloud(original, smoothed) }
     }

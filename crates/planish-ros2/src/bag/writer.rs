@@ -20,33 +20,38 @@ use planish_core::{Camera, DepthImage, Error, FormatError, IoError, OwnedFrame};
 use planish_io::ReadOptions;
 use planish_io::internal::check_target;
 
-/// Topics of frames: names that depth_image_proc and RViz expect.
+/// Topic of depth images without distortion. depth_image_proc and RViz expect this name and those below.
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
+/// Topic of depth images with distortion.
 const RAW_TOPIC: &str = "/camera/depth/image_raw";
+/// Topic of colour registered to depth.
 const COLOUR_TOPIC: &str = "/camera/rgb/image_rect_color";
+/// Topic of the origins of depth pixels.
 const ORIGIN_TOPIC: &str = "/camera/depth/origin";
+/// Topic of clouds.
 const POINTS_TOPIC: &str = "/camera/depth/points";
+/// Coordinate frame of all messages.
 const FRAME_ID: &str = "camera_depth_optical_frame";
 
-/// For frames without time stamps.
+/// Frame rate in frames per second that is assumed for frames without timestamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Metadata that rosbag2 expects of a channel; empty, since the publisher's QoS is unknown.
+/// Returns the metadata that rosbag2 expects of a channel, empty since the QoS of the publisher is unknown.
 pub(super) fn channel_metadata() -> BTreeMap<String, String> {
     BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())])
 }
 
-/// Recordings that are being written, to be finished when the process has to end; `None` once it does.
+/// Recordings that are being written, to be finished when the process has to end; `None` once the process is ending.
 static OPEN: Mutex<Option<Vec<Weak<Shared>>>> = Mutex::new(Some(Vec::new()));
 
-/// A recording that its writer or a signal finishes, whichever comes first.
+/// A recording that either its writer or a signal finishes; `None` once it is finished.
 type Shared = Mutex<Option<Open>>;
 
-/// How long to wait for a frame that is being written when the process has to end.
+/// Maximum time to wait for a frame that is being written when the process has to end.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Finishes all recordings that are being written, for a process that is about to end; later frames and recordings are
-/// errors.
+/// Finishes all recordings that are being written, for a process that is about to end. Adding frames and creating
+/// recordings fail from then on.
 pub fn finish_recordings() {
     let deadline = Instant::now() + PATIENCE;
     // If the process ends for lack of memory, this thread may already hold the lock.
@@ -64,28 +69,29 @@ pub fn finish_recordings() {
         {
             std::thread::sleep(Duration::from_millis(5));
         }
-        // Locked until it is done: its own thread may be about to end the process too.
+        // Locked until the recording is finished, since its own thread may be about to end the process, too.
         let mut recording = match recording.try_lock() {
             Ok(recording) => recording,
             Err(TryLockError::Poisoned(recording)) => recording.into_inner(),
-            // Its frames until now are in NAME.mcap.part.
+            // Its frames so far are in NAME.mcap.part.
             Err(TryLockError::WouldBlock) => continue,
         };
         let _ = recording.take().map(Open::close);
     }
 }
 
-/// Writes frames to `NAME.mcap.part`, which other programs can read up to the last frame. [`finish`](Self::finish) or
-/// drop renames it to `NAME.mcap`. A process that is killed leaves the part, which [`recover`](super::recover())
-/// completes.
+/// A recording that is written from frames. They go to `NAME.mcap.part`, which other programs can read up to the last
+/// frame. [`finish`](Self::finish) or drop renames the file to `NAME.mcap`. A process that is killed leaves the part
+/// file, which [`recover`](super::recover()) completes.
 ///
-/// Depth is written to `/camera/depth/image_rect` (`image_raw` with distortion) with its `camera_info`: as 16UC1 if the
-/// camera's unit is the millimetre, otherwise as 32FC1 in metres. Clouds are written to `/camera/depth/points`, and
-/// colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`. Stamps are
-/// the frames' in microseconds (negative ones become 0), or 30 frames per second.
+/// Depth is written to `/camera/depth/image_rect` (`image_raw` with distortion) with its `camera_info`: as 16UC1 if
+/// the camera's unit is the millimetre, otherwise as 32FC1 in metres. Clouds are written to `/camera/depth/points`,
+/// and colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`.
+/// Stamps are the frames' timestamps, rounded to microseconds; negative ones are an error. Frames without timestamps
+/// are 1/30 s apart.
 pub struct BagWriter {
     path: PathBuf,
-    /// None once it is finished.
+    /// `None` once the recording is finished.
     open: Arc<Shared>,
     frames: u32,
 }
@@ -97,8 +103,9 @@ struct Open {
     channels: BTreeMap<String, u16>,
     has_failed: bool,
     has_frames: bool,
-    /// The file, and its length after the last frame.
+    /// The file `NAME.mcap.part`.
     file: File,
+    /// Length of the file in bytes after the last frame.
     whole_bytes: u64,
     /// Whether to delete the file unless it is finished.
     is_all_or_nothing: bool,
@@ -108,9 +115,9 @@ impl BagWriter {
     /// Creates a recording.
     ///
     /// # Errors
-    /// If `NAME.mcap.part` exists, a recording that was cut off: it is never overwritten.
+    /// If `NAME.mcap.part` exists, since it may be a recording that was cut off, or if the file cannot be created.
     pub fn create(path: &Path) -> Result<Self, Error> {
-        // Locked until it is registered: a signal finds all files that exist.
+        // Locked until the recording is registered, so that a signal finds all files that exist.
         let mut all = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(all) = &mut *all else { return Err(IoError::at(path)(stopped()).into()) };
         refuse_cut_off(path)?;
@@ -120,7 +127,7 @@ impl BagWriter {
         Ok(Self { path: path.to_path_buf(), open, frames: 0 })
     }
 
-    /// Deletes the recording unless it is finished, for results that can be computed again.
+    /// Makes drop and signals delete the recording instead of finishing it, for results that can be computed again.
     pub fn all_or_nothing(self) -> Self {
         if let Some(open) = &mut *self.lock() {
             open.is_all_or_nothing = true;
@@ -132,7 +139,7 @@ impl BagWriter {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a depth image with its camera, whose unit may be any.
+    /// Adds a depth image in any unit, with its camera.
     pub fn add_depth(&mut self, image: &DepthImage, camera: &Camera, timestamp_s: Option<f64>) -> Result<(), Error> {
         camera.validate()?;
         camera.check_shape((image.width, image.height))?;
@@ -178,7 +185,7 @@ impl BagWriter {
         Ok(self.write(COLOUR_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
     }
 
-    /// Adds where the pixels of the depth image that is added next come from
+    /// Adds the origins of the pixels of the depth image that is added next
     /// ([`Smoothed::origin_mask`](planish_core::Smoothed::origin_mask)), on `/camera/depth/origin`.
     pub fn add_origin(&mut self, shape: (usize, usize), mask: Vec<u8>, timestamp_s: Option<f64>) -> Result<(), Error> {
         let header = self.header(timestamp_s)?;
@@ -186,7 +193,7 @@ impl BagWriter {
         Ok(self.write(ORIGIN_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
     }
 
-    /// Adds a frame as its source gave it.
+    /// Adds a frame as its source delivered it.
     pub fn add(&mut self, frame: &OwnedFrame) -> Result<(), Error> {
         match frame {
             OwnedFrame::Depth(depth) => {
@@ -205,7 +212,7 @@ impl BagWriter {
 
     /// Completes the recording under its final name, or deletes it if nothing was added.
     pub fn finish(self) -> Result<(), Error> {
-        // Locked until it is done: the process may be about to end.
+        // Locked until the recording is finished, since the process may be about to end.
         let mut open = self.lock();
         let finished = open.take().map_or(Ok(()), Open::finish_or_delete);
         drop(open);
@@ -237,7 +244,7 @@ impl BagWriter {
         result.map_err(IoError::at(&self.path))
     }
 
-    /// Ends a frame: from here on it is in the file.
+    /// Ends a frame and flushes it to the file.
     fn end_frame(&mut self) -> Result<(), IoError> {
         self.frames += 1;
         if let Some(open) = &mut *self.lock() {

@@ -1,25 +1,25 @@
-//! The camera of an image, from its `CameraInfo`, and back.
+//! Conversion between the camera of an image and its `CameraInfo`.
 
 use super::{CameraInfo, Header};
 use planish_core::{Camera, Distortion, FormatError};
 
 impl CameraInfo {
-    /// Returns the camera of a depth image of that shape in pixels. A rectified image is seen through P, any other
-    /// through K and the distortion; binning and the region that was sent are taken into account. Depth is in
-    /// millimetres.
+    /// Returns the camera of a depth image with the given width and height in pixels. A rectified image has the
+    /// intrinsics P; any other has K and the distortion. Binning and the region of interest are taken into account.
+    /// Depth is in millimetres.
     ///
     /// # Errors
-    /// If the message is of an image of another size, is not calibrated, or has a distortion other than `plumb_bob`,
+    /// If the message is for images of another size, is not calibrated, or has a distortion other than `plumb_bob`,
     /// `rational_polynomial` or `equidistant`.
     pub fn camera(&self, (width, height): (usize, usize), is_rectified: bool) -> Result<Camera, FormatError> {
         let unusable = |text: String| FormatError::Unsupported(format!("camera_info {text}"));
         let (roi, binning) = (self.roi, [self.binning_x.max(1), self.binning_y.max(1)]);
-        // A region of nothing is the whole image.
+        // An empty region means the whole image.
         let whole = roi.width == 0 || roi.height == 0;
         let [columns, rows] = if whole { [self.width, self.height] } else { [roi.width, roi.height] };
         let offset = if whole { [0, 0] } else { [roi.x_offset, roi.y_offset] };
         let sent = ((columns / binning[0]) as usize, (rows / binning[1]) as usize);
-        // A size of 0 is one that was not given.
+        // A size of 0 means that the size is not stated.
         if sent != (width, height) && (columns, rows) != (0, 0) {
             return Err(unusable(format!("is for {}x{} images, but this one is {width}x{height}", sent.0, sent.1)));
         }
@@ -54,7 +54,7 @@ impl CameraInfo {
         })
     }
 
-    /// Returns the message of a camera.
+    /// Creates the message of a camera.
     pub fn of_camera(header: Header, camera: &Camera) -> Self {
         let &Camera { width, height, fx, fy, cx, cy, distortion, .. } = camera;
         Self {

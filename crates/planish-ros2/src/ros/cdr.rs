@@ -1,4 +1,4 @@
-//! Messages as bytes: CDR behind the four bytes that say its byte order (OMG DDSI-RTPS 2.3, section 10.2).
+//! Serialization of messages: CDR after a four-byte header with the byte order (OMG DDSI-RTPS 2.3, section 10.2).
 
 use byteorder::{BigEndian, LittleEndian};
 use serde::Serialize;
@@ -7,14 +7,15 @@ use serde::de::DeserializeOwned;
 use planish_core::FormatError;
 use planish_io::internal::brief;
 
-/// Plain CDR, version 1, by its byte order.
+/// Identifier of plain big-endian CDR, version 1.
 const BIG_ENDIAN: [u8; 2] = [0, 0];
+/// Identifier of plain little-endian CDR, version 1.
 const LITTLE_ENDIAN: [u8; 2] = [0, 1];
 
 /// Reads a message from its bytes.
 ///
 /// # Errors
-/// If they are of another encoding, or end early.
+/// If the bytes have another encoding, or are damaged or truncated.
 pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
     let malformed = |error: cdr_encoding::Error| FormatError::Malformed(brief(&format!("a damaged message: {error}")));
     match bytes {
@@ -35,7 +36,7 @@ pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
 /// Writes a message, little-endian.
 pub fn to_cdr<T: Serialize>(message: &T) -> Result<Vec<u8>, FormatError> {
     let mut bytes = vec![0, 1, 0, 0];
-    // Alignment is counted from behind the four bytes.
+    // Alignment is relative to the end of the header.
     cdr_encoding::to_writer::<T, LittleEndian, _>(&mut bytes, message)
         .map_err(|error| FormatError::Unsupported(format!("cannot encode this message as CDR: {error}")))?;
     Ok(bytes)

@@ -1,28 +1,32 @@
-//! Clouds: `PointCloud2`, of which everything but the positions is kept as it is.
+//! Clouds: smoothing replaces the positions of a `PointCloud2` and keeps everything else unchanged.
 
 use super::{Header, PointCloud2, PointField};
 use planish_core::{FormatError, PointLayout, PointsView, Scalar, Smoothed, Status, Xyz};
 use planish_io::internal::quoted;
 
-/// The numbers of the types of a field.
+/// Type number of uint8 fields.
 pub(super) const U8: u8 = 2;
+/// Type number of float32 fields.
 pub(super) const F32: u8 = 7;
+/// Type number of float64 fields.
 pub(super) const F64: u8 = 8;
 
-/// Coordinates in f64 beyond this are smoothed relative to one of them.
+/// Magnitude in metres above which f64 coordinates are smoothed relative to a point of the cloud.
 const FAR_M: f64 = 1000.0;
 
-/// A point may claim this many bytes, although the data are shorter.
+/// Maximum size of a point in bytes that may exceed the data, since the padding of the last point may be missing.
 const MOST_PADDING: u64 = 4096;
 
-/// The fields of a video.
+/// Name of the field with the number of frames averaged into a point.
 const FRAMES: &str = "frames";
+/// Name of the field with the status codes.
 const STATUS: &str = "status";
+/// Name of the field with the standard errors.
 const SIGMA: &str = "sigma";
 
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 
-/// Returns the size of a value of a type; `None` for an invalid type number.
+/// Returns the size in bytes of a value with this type number; `None` for an invalid type number.
 pub(super) fn scalar_bytes(datatype: u8) -> Option<usize> {
     match datatype {
         1 | 2 => Some(1),
@@ -34,11 +38,11 @@ pub(super) fn scalar_bytes(datatype: u8) -> Option<usize> {
 }
 
 impl PointCloud2 {
-    /// Returns the points as they lie in the message.
+    /// Returns a view of the points in the message.
     ///
     /// # Errors
     /// If x, y and z are not all float32 or all float64, the fields reach beyond a point, the data are too short, or
-    /// values are big-endian: [`into_native`](Self::into_native) first.
+    /// the byte order is not this machine's ([`into_native`](Self::into_native) converts it).
     pub fn view(&self) -> Result<PointsView<'_>, FormatError> {
         let layout = self.layout()?;
         if self.is_bigendian != cfg!(target_endian = "big") {
@@ -110,8 +114,7 @@ impl PointCloud2 {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// Returns the origin that results are relative to: 0, or for far coordinates in f64 a point of the cloud, in whole
-    /// metres.
+    /// Returns the origin of the results: 0, or for far f64 coordinates a point of the cloud in whole metres.
     fn origin_m(&self) -> [f64; 3] {
         let Ok(PointLayout { scalar: Scalar::F64, offsets, .. }) = self.layout() else { return [0.0; 3] };
         let mut points = self.point_offsets();
@@ -122,10 +125,10 @@ impl PointCloud2 {
         first.unwrap_or_default().map(|value| if value.abs() > FAR_M { value.trunc() } else { 0.0 })
     }
 
-    /// Where each point begins.
+    /// Returns the offsets of the points in the data, in bytes.
     pub(super) fn point_offsets(&self) -> impl Iterator<Item = usize> + use<> {
         let (width, step, row_step) = (self.width as usize, self.point_step as usize, self.row_step as usize);
-        // A single row may give any step.
+        // The row step of a single row is meaningless.
         let row_step = if self.height > 1 { row_step } else { 0 };
         (0..self.height as usize).flat_map(move |v| (0..width).map(move |u| v * row_step + u * step))
     }
@@ -138,7 +141,8 @@ impl PointCloud2 {
         // Checks that all fields lie in their points, and all points in the data.
         self.is_bigendian = cfg!(target_endian = "big");
         self.view()?;
-        // Fields may share their bytes, as rgb and rgba do: each value once. Thousands of fields may claim the same.
+        // Fields may share their bytes, as rgb and rgba do; each value is swapped once. Thousands of fields may claim
+        // the same bytes.
         let mut bytes_at = vec![0u8; self.point_step as usize];
         for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).unwrap_or(1);
@@ -161,12 +165,12 @@ impl PointCloud2 {
         Ok(self)
     }
 
-    /// Returns the cloud at its smoothed positions, with holes as NaN. Normals, curvature, frames, statuses and
-    /// standard errors of the result replace fields of these names, or are appended. Fields `frames`, `status` and
-    /// `sigma` of another type stay. All other bytes are unchanged.
+    /// Returns the cloud with its smoothed positions; holes are NaN. Normals, curvature, frames, statuses and
+    /// standard errors of the result replace the fields with their names, or are appended. Existing fields `frames`,
+    /// `status` and `sigma` of another type are kept. All other bytes are unchanged.
     ///
     /// # Errors
-    /// If the result is not one of this cloud.
+    /// If the result belongs to another cloud, or a field for normals or curvature exists with another type.
     pub fn with_smoothed(&self, smoothed: &Smoothed) -> Result<Self, FormatError> {
         // The view checks the layout; it fails for the other byte order.
         let points = self.view()?.len();
@@ -193,7 +197,7 @@ impl PointCloud2 {
         for (name, values) in columns {
             cloud.set_field(name, values)?;
         }
-        // Other programs have fields of these names, which stay.
+        // Fields with these names that belong to other programs are kept.
         if let Some(frames) = smoothed.frames.as_deref().filter(|_| cloud.may_set(FRAMES, F32)) {
             cloud.set_field(FRAMES, frames)?;
         }
@@ -237,7 +241,7 @@ impl PointCloud2 {
         self.field(name).is_none_or(|field| field.count <= 1 && field.datatype == datatype)
     }
 
-    /// Writes the codes of statuses; a missing field is appended as uint8.
+    /// Writes status codes; a missing field is appended as uint8.
     fn set_codes(&mut self, name: &str, status: &[Status]) -> Result<(), FormatError> {
         let offset = match self.field(name) {
             Some(field) => field.offset,
@@ -255,7 +259,7 @@ impl PointCloud2 {
         Ok(())
     }
 
-    /// Makes points longer, and leaves nothing behind the rows.
+    /// Increases the size of a point, and removes padding at the end of rows.
     fn widen(&mut self, point_step: u32) -> Result<(), FormatError> {
         let Some(row_step) = self.width.checked_mul(point_step) else {
             let text = format!("{} points of {point_step} bytes do not fit into a row", self.width);
@@ -274,9 +278,9 @@ impl PointCloud2 {
         Ok(())
     }
 
-    /// Returns the cloud of a smoothed frame: x, y, z in 16 bytes per point, with normals and curvature in 32; the
-    /// fields are float32, as in PCL's structs. If the result has frames or statuses, 8 more bytes hold them (float32,
-    /// uint8), and 4 more its standard errors (float32) if it has any.
+    /// Creates the cloud of a smoothed frame with float32 fields, laid out as in the structs of PCL: x, y, z in 16
+    /// bytes per point, or in 32 bytes with normals and curvature. Frames (float32) and statuses (uint8) take 8 more
+    /// bytes, standard errors (float32) another 4.
     pub fn of_smoothed(header: Header, smoothed: &Smoothed) -> Self {
         let with_normals = smoothed.normals.is_some() || smoothed.curvature.is_some();
         let of_pcl: u32 = if with_normals { 32 } else { 16 };
@@ -345,7 +349,7 @@ pub(super) mod tests {
         PointField { name: name.into(), offset, datatype, count: 1 }
     }
 
-    /// 3x2 points of 24 bytes: rgb, x, y, z and a ring, two bytes behind each row.
+    /// Returns 3x2 points of 24 bytes: rgb, x, y, z and a ring, with two bytes of padding at the end of each row.
     pub fn cloud() -> PointCloud2 {
         let fields = vec![
             field("rgb", 0, F32),

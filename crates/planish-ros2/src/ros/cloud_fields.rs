@@ -1,4 +1,4 @@
-//! A `PointCloud2` as a cloud with all its fields, and back.
+//! Conversion between `PointCloud2` and clouds with all their fields.
 
 use super::cloud::{F32, F64, read, scalar_bytes};
 use super::{Header, PointCloud2, PointField};
@@ -8,17 +8,17 @@ use planish_io::{internal::cloud_from_columns, internal::columns_from_cloud, int
 const U8: u8 = 2;
 
 impl PointCloud2 {
-    /// Returns the cloud with all its fields, on its grid if it has one.
+    /// Returns the points with all their fields, row by row if the message has a grid.
     ///
     /// # Errors
-    /// As [`view`](Self::view).
+    /// Same as [`view`](Self::view).
     pub fn to_cloud(&self) -> Result<PointCloud, FormatError> {
         let points = self.view()?.len();
         let columns = self.fields.iter().filter(|field| !field.name.is_empty() && field.name != "_");
         cloud_from_columns(columns.map(|field| self.column(field, points)).collect())
     }
 
-    /// [`to_cloud`](Self::to_cloud) of a cloud on a grid.
+    /// Same as [`to_cloud`](Self::to_cloud), on the grid of the message. A cloud without a grid is an error.
     pub fn to_organized(&self) -> Result<OrganizedCloud, FormatError> {
         if !self.is_organized() {
             return Err(FormatError::Unsupported(format!(
@@ -53,7 +53,7 @@ impl PointCloud2 {
         Attribute { name: field.name.clone(), count, values }
     }
 
-    /// Returns the message of a cloud with all its fields, packed, on its grid if it is given one.
+    /// Returns a message with all fields of a cloud, packed, and with its grid if one is given.
     pub fn of_cloud(header: Header, cloud: &PointCloud, grid: Option<(usize, usize)>) -> Result<Self, FrameError> {
         cloud.validate()?;
         let (width, height) = grid.unwrap_or((cloud.len(), 1));
@@ -93,7 +93,7 @@ impl PointCloud2 {
     }
 }
 
-/// Returns the number of a type; 64-bit integers have none and become float64.
+/// Returns the type number of values; 64-bit integers have none and become float64.
 fn datatype_of(values: &AttributeValues) -> u8 {
     match values {
         AttributeValues::I8(_) => 1,
@@ -107,7 +107,7 @@ fn datatype_of(values: &AttributeValues) -> u8 {
     }
 }
 
-/// Values one behind the other, in the types that a message has.
+/// Returns the bytes of values, contiguous and in the types that messages support.
 fn ne_bytes(values: &AttributeValues) -> Vec<u8> {
     match values {
         AttributeValues::I64(values) => values.iter().flat_map(|&value| (value as f64).to_ne_bytes()).collect(),

@@ -1,17 +1,17 @@
 //! Depth images: `Image` in 16UC1, mono16 and 32FC1, and `CompressedImage` of the transport `compressedDepth`.
 //!
-//! 16-bit depth is in millimetres and 0 is a hole; depth in floats is in metres and a hole is not finite (REP 118).
-//! compressedDepth puts 12 bytes before a 16-bit PNG or an RVL code: a format, and two parameters A and B by which a
-//! float was made an integer, q = A/z + B.
+//! 16-bit depth is in millimetres, with 0 for holes; floating-point depth is in metres, with non-finite values for
+//! holes (REP 118). compressedDepth puts 12 bytes before a 16-bit PNG or an RVL code: a format, and the parameters A
+//! and B of the quantization q = A/z + B of floating-point depth.
 
 use super::{CompressedImage, Header, Image, rvl};
 use planish_core::{DepthImage, FormatError, validate_shape};
 use planish_io::{ReadOptions, internal::decode_depth_png, internal::encode_depth_png, internal::quoted};
 
-/// Format, A and B before a compressed depth image.
+/// Size in bytes of the format, A and B before a compressed depth image.
 const CONFIGURATION_BYTES: usize = 12;
 
-/// A depth image taken out of its message.
+/// A depth image extracted from its message.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum DepthPixels {
@@ -23,13 +23,13 @@ pub enum DepthPixels {
         width: usize,
         /// Rows.
         height: usize,
-        /// Row by row.
+        /// Depth in metres, row by row.
         depth_m: Vec<f32>,
     },
 }
 
 impl DepthPixels {
-    /// Width and height in pixels.
+    /// Returns width and height in pixels.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Millimetres(image) => (image.width, image.height),
@@ -38,17 +38,17 @@ impl DepthPixels {
     }
 }
 
-/// A depth image as it came, with the means to write another like it.
+/// A depth image message, which can be copied with other depth.
 #[derive(Debug, Clone, PartialEq)]
 pub enum DepthMessage {
     /// Uncompressed.
     Image(Image),
-    /// Of the transport `compressedDepth`.
+    /// Compressed by the transport `compressedDepth`.
     Compressed(CompressedImage),
 }
 
 impl DepthMessage {
-    /// Stamp and frame.
+    /// Returns stamp and frame.
     pub fn header(&self) -> &Header {
         match self {
             Self::Image(image) => &image.header,
@@ -56,7 +56,7 @@ impl DepthMessage {
         }
     }
 
-    /// Takes the depth out.
+    /// Extracts the depth.
     ///
     /// # Errors
     /// If the encoding is not a depth encoding, or the data contradict it.
@@ -67,7 +67,7 @@ impl DepthMessage {
         }
     }
 
-    /// Returns the message with other depth of the same type and shape.
+    /// Returns a copy of the message with other depth of the same type and shape.
     pub fn with_pixels(&self, pixels: &DepthPixels) -> Result<Self, FormatError> {
         match self {
             Self::Image(image) => Ok(Self::Image(with_image_pixels(image, pixels))),
@@ -77,7 +77,7 @@ impl DepthMessage {
 }
 
 impl Image {
-    /// Returns an image of depth in millimetres (16UC1) or metres (32FC1).
+    /// Creates a depth image in millimetres (16UC1) or metres (32FC1).
     pub fn of_depth(header: Header, pixels: &DepthPixels) -> Self {
         let (width, height) = pixels.shape();
         let (encoding, bytes) = match pixels {
@@ -95,13 +95,13 @@ impl Image {
         }
     }
 
-    /// Returns true if the encoding is one that depth comes in; mono16 may be an infrared image as well.
+    /// Returns true if the encoding is 16UC1 or 32FC1; mono16 does not count, since it may be an infrared image.
     pub fn is_depth(&self) -> bool {
         matches!(self.encoding.as_str(), "16UC1" | "32FC1")
     }
 }
 
-/// Returns the bytes of an image's rows, one behind the other.
+/// Returns the bytes of an image's rows, without padding between them.
 fn row_bytes(pixels: &DepthPixels, is_bigendian: bool) -> Vec<u8> {
     match (pixels, is_bigendian) {
         (DepthPixels::Millimetres(image), false) => image.raw.iter().flat_map(|raw| raw.to_le_bytes()).collect(),
@@ -146,7 +146,7 @@ fn image_pixels(image: &Image, options: &ReadOptions) -> Result<DepthPixels, For
     })
 }
 
-/// Rows may be longer than their pixels; their padding is unchanged.
+/// Returns a copy of an image with other pixels. Padding at the end of its rows is unchanged.
 fn with_image_pixels(image: &Image, pixels: &DepthPixels) -> Image {
     let bytes = row_bytes(pixels, image.is_bigendian != 0);
     let row = bytes.len() / pixels.shape().1.max(1);
@@ -158,7 +158,7 @@ fn with_image_pixels(image: &Image, pixels: &DepthPixels) -> Image {
     Image { data, ..image.clone() }
 }
 
-/// How the integers of a compressed depth image are stored.
+/// Encoding of the integers of a compressed depth image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Code {
     Png,
@@ -181,7 +181,7 @@ impl Code {
     }
 }
 
-/// The parameters of a compressed depth image and its code.
+/// The parameters of a compressed depth image, and its encoded pixels.
 struct Compressed<'a> {
     is_metres: bool,
     configuration: &'a [u8; CONFIGURATION_BYTES],

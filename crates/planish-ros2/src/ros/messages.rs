@@ -13,19 +13,19 @@ pub struct Time {
 }
 
 impl Time {
-    /// Returns the time in seconds; a recent date keeps some 0.2 µs.
+    /// Returns the time in seconds, with a resolution of about 0.2 µs for a recent date.
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
     }
 
-    /// Creates the time this many seconds after 0, rounded to microseconds: f64 has no more digits for a recent date.
-    /// `None` for times before 0, or after the last one, early in 2038.
+    /// Creates a time from seconds since 0, rounded to microseconds, which f64 can just represent for a recent date.
+    /// Returns `None` for times before 0, or after the last representable one, early in 2038.
     pub fn from_seconds(seconds: f64) -> Option<Self> {
         let is_held = (0.0..f64::from(i32::MAX) + 0.999_999).contains(&seconds);
         is_held.then(|| Self::from_nanoseconds(1000 * (1e6 * seconds).round() as u64))
     }
 
-    /// Creates the time this many nanoseconds after 0, clamped to the latest representable time.
+    /// Creates a time from nanoseconds since 0, clamped to the latest representable time.
     pub fn from_nanoseconds(nanoseconds: u64) -> Self {
         match i32::try_from(nanoseconds / 1_000_000_000) {
             Ok(sec) => Self { sec, nanosec: (nanoseconds % 1_000_000_000) as u32 },
@@ -33,7 +33,7 @@ impl Time {
         }
     }
 
-    /// Nanoseconds since 0; 0 for times before it.
+    /// Returns the nanoseconds since 0; 0 for negative times.
     pub fn nanoseconds(self) -> u64 {
         u64::try_from(self.sec).map_or(0, |sec| 1_000_000_000 * sec + u64::from(self.nanosec))
     }
@@ -42,9 +42,9 @@ impl Time {
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Header {
-    /// When the data was taken.
+    /// Time at which the data were acquired.
     pub stamp: Time,
-    /// The frame of reference it is in.
+    /// Coordinate frame of the data.
     pub frame_id: String,
 }
 
@@ -57,7 +57,7 @@ pub struct Image {
     pub height: u32,
     /// Columns.
     pub width: u32,
-    /// Depth is 16UC1 (millimetres) or 32FC1 (metres).
+    /// Encoding of the pixels: 16UC1 (millimetres) or 32FC1 (metres) for depth.
     pub encoding: String,
     /// Whether samples are big-endian.
     pub is_bigendian: u8,
@@ -73,9 +73,9 @@ pub struct Image {
 pub struct CompressedImage {
     /// Stamp and optical frame.
     pub header: Header,
-    /// Depth is `16UC1; compressedDepth png` or `32FC1; compressedDepth png`.
+    /// Format of the data: `16UC1; compressedDepth png` or `32FC1; compressedDepth png` for depth.
     pub format: String,
-    /// The compressed image, for depth behind 12 bytes of parameters.
+    /// The compressed image; for depth, 12 bytes of parameters precede it.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
 }
@@ -91,32 +91,32 @@ pub struct RegionOfInterest {
     pub height: u32,
     /// Columns; 0 for all.
     pub width: u32,
-    /// Whether the region is of the rectified image.
+    /// Whether the region refers to the rectified image.
     pub do_rectify: bool,
 }
 
 /// `sensor_msgs/CameraInfo`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct CameraInfo {
-    /// Stamp and optical frame of the image that it belongs to.
+    /// Stamp and optical frame of the corresponding image.
     pub header: Header,
-    /// Rows that the camera was calibrated with.
+    /// Number of rows of the calibrated images.
     pub height: u32,
-    /// Columns that the camera was calibrated with.
+    /// Number of columns of the calibrated images.
     pub width: u32,
     /// `plumb_bob`, `rational_polynomial`, `equidistant`, or empty.
     pub distortion_model: String,
-    /// Coefficients of the distortion.
+    /// Distortion coefficients.
     pub d: Vec<f64>,
-    /// Intrinsics of the image as it was taken, row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1.
+    /// Intrinsics of the raw image, row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1.
     pub k: [f64; 9],
-    /// Rotation of the rectification.
+    /// Rotation that rectifies the image, row by row.
     pub r: [f64; 9],
     /// Projection of the rectified image, row by row: fx, 0, cx, Tx, 0, fy, cy, Ty, 0, 0, 1, 0.
     pub p: [f64; 12],
-    /// Columns put into one; 0 and 1 mean none.
+    /// Number of columns combined into one; 0 and 1 mean none.
     pub binning_x: u32,
-    /// Rows put into one.
+    /// Number of rows combined into one; 0 and 1 mean none.
     pub binning_y: u32,
     /// The part of the image that was sent.
     pub roi: RegionOfInterest,
@@ -125,13 +125,13 @@ pub struct CameraInfo {
 /// `sensor_msgs/PointField`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct PointField {
-    /// The name, as `x` or `rgb`.
+    /// Name, such as `x` or `rgb`.
     pub name: String,
-    /// Bytes from the beginning of a point.
+    /// Offset in bytes from the beginning of a point.
     pub offset: u32,
-    /// 1 to 8: i8, u8, i16, u16, i32, u32, f32, f64.
+    /// Type number, 1 to 8: i8, u8, i16, u16, i32, u32, f32, f64.
     pub datatype: u8,
-    /// Values a point.
+    /// Number of values per point.
     pub count: u32,
 }
 
@@ -142,9 +142,9 @@ pub struct PointCloud2 {
     pub header: Header,
     /// Rows; 1 for a cloud without a grid.
     pub height: u32,
-    /// Columns, or points.
+    /// Columns, or points of a cloud without a grid.
     pub width: u32,
-    /// What a point has.
+    /// Fields of a point.
     pub fields: Vec<PointField>,
     /// Whether values are big-endian.
     pub is_bigendian: bool,

@@ -1,8 +1,7 @@
-//! Messages of ROS 2 that hold depth, clouds and cameras, and their conversion: what recordings in MCAP and a node have
-//! in common.
+//! ROS 2 messages of depth, clouds and cameras, and their conversion, shared by MCAP recordings and the node.
 //!
 //! [`from_cdr`] and [`to_cdr`] read and write them as ROS 2 does, byte for byte. [`MessageSmoother`] smooths the data
-//! of one message after another and gives messages of the same type.
+//! of one message after another and returns messages of the same type.
 
 mod camera;
 mod cdr;

@@ -1,10 +1,10 @@
-//! Normals as an image: 32FC3, x, y and z of each pixel.
+//! Images of normals (32FC3: x, y and z of each pixel) and of the origins of pixels (mono8).
 
 use super::{Header, Image};
 use planish_core::Xyz;
 
 impl Image {
-    /// Creates a mono8 image of where each pixel's value comes from.
+    /// Creates a mono8 image of the origins of the pixels.
     pub fn of_origins(header: Header, (width, height): (usize, usize), mask: Vec<u8>) -> Self {
         Self {
             header,
@@ -17,8 +17,8 @@ impl Image {
         }
     }
 
-    /// Encodes the unit normals of a frame on a grid, in the camera's optical frame and towards the camera: 32FC3, NaN
-    /// for pixels without one.
+    /// Encodes the unit normals of a frame on a grid as 32FC3, in the optical frame of the camera and pointing
+    /// towards it; pixels without a normal are NaN.
     pub(super) fn of_normals(header: Header, (width, height): (usize, usize), normals: &Xyz) -> Self {
         let mut data = Vec::with_capacity(12 * normals.len());
         for normal in normals.iter() {

@@ -7,11 +7,11 @@
 use planish_core::{DepthImage, FormatError, validate_shape};
 use planish_io::ReadOptions;
 
-/// Width and height.
+/// Size in bytes of width and height.
 const SIZE_BYTES: usize = 8;
-/// Groups in a word.
+/// Number of groups in a word.
 const GROUPS: u32 = 8;
-/// The most groups of a 32-bit number.
+/// Maximum number of groups of a 32-bit number.
 const MOST_GROUPS: u32 = 11;
 
 fn malformed(what: &str) -> FormatError {

@@ -9,14 +9,14 @@ use planish_core::{
 };
 use planish_io::{ReadOptions, Work};
 
-/// Why a message was not smoothed.
+/// Reason why a message was not smoothed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MessageError {
-    /// The message is malformed, or of a kind that planish cannot use; the next may be fine.
+    /// The message is malformed or unsupported; the next message may be fine.
     #[error(transparent)]
     Message(#[from] FormatError),
-    /// A parameter or an engine, which will fail for the next message too.
+    /// A parameter or an engine failed; the next message will fail, too.
     #[error(transparent)]
     Engine(Error),
 }
@@ -36,11 +36,12 @@ impl From<FrameError> for MessageError {
     }
 }
 
-/// Smooths depth images and clouds one after another, whatever their shape.
+/// A smoother of depth images and clouds of any shape, one after another.
 pub struct MessageSmoother {
     session: Session,
-    /// The topic that the session smooths, and the sessions of other topics: only videos need one for each.
+    /// The topic of `session`; only set for videos.
     topic: Option<String>,
+    /// The sessions of other topics; only videos need a session per topic.
     others: BTreeMap<String, Session>,
     events: Vec<SessionEvent>,
     /// The fields that are added to clouds.
@@ -48,14 +49,14 @@ pub struct MessageSmoother {
     read: ReadOptions,
     smoothed: Smoothed,
     wants_normals_image: bool,
-    /// Where clouds have none.
+    /// Normals of the last message that are requested only as an image.
     normals: Option<Xyz>,
-    /// What was noticed, once.
+    /// Warning about lost points, which is given only once.
     warning: Option<String>,
     warned: bool,
 }
 
-/// Refuses the steps before smoothing.
+/// Refuses settings with steps before smoothing.
 fn check_no_preparation(settings: &Settings) -> Result<(), ParamError> {
     let allowed = "only for files and streams: messages keep their grid and camera_info (remove_floating, min_range_m, \
                    max_range_m, decimate)";
@@ -74,7 +75,7 @@ impl MessageSmoother {
     /// Creates a smoother; the settings' outputs are the fields added to clouds.
     ///
     /// # Errors
-    /// If settings are outside their ranges or contradict each other, or a device is not there.
+    /// If settings are outside their ranges or contradict each other, or a device does not exist.
     pub fn new(settings: Settings) -> Result<Self, Error> {
         let outputs = settings.outputs.unwrap_or_default();
         Ok(Self::of(session_of(settings)?, outputs))
@@ -113,7 +114,7 @@ impl MessageSmoother {
     /// Sets the settings from the next message on; their outputs are the fields added to clouds.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// Same as [`new`](Self::new).
     pub fn set_settings(&mut self, settings: Settings) -> Result<(), Error> {
         let outputs = settings.outputs.unwrap_or_default();
         check_no_preparation(&settings)?;
@@ -127,7 +128,7 @@ impl MessageSmoother {
     /// has no effect.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// Same as [`new`](Self::new).
     pub fn set_topic(&mut self, topic: &str) -> Result<(), Error> {
         let Some(settings) = self.session.settings().filter(|settings| settings.temporal_params().is_some()) else {
             return Ok(());
@@ -149,12 +150,13 @@ impl MessageSmoother {
         Ok(())
     }
 
-    /// Returns the settings; `None` for a smoother of explicit parameters.
+    /// Returns the settings; `None` for a smoother with explicit parameters.
     pub fn settings(&self) -> Option<&Settings> {
         self.session.settings()
     }
 
-    /// Asks for the normals of frames on a grid as an image, whether clouds have them or not.
+    /// Sets whether [`normals_image`](Self::normals_image) returns the normals of frames on a grid, independently of
+    /// the normals of clouds.
     pub fn set_normals_image(&mut self, wanted: bool) {
         self.wants_normals_image = wanted;
     }
@@ -167,16 +169,16 @@ impl MessageSmoother {
         (height > 1).then(|| Image::of_normals(header, (width, height), normals))
     }
 
-    /// Returns where the pixels of the last depth image come from, as a mono8 image: 0 for holes, 85 for filled pixels,
-    /// 170 for those carried over from the previous frame, 255 for measured ones. `None` if all are measured, since
-    /// holes are not filled and frames not smoothed over time.
+    /// Returns the origins of the pixels of the last depth image as a mono8 image: 0 for holes, 85 for filled pixels,
+    /// 170 for pixels carried over from the previous frame, 255 for measured pixels. `None` if the settings neither
+    /// fill holes nor smooth over time, so that all pixels are measured.
     pub fn origin_image(&self, header: Header) -> Option<Image> {
         let Smoothed { width, height, .. } = self.smoothed;
         let mask = self.smoothed.origin_mask().filter(|_| self.flags_origins() && height > 1)?;
         Some(Image::of_origins(header, (width, height), mask))
     }
 
-    /// Returns whether pixels may have values that were not measured.
+    /// Returns true if pixels may have values that were not measured.
     pub(crate) fn flags_origins(&self) -> bool {
         self.session.settings().is_some_and(Settings::flags_origins)
     }
@@ -186,14 +188,14 @@ impl MessageSmoother {
         self.session.engine()
     }
 
-    /// Takes the session's events: another engine, an estimated sensor.
+    /// Takes the session's events, such as a change of the engine or an estimated sensor.
     pub fn take_events(&mut self) -> Vec<SessionEvent> {
         let mut events = std::mem::take(&mut self.events);
         events.extend(self.session.take_events());
         events
     }
 
-    /// Takes a warning, the first time that a message has lost more than a hundredth of its points.
+    /// Takes the warning about the first message that lost more than 1 % of its points.
     pub fn take_warning(&mut self) -> Option<String> {
         self.warning.take()
     }
@@ -203,8 +205,9 @@ impl MessageSmoother {
         &self.smoothed
     }
 
-    /// Smooths a depth image with the camera found for its shape. Returns the smoothed depth in the unit of the image.
-    /// If `points` is set, points and the additional fields are available as [`smoothed`](Self::smoothed).
+    /// Smooths a depth image with the camera that `camera` returns for its shape. Returns the smoothed depth in the
+    /// unit of the image. If `points` is set, points and the additional fields are available as
+    /// [`smoothed`](Self::smoothed).
     ///
     /// # Errors
     /// If the message is not a depth image, the camera has another shape, or the engine fails.
@@ -228,10 +231,10 @@ impl MessageSmoother {
         })
     }
 
-    /// Smooths a depth image, of which nothing is needed but its normals ([`normals_image`](Self::normals_image)).
+    /// Smooths a depth image only for its normals ([`normals_image`](Self::normals_image)).
     ///
     /// # Errors
-    /// As [`smooth_depth`](Self::smooth_depth).
+    /// Same as [`smooth_depth`](Self::smooth_depth).
     pub fn smooth_depth_to_normals(
         &mut self,
         message: &DepthMessage,
@@ -240,10 +243,10 @@ impl MessageSmoother {
         self.smooth_pixels(message, camera, false, false).map(drop)
     }
 
-    /// Smooths a depth image into a cloud and nothing else.
+    /// Smooths a depth image into a cloud only.
     ///
     /// # Errors
-    /// As [`smooth_depth`](Self::smooth_depth).
+    /// Same as [`smooth_depth`](Self::smooth_depth).
     pub fn smooth_depth_to_cloud(
         &mut self,
         message: &DepthMessage,
@@ -253,7 +256,7 @@ impl MessageSmoother {
         Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
     }
 
-    /// Smooths a depth image; returns it as it came.
+    /// Smooths a depth image; returns its unsmoothed pixels.
     fn smooth_pixels(
         &mut self,
         message: &DepthMessage,
@@ -261,7 +264,8 @@ impl MessageSmoother {
         depth: bool,
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
-        // A few compressed bytes may announce a gigabyte, and smoothing needs 60 times as much as four bytes a pixel.
+        // A few compressed bytes may claim a gigabyte, and smoothing needs 60 times the four bytes per pixel of
+        // decoding.
         let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / 60);
         let pixels = message.pixels(&decoding)?;
         self.session.set_frame_time(Some(message.header().stamp.seconds()));
@@ -271,7 +275,7 @@ impl MessageSmoother {
         let outputs = outputs.with_status(outputs.status || self.flags_origins());
         match &pixels {
             DepthPixels::Millimetres(image) => {
-                // The unit of the message, whatever the camera says.
+                // Messages are in millimetres, whatever the unit of the camera.
                 let camera = camera.with_depth_units_per_metre(1000.0);
                 self.smooth(Frame::Depth(DepthView::new(&image.raw, &camera)?), outputs.with_depth(depth), 0)?;
             }
@@ -282,10 +286,10 @@ impl MessageSmoother {
         Ok(pixels)
     }
 
-    /// Smooths a cloud, on its grid or without one. All its fields are kept.
+    /// Smooths a cloud, organized or not, and keeps all its fields.
     ///
     /// # Errors
-    /// If the message contradicts itself, or the engine fails.
+    /// If the message is malformed, or the engine fails.
     pub fn smooth_cloud(&mut self, cloud: PointCloud2) -> Result<PointCloud2, MessageError> {
         self.read.check(cloud.data.len(), 2)?;
         let cloud = cloud.into_native()?;
@@ -318,7 +322,7 @@ impl MessageSmoother {
         self.session.set_outputs(outputs);
         self.session.smooth(frame, &mut self.smoothed)?;
         if !has_normals {
-            // Clouds have the fields that are there.
+            // Normals that remain in the result are added to clouds.
             self.normals = self.smoothed.normals.take();
         }
         self.note_lost_points(frame);

@@ -1,4 +1,4 @@
-//! `planish evaluate --fill`: how well holes are filled.
+//! `planish evaluate --fill`: measures how well holes are filled.
 
 use std::path::Path;
 
@@ -15,19 +15,19 @@ use crate::args::EvaluateArgs;
 use crate::commands::organized;
 use crate::exit::ExitCode;
 
-/// The seed of the holes that are cut into a file.
+/// Seed of the holes that are cut into a file.
 const SEED_OF_FILE: u64 = 1;
 
 #[derive(Serialize)]
 struct Filling {
-    /// The frame, or the sensor of the simulated ones.
+    /// The name of the file, or of the sensor of the simulated frames.
     name: String,
     width_px: u32,
     #[serde(flatten)]
     report: FillReport,
 }
 
-/// Measures how well holes up to this many pixels wide are filled: in simulated frames, or in a file.
+/// Measures how well holes up to `width_px` pixels wide are filled, in simulated frames or in a file.
 pub(super) fn evaluate(args: &EvaluateArgs, width_px: u32) -> Result<ExitCode> {
     if args.general || args.out.is_some() {
         bail!("--fill: evaluate has no --general and no --out for the filling of holes");
@@ -48,7 +48,7 @@ pub(super) fn evaluate(args: &EvaluateArgs, width_px: u32) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Cuts holes into simulated frames; `None` if they are exported.
+/// Measures the filling of holes cut into simulated frames; returns `None` if the frames are exported.
 fn of_suite(args: &EvaluateArgs, width_px: u32) -> Result<Option<FillReport>> {
     let suite = Suite { noise: DepthNoise::of_sensor(&sensor_of(args)?), ..Suite::default() };
     let seeds = args.seed.map_or(1..=args.seeds, |seed| seed..=seed);
@@ -98,7 +98,7 @@ fn result_in(args: &EvaluateArgs, folder: &Path, name: &str, camera: &Camera) ->
     })
 }
 
-/// Cuts holes into a file, whose own smoothed values are the truth.
+/// Measures the filling of holes cut into a file, whose own smoothed values are the truth.
 fn of_file(args: &EvaluateArgs, file: &Path, width_px: u32) -> Result<FillReport> {
     let mut cloud = organized(read_measured(&args.memory, file)?, &args.camera, file)?;
     let settings = args.smoothing.settings()?;

@@ -1,4 +1,4 @@
-//! The scores as a table, and the error over the range as a plot.
+//! Prints the scores as a table, and plots the error over z.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use plotters::series::PointSeries;
 
 use super::Row;
 
-/// Prints the scores of all methods, a row each.
+/// Prints the scores of all methods, one column per method.
 pub(super) fn print(rows: &[Row]) {
     let line = |name: &str, value: &dyn Fn(&Row) -> String| {
         out!("  {name:<44}");

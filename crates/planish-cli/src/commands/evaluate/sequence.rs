@@ -1,4 +1,4 @@
-//! `planish evaluate --sequence`: how steady and how prompt smoothing over time is.
+//! `planish evaluate --sequence`: measures how steady and how prompt smoothing over time is.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,10 +24,11 @@ use crate::args::{EvaluateArgs, MemoryArgs, SequenceArg};
 use crate::commands::ms_since;
 use crate::exit::ExitCode;
 
-/// Frames of a simulated video.
+/// Default number of frames of a simulated video.
 const FRAMES: u64 = 60;
-/// Frames of an animated picture, the last ones of the video, and their rate.
+/// Maximum number of frames in an animated picture, which shows the end of the video.
 const PICTURED_FRAMES: usize = 24;
+/// Frame rate of an animated picture, in frames per second.
 const PICTURED_PER_SECOND: u16 = 15;
 
 /// The scores of a video.
@@ -36,9 +37,9 @@ struct Video {
     video: String,
     frames: u64,
     ways: Vec<VideoReport>,
-    /// Frames before which the motion of the camera was known, by the names of the ways.
+    /// Number of frames before which the camera motion was known, for each way by name.
     moved_frames: BTreeMap<&'static str, u64>,
-    /// Median time per frame in milliseconds, by the names of the ways.
+    /// Median time per frame in milliseconds, for each way by name.
     frame_ms: BTreeMap<&'static str, f64>,
 }
 
@@ -50,7 +51,7 @@ struct Way {
     smoothed: Smoothed,
     carried: Vec<bool>,
     times_ms: Vec<f64>,
-    /// Number of frames before which the motion of the camera is known.
+    /// Number of frames before which the camera motion was known.
     moved: u64,
 }
 
@@ -87,7 +88,7 @@ pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Measures on the video of `--input`.
+/// Evaluates the video given by `--input`.
 fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     if args.export.is_some() {
         bail!("--export: with --input there is nothing to export");
@@ -138,7 +139,7 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     evaluated.finish(args, &input.display().to_string(), "video")
 }
 
-/// Measures on the simulated videos.
+/// Evaluates the simulated videos.
 fn on_simulated(args: &EvaluateArgs, videos: SequenceArg) -> Result<Vec<Video>> {
     if args.poses.poses.is_some() {
         bail!("--poses needs --input; simulated cameras have poses of their own");
@@ -195,19 +196,19 @@ fn export(folder: &Path, number: u64, camera: &Camera, raw: &[u16]) -> Result<()
     write_whole(&file, camera_to_json(camera).as_bytes()).with_context(|| file.display().to_string())
 }
 
-/// A video that is being measured.
+/// A video under evaluation.
 struct Evaluated {
     frames: u64,
     ways: Vec<Way>,
-    /// Folders of other programs, with the files of their frames.
+    /// Result folders of other programs: their names, and the files of their frames.
     others: Vec<(String, Vec<PathBuf>)>,
     memory: MemoryArgs,
     evaluation: Option<VideoEvaluation>,
     /// The pose of the camera at the current frame.
     pose: Option<SensorPose>,
-    /// Its time stamp.
+    /// The timestamp of the current frame, in seconds.
     time_s: Option<f64>,
-    /// The pose of the sensor in the frame of the points.
+    /// The pose of the sensor in the coordinate frame of the points.
     sensor_pose: SensorPose,
     pictures: Vec<RgbImage>,
     draws: bool,
@@ -361,7 +362,7 @@ impl Way {
     }
 }
 
-/// Returns the depth of points as their sensor sees it, in metres.
+/// Returns the depth of points in their sensor's coordinate frame, in metres.
 fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
     if sensor_pose.is_identity() {
         return Ok(points.z().to_vec());
@@ -381,7 +382,7 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
         Contents::Organized(cloud) => cloud.positions().z().to_vec(),
         _ => bail!("{}: contains no depth image and no organized cloud", file.display()),
     };
-    // Holes of any kind.
+    // Zero and negative depths are holes as well.
     let depth_m: Vec<f32> = depth_m.into_iter().map(|depth_m| if depth_m > 0.0 { depth_m } else { f32::NAN }).collect();
     if depth_m.len() != len {
         bail!("{}: has {} pixels, but the frames have {len}", file.display(), depth_m.len());
@@ -389,7 +390,7 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
     Ok(depth_m)
 }
 
-/// Draws the relief of measured, smoothed and steady depth side by side, at half their size.
+/// Draws the reliefs of measured, smoothed and steady depth side by side, at half size.
 fn picture((width, height): (usize, usize), camera: Option<&Camera>, depths_m: [&[f32]; 3]) -> RgbImage {
     let camera = camera
         .copied()

@@ -1,4 +1,4 @@
-//! The topics of a recording of ROS 2.
+//! Describes the topics of a ROS 2 recording.
 
 use std::path::Path;
 
@@ -14,11 +14,11 @@ use crate::exit::ExitCode;
 #[derive(Serialize)]
 struct Info<'a> {
     format: &'static str,
-    /// Of all topics.
+    /// Number of messages of all topics.
     messages: Option<u64>,
     compression: Option<&'a str>,
     topics: Vec<TopicInfo<'a>>,
-    /// Those of other types.
+    /// Topics with messages of other types.
     other_topics: Vec<OtherInfo<'a>>,
 }
 

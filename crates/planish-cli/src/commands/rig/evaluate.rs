@@ -1,4 +1,4 @@
-//! `planish evaluate --rig`: the ways of smoothing on simulated rigs.
+//! `planish evaluate --rig`: compares the ways of smoothing on simulated rigs.
 
 use crate::args::{EvaluateArgs, by_option};
 use crate::commands::status_line::ms;
@@ -13,17 +13,17 @@ use planish_bench::{out, outln};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// Result of a way on the simulated rigs.
+/// Scores of one way on the simulated rigs.
 #[derive(Serialize)]
 struct Row {
     name: &'static str,
     #[serde(flatten)]
     report: RigReport,
-    /// Mean time of a moment, in milliseconds.
+    /// Mean time per moment in milliseconds; `None` for raw frames.
     moment_ms: Option<f64>,
 }
 
-/// Measures the ways on simulated rigs.
+/// Compares the ways of smoothing on simulated rigs.
 pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
     let params = args.smoothing.settings()?.frame_params().map_err(by_option)?;
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
@@ -58,7 +58,7 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
         for (way, evaluation, time) in &mut ways {
             let mut smoother = RigSmoother::new(&rig, *way, &vec![params; cameras], general_params, &options)?
                 .with_voxel_m(args.voxel);
-            // Engines open with the first moment.
+            // Engines are opened by the first moment, which is not timed.
             if *way != RigWay::Merged {
                 smoother.smooth(&frames)?;
             }

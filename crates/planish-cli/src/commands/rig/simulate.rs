@@ -1,4 +1,4 @@
-//! `planish rig --simulate`.
+//! `planish rig --simulate`: writes the data sets of a simulated rig.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::args::RigArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Simulates a rig: a data set of each camera, and the rig.json.
+/// Simulates a rig: writes a data set for each camera, and rig.json.
 pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
         bail!("{}: the folder is not empty; a simulated rig needs an empty folder", folder.display());
@@ -24,13 +24,13 @@ pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCod
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let written = write(args, cameras, folder);
     if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
-        // The folder is empty again: no file has reached its final name.
+        // Fails without harm if a data set has already reached its final name.
         let _ = fs::remove_dir(folder);
     }
     written
 }
 
-/// Writes the rig under a temporary name, then moves it to its final name, rig.json last.
+/// Writes the data sets to a temporary folder, then moves them to their final names and writes rig.json.
 fn write(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     let scene = RigScene::tabletop(args.seed, cameras);
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Recordings of ROS 2: into another recording, into a folder of frames, or from one.
+//! Smooths a ROS 2 recording into another or into a folder of frames, or a folder of frames into a recording.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -28,11 +28,11 @@ struct Report<'a> {
     output: String,
     engine: Option<&'static str>,
     topics: Vec<TopicReport<'a>>,
-    /// Messages of other topics.
+    /// Number of messages of other topics, which were copied.
     copied: u64,
-    /// Why the recording ends before it should.
-    /// Chunks whose checksum is wrong.
+    /// Number of chunks with a wrong checksum.
     damaged_chunks: u64,
+    /// Reason why the recording ends early.
     cut_off: Option<&'a str>,
     seconds: f64,
 }
@@ -43,7 +43,7 @@ struct TopicReport<'a> {
     #[serde(rename = "type")]
     type_name: &'static str,
     smoothed: u64,
-    /// Copied as they were.
+    /// Number of messages copied unchanged because they could not be smoothed.
     failed: u64,
     first_failure: Option<&'a str>,
 }
@@ -51,7 +51,7 @@ struct TopicReport<'a> {
 /// Maximum number of frames to try until one is readable.
 const FRAMES_TRIED: usize = 1000;
 
-/// Smooths a recording, or a folder into one; `None` where input and output are neither.
+/// Smooths a recording, or a folder into a recording; returns `None` if neither input nor output is a recording.
 pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
     refuse_other_bags(&args.input)?;
     let input = file_of(&args.input)?;
@@ -191,7 +191,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     Ok(if is_clean { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-/// Returns a number of things.
+/// Returns a number with its noun, in the plural unless the number is 1.
 fn count(number: u64, what: &str) -> String {
     if number == 1 { format!("1 {what}") } else { format!("{number} {what}s") }
 }
@@ -281,7 +281,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     Ok(if statistics.failed_sinks + unreadable > 0 || frames == 0 { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-/// Returns true if the first readable frame is depth; clouds with a camera count if depth is requested.
+/// Returns true if the first readable frame is a depth image, or, if `wants_depth` is set, a cloud with a camera.
 fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result<bool> {
     let mut source = source::open(name, options)?;
     let mut failure = None;

@@ -15,8 +15,8 @@ use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Smooths the clouds of a recording's topic into a folder; `None` if the first readable message is
-/// something else.
+/// Smooths the clouds of a recording's topic into a folder; returns `None` if the first readable message is not an
+/// unorganized cloud.
 pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings) -> Result<Option<ExitCode>> {
     let topic = args.topics.topic.first().map(String::as_str);
     let camera_topic = args.topics.camera_info_topic.as_deref();

@@ -1,5 +1,5 @@
 //! Smooths every frame of a folder. Several workers run at once with one thread each, so reading and writing overlap
-//! with smoothing. With several devices, each worker has one.
+//! with smoothing. With several devices, each worker uses one of them.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
@@ -22,11 +22,12 @@ use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Larger files are smoothed one at a time, each with all threads.
+/// Maximum file size in bytes up to which several workers run. If any file is larger, files are smoothed one at a
+/// time, each with all threads.
 const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
 /// Number of workers that keep a GPU busy.
 const WORKERS_OF_A_GPU: usize = 4;
-/// Memory of a compressed frame, as a multiple of its file size.
+/// Memory needed for a compressed frame, as a multiple of its file size.
 const MEMORY_OVER_SIZE: u64 = 40;
 
 /// Input and output path of a frame.
@@ -60,11 +61,11 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
         poses.set(&mut worker.session, next, input)?;
         done[next] = Some(told.tell(worker.smooth_file(input, output), input));
         next += 1;
-        // The first frames report sensor and engine for all others.
+        // The first frames determine the sensor and the engine for all others.
         let workers = workers(worker, jobs.len() - next, largest)?;
         if workers > 1 {
             beside_each_other(worker, workers, &jobs[next..], &mut done[next..], &stop, &told);
-            // A frame that lacked memory, because others used it, is retried alone.
+            // A frame for which the other workers left too little memory is retried alone.
             for (job, done) in jobs[next..].iter().zip(&mut done[next..]) {
                 if matches!(done, Some(Err(error)) if needs_memory(error)) {
                     let is_stopped = stop.load(Ordering::Relaxed);
@@ -110,7 +111,7 @@ struct Poses {
 }
 
 impl Poses {
-    /// Sets the pose of a frame.
+    /// Sets the session's camera pose for a frame.
     fn set(&mut self, session: &mut Session, number: usize, input: &Path) -> Result<()> {
         if let Some(trajectory) = &self.trajectory {
             let name = input.file_stem().map(|name| name.to_string_lossy());
@@ -133,10 +134,10 @@ impl Poses {
     }
 }
 
-/// Prints errors, each kind once, and counts the frames.
+/// Prints each kind of error once, and advances the progress bar.
 struct Told<'a> {
     bar: &'a ProgressBar,
-    /// How often each error occurred, without the name of its frame.
+    /// Number of occurrences of each error, whose text does not contain the name of its frame.
     errors: Mutex<BTreeMap<String, usize>>,
 }
 
@@ -168,7 +169,7 @@ impl Told<'_> {
     }
 }
 
-/// Returns the frames of a folder; refuses what would overwrite an input or write two to one file.
+/// Creates the output folder and returns the jobs. Refuses to overwrite an input or to write two results to one file.
 fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     if inputs.is_empty() {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
@@ -212,27 +213,27 @@ fn output_path(args: &SmoothArgs, input: &Path) -> PathBuf {
     }
 }
 
-/// Returns the number of workers for `frames` frames, the largest of which has `largest` bytes: as many as threads,
-/// limited by the number of frames and by memory. The reference engine uses its threads for one frame.
+/// Returns the number of workers for `frames` frames, the largest of which has `largest` bytes: one per thread,
+/// limited by the number of frames and by memory. The reference engine uses all threads for one frame.
 fn workers(worker: &Worker<'_>, frames: usize, largest: u64) -> Result<usize> {
     let engine = worker.session.engine();
     let is_fast = engine.is_some_and(|engine| engine != Engine::Reference);
     let settings = &worker.settings;
     let is_sensor_open = settings.estimates_sensor() && worker.session.estimated_sensor().is_none();
-    // Each frame of a video follows from those before it.
+    // Each frame of a video depends on those before it.
     let is_video = settings.temporal_params().is_some();
     if !is_fast || is_sensor_open || is_video || worker.args.repeat > 1 || largest > LARGEST_BESIDE_OTHERS {
         return Ok(1);
     }
     let threads = settings.threads.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
-    // Each has buffers on the device.
+    // Each worker has buffers on the device.
     let devices = worker.session.devices().len().max(1);
     let threads = if engine == Some(Engine::Gpu) { threads.min(WORKERS_OF_A_GPU * devices) } else { threads };
     let in_memory = worker.args.reading.read_options().max_memory_bytes / (MEMORY_OVER_SIZE * largest.max(1));
     Ok(threads.min(frames / 2).min(usize::try_from(in_memory).unwrap_or(usize::MAX)))
 }
 
-/// Returns true if a frame might be smoothed with more memory.
+/// Returns true if a frame failed for lack of memory and might succeed with more.
 fn needs_memory(error: &anyhow::Error) -> bool {
     let is_too_large = |error: &IoError| matches!(error.problem, FormatError::TooLarge { .. });
     error.chain().any(|cause| {
@@ -242,8 +243,8 @@ fn needs_memory(error: &anyhow::Error) -> bool {
     })
 }
 
-/// Smooths frames with several workers like this one. Frames that need more memory are left for later, neither reported
-/// nor counted.
+/// Smooths frames with several workers, which use the settings of `like`. Frames that need more memory are left for
+/// later and neither reported nor counted.
 fn beside_each_other(
     like: &Worker<'_>,
     workers: usize,
@@ -288,7 +289,7 @@ fn beside_each_other(
         }
     };
     thread::scope(|scope| {
-        // The first works here: the system may allow no more threads.
+        // The first worker runs on this thread, since the system may refuse to start others.
         for number in 1..workers {
             let work = &work;
             let _ = thread::Builder::new().spawn_scoped(scope, move || work(number));

@@ -5,7 +5,7 @@ use anyhow::Result;
 use planish::Frame;
 use planish::io::Work;
 
-/// A frame needs more memory than its worker has.
+/// The error of a frame that needs more memory than its worker may use.
 #[derive(Debug)]
 pub(super) struct NeedsMemory(pub(super) String);
 

@@ -1,4 +1,4 @@
-//! The steps before smoothing: ranges cut off, floating pixels removed, resolution reduced.
+//! The steps before smoothing: cutting off ranges, removing floating pixels and reducing the resolution.
 
 use std::path::Path;
 

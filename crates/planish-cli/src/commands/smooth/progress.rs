@@ -1,4 +1,4 @@
-//! A bar while one large cloud is smoothed.
+//! A progress bar for smoothing one large cloud.
 
 use std::io::IsTerminal;
 use std::sync::Arc;
@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planish::Progress;
 
-/// Runs some work with a progress bar, if the work takes long and standard error is a terminal.
+/// Runs `work`, with a progress bar if it takes long and standard error is a terminal.
 pub fn with_progress<T>(progress: Option<Arc<Progress>>, work: impl FnOnce() -> T) -> T {
-    /// Shorter work shows no bar.
+    /// Time after which the bar appears.
     const PATIENCE: Duration = Duration::from_secs(1);
     const STEP: Duration = Duration::from_millis(100);
     const STEPS: u64 = 1000;

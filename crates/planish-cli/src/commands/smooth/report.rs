@@ -14,7 +14,7 @@ pub struct Report {
     #[serde(serialize_with = "lossily")]
     pub output: PathBuf,
     pub engine: &'static str,
-    /// The GPU's name.
+    /// Name of the GPU, if one was used.
     pub adapter: Option<String>,
     /// Reason for the choice of `auto`.
     pub engine_reason: Option<String>,
@@ -27,10 +27,10 @@ pub struct Report {
     /// Number of tiles of a file larger than memory; the smoothing time then includes reading and writing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<usize>,
-    /// How an unorganized cloud was smoothed, where the settings left that to planish.
+    /// Neighbours, edges and passes chosen for an unorganized cloud, if the settings leave them to planish.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cloud: Option<CloudChoice>,
-    /// Width and height of the grid that a frame had lost.
+    /// Width and height of the rebuilt grid, for a cloud that had lost its grid.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebuilt_grid: Option<[usize; 2]>,
     pub read_ms: f64,
@@ -117,7 +117,7 @@ pub fn print_report(report: &Report) {
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
-/// Reports in one line if the ranges of a grid are not the depths of a camera. Not needed if a pose is given.
+/// Reports if the ranges of a grid are not camera depths. Ranges as distances are not reported if a pose is given.
 pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();
@@ -152,7 +152,7 @@ pub fn report_assumed_sensor(input: &Path, position_m: Option<[f64; 3]>) {
     }
 }
 
-/// Why points have too few neighbours, as far as the parameters tell, and what would help.
+/// Returns the likely reason why points have too few neighbours, judging by the parameters, and a remedy.
 pub fn likely_cause(frame: Frame<'_>, params: &Params, sensor_is_given: bool) -> String {
     let too_small = |radius_m: f32, other: &str| {
         format!(

@@ -1,4 +1,4 @@
-//! Files larger than memory.
+//! Smoothing of files larger than memory.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use super::report::{Report, StatusCounts, report_assumed_sensor, summarize};
 use super::{LOST_SHARE_TOLD, Worker};
 
 impl Worker<'_> {
-    /// Smooths a LAS, LAZ or PLY file tile by tile into another, if it does not fit the memory that is allowed.
+    /// Smooths a LAS, LAZ or PLY file in tiles into another if it exceeds the memory limit; otherwise returns `None`.
     pub(super) fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
         let allowed = self.read_options().max_memory_bytes;
         if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {

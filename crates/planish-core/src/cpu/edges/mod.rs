@@ -1,8 +1,9 @@
 //! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
-//! One pass fits the first planes of all cells, or pixels. Another derives each one's surface from them, and the mean
-//! of its block's points on that surface. Each component of a plane is a channel with the layout of the padded frame.
-//! The results of cells then replace their surfaces, and the results of pixels follow from the cells ([`pixels`]).
+//! One pass fits the first planes of all cells or pixels. Another derives from them the surface of each cell or
+//! pixel, and the mean of its block's points on that surface. Each component of a plane is a channel with the layout
+//! of the padded frame. The results of cells then replace their surfaces, and the results of pixels follow from the
+//! cells ([`pixels`]).
 
 mod pixels;
 mod vote;
@@ -33,42 +34,43 @@ use vote::Voting;
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
 
-// ...of first planes:
-/// The variance along the normal plus the plane's uncertainty, in m². Larger, and finally infinite, if neighbours are
-/// too few, collinear, or on a plane seen edge-on.
+// Channels of first planes only.
+/// Variance along the normal plus the plane's uncertainty, in m². It increases, and finally becomes infinite, if
+/// neighbours are too few, collinear, or on a plane seen edge-on.
 const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative if they are collinear.
 const COUNT: usize = 6;
 /// The square of the extent in m².
 const EXTENT: usize = 7;
-/// The mean of the neighbours, relative to the pixel's point.
+/// First of three channels: the mean of the neighbours, relative to the point.
 const CENTROID: usize = 8;
-/// The variance along the plane in m².
+/// Sum of the two variances along the plane, in m².
 const SPREAD: usize = 11;
-/// How the window bends.
+/// Sum of the window's principal curvatures, in 1/m.
 const WINDOW_BEND: usize = 12;
 const FIRST_CHANNELS: usize = 13;
 
-// ...of surfaces:
-/// The distance in metres within which neighbours count.
+// Channels of surfaces only.
+/// Distance from the surface within which neighbours count, in metres.
 const WIDTH: usize = 4;
-/// How it bends along the tangents of its normal: uu, uv, vv.
+/// First of three channels: the bend along the tangents of the normal, in 1/m (uu, uv, vv).
 const BEND: usize = 5;
-/// From 0, if planes around the point fit, to 1, if none does.
+/// Degree to which no plane around the point fits, from 0 to 1.
 const NO_PLANE_FITS: usize = 8;
-/// Certainty: from 0, if no plane near the point fits it, to 1. The results of cells do not overwrite it.
+/// Certainty of the surface, from 0, if no plane near the point fits it, to 1. The results of cells do not overwrite
+/// it.
 const CERTAINTY: usize = 9;
 const SURFACE_CHANNELS: usize = 10;
 
-/// A plane for each cell of a frame, as channels with the layout of the padded frame.
+/// One plane for each cell of a frame, as channels with the layout of the padded frame.
 struct Planes<const CHANNELS: usize> {
     channels: Channels<CHANNELS>,
     row_len: usize,
     border: usize,
 }
 
-/// A band of rows of them, and of the samples that change with them.
+/// A band of rows of planes, and of the block means that are written with them.
 pub(super) struct PlaneRows<'a, const CHANNELS: usize> {
     /// The first row's number in the image.
     pub(super) first: usize,
@@ -86,16 +88,16 @@ pub(super) type SurfaceRows<'a> = PlaneRows<'a, SURFACE_CHANNELS>;
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
     planes: Planes<FIRST_CHANNELS>,
-    /// Distance in cells to the eight planes considered.
+    /// Distance in cells along each axis to the eight surrounding planes considered.
     shift: usize,
 }
 
-/// The surfaces found from them.
+/// The surfaces found from the first planes.
 pub(super) struct Surfaces {
     planes: Planes<SURFACE_CHANNELS>,
 }
 
-/// Returns the standard deviation of depth at a range, between bounds whose squares are within f32, whatever the
+/// Returns the standard deviation of depth at a range, limited to values whose squares fit in f32 for any
 /// coordinates.
 #[inline(always)]
 fn noise<S: Simd>(simd: S, rules: &RangeRules, range: S::f32s, radius: S::f32s) -> S::f32s {
@@ -123,7 +125,7 @@ impl<const CHANNELS: usize> SplitRows for PlaneRows<'_, CHANNELS> {
 }
 
 impl<const CHANNELS: usize> PlaneRows<'_, CHANNELS> {
-    /// Returns the index of column u in the `row`-th of these rows.
+    /// Returns the index of column u in row `row` of this band.
     fn index(&self, row: usize, u: usize) -> usize {
         row * self.row_len + self.border + u
     }
@@ -178,12 +180,12 @@ impl<const CHANNELS: usize> Planes<CHANNELS> {
 }
 
 impl Surfaces {
-    /// Room for the surfaces of frames with this padding.
+    /// Allocates the surfaces of frames with the layout of `padded`.
     pub(super) fn new(padded: &PaddedFrame) -> Self {
         Self { planes: Planes::new(padded) }
     }
 
-    /// Bytes of the channels.
+    /// Returns the size of the channels in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.planes.bytes()
     }
@@ -195,8 +197,8 @@ impl Surfaces {
 }
 
 impl SurfaceRows<'_> {
-    /// Returns the surfaces from column u of the `row`-th of these rows on, as their pass has found them; `here` is the
-    /// index of the first pixel.
+    /// Returns the surfaces found for a vector of points that starts at column u of row `row` of this band. `here` is
+    /// the index of the first point in the frame.
     #[inline(always)]
     pub(super) fn surface<S: Simd>(
         &self,
@@ -229,12 +231,12 @@ impl SurfaceRows<'_> {
 }
 
 impl FirstPlanes {
-    /// Room for the planes of frames with this padding.
+    /// Allocates the planes of frames with the layout of `padded`.
     pub(super) fn new(params: &EngineParams, padded: &PaddedFrame) -> Self {
         Self { planes: Planes::new(padded), shift: params.edge_shift() }
     }
 
-    /// Bytes of the channels.
+    /// Returns the size of the channels in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.planes.bytes()
     }
@@ -249,7 +251,7 @@ impl FirstPlanes {
         self.planes.load(simd, COUNT, at)
     }
 
-    /// Returns the planes from an index on, unchanged.
+    /// Returns the first planes from an index on.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
         Plane {
@@ -266,9 +268,8 @@ impl FirstPlanes {
         }
     }
 
-    /// Finds the surfaces of the points from an index on, from their first planes and the eight around them, and how
-    /// certain they are. The
-    /// distance of `mean` from a plane determines how well it fits.
+    /// Finds the surfaces of the points from index `here` on, from their first planes and the eight around each, and
+    /// the certainties of the surfaces. The distance of `mean` from a plane determines how well the plane fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,
@@ -285,7 +286,7 @@ impl FirstPlanes {
         let voting = Voting { measured, here, p, to_mean: mean.sub(p), per_variance: one / (noise * noise), gate };
         let mut plane = self.plane(simd, here);
         let count = self.count(simd, here);
-        // A hole may hold anything, and so may a point on a line.
+        // The values of holes and of points on a line are arbitrary.
         let has_plane = valid & count.simd_ge(splat(simd, 3.0));
         let vote = self.vote(simd, &voting);
         let own_normal = plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT));
@@ -302,11 +303,11 @@ impl FirstPlanes {
             let frame = tangents(simd, normal);
             let measured = self.around(simd, &voting, &vote).bend(simd, &turn, frame, radius);
             let bends = turns & measured.bend.square().simd_gt(zero);
-            // In the middle of the planes, where this normal is, the slope differs from that at p.
+            // The normal applies to the middle of the planes, where the slope differs from that at p.
             let (a, b) = measured.bend.times(measured.centre[0], measured.centre[1]);
             let (tilted, side) = facing(simd, normal.add_scaled(a, frame.0).add_scaled(b, frame.1), ray, has_plane);
             plane.normal = tilted.or(bends, plane.normal);
-            // The other way round it is the same surface.
+            // A flipped normal with the opposite height describes the same surface.
             plane.height =
                 bends.select(side * sign * moved::<S>((vote.height + measured.rise) * per_total, radius), plane.height);
             bend = measured.bend.turned(frame, tangents(simd, plane.normal)).scale(side).or_none(simd, bends);
@@ -319,14 +320,14 @@ impl FirstPlanes {
     }
 }
 
-/// Limits heights: planes that disagree may lie further away than a point may move.
+/// Limits heights to the radius: planes that disagree may be farther away than a point may move.
 #[inline(always)]
 fn moved<S: Simd>(height: S::f32s, radius: S::f32s) -> S::f32s {
     height.max(-radius).min(radius)
 }
 
-/// Returns unit normals towards the sensor where there are planes, and the signs by which they differ from the given
-/// ones.
+/// Normalizes normals and turns them towards the sensor, in lanes with a plane. Also returns the sign by which each
+/// was multiplied.
 #[inline(always)]
 fn facing<S: Simd>(simd: S, normal: Vec3<S>, ray: Vec3<S>, has_plane: Mask<S>) -> (Vec3<S>, S::f32s) {
     let one = splat(simd, 1.0);
@@ -336,10 +337,11 @@ fn facing<S: Simd>(simd: S, normal: Vec3<S>, ray: Vec3<S>, has_plane: Mask<S>) -
     (normal.scale(sign / length), sign)
 }
 
-/// Returns how far planes are usable, from 0 to 1: 0 if neighbours are too few, collinear, or on a plane seen edge-on.
+/// Returns the degree to which planes are usable, from 0 to 1: 0 if neighbours are too few, collinear, or on a plane
+/// seen edge-on.
 #[inline(always)]
 fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S::f32s {
-    // Scaled, since the squares may be too large.
+    // Scaled, since squares may overflow.
     let largest = ray.x.abs().max(ray.y.abs()).max(ray.z.abs()).max(splat(simd, f32::MIN_POSITIVE));
     let direction = ray.scale(splat(simd, 1.0) / largest);
     let cosine = plane.normal.dot(direction).abs() / direction.dot(direction).sqrt();
@@ -348,7 +350,7 @@ fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S
     share(simd, enough) * share(simd, plane.off_line) * share(simd, facing)
 }
 
-/// The pass of the first planes, for some rows.
+/// Fits the first planes of some rows.
 #[inline(always)]
 pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kernel, rows: &mut FirstRows<'_>) {
     for row in 0..rows.count() {
@@ -368,7 +370,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             let plane = plane::fit(simd, ray, &sums);
             let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
             let usable = usable(simd, ray, &plane, sums.total);
-            // A single point has no residual.
+            // A single point would give 0/0.
             let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
             let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
             let window_bend = bend::of_window(simd, (window, kernel), p, radius, &plane);
@@ -394,7 +396,7 @@ pub(super) struct Blocks<'a> {
     pub(super) means: &'a PaddedFrame,
 }
 
-/// Finds the surfaces of some rows, and the means of the blocks' points on them if there are blocks.
+/// Finds the surfaces of some rows. With `blocks`, also computes the mean of each block's points on its surface.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(
     simd: S,

@@ -21,33 +21,34 @@ use crate::cpu::vector::{Mask, Vec3, rises, splat};
 use crate::cpu::window::Gate;
 use crate::range::MAX_RANGE_M;
 
-// Results of cells, in the channels of surfaces. A point without a normal has a normal of 0 and thus no weight.
+// Results of cells, in the channels of surfaces. A point without a normal gets a zero normal and thus no weight.
 const RESULT_NORMAL: usize = NORMAL;
 /// The status plus [`CODES`] times the number of neighbours.
 const CODE: usize = HEIGHT;
 const CURVATURE: usize = WIDTH;
 const RESULT_POINT: usize = BEND;
 
-/// More than any code of status.
+/// Factor of the number of neighbours in [`CODE`]; larger than any status of a cell's point (0 to 5).
 const CODES: f32 = 8.0;
-/// The codes of status of collinear neighbours and of a plane, the least with a normal.
+/// Code of the status `Degenerate`: collinear neighbours.
 const DEGENERATE: f32 = 2.0;
+/// Code of the status `Plane`, the smallest one with a normal.
 const PLANE: f32 = 3.0;
 
-/// Cells around a pixel along an axis, relative to its own, and how much they count: linearly less up to four pixels.
-/// For a pixel at the start of its cell, and at the end.
+/// Cells around a pixel along an axis, relative to the pixel's own cell, and their shares, which fall linearly to 0
+/// at four pixels. The first entry is for a pixel at the start of its cell, the second for one at the end.
 const SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 0.5), (0, 1.0), (1, 0.5)], &[(-1, 0.25), (0, 0.75), (1, 0.75), (2, 0.25)]];
-/// Shares for finding the surface of the pixel's point, up to three pixels.
+/// Cells and shares for finding the surface of the pixel's point. The shares fall to 0 at three pixels.
 const FIND_SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 1.0 / 3.0), (0, 1.0), (1, 1.0 / 3.0)], &[(0, 2.0 / 3.0), (1, 2.0 / 3.0)]];
-/// Sum of the products of row and column shares up to four pixels.
+/// Sum of the products of row and column [`SHARES`].
 const ALL_SHARES: f32 = 4.0;
-/// Shares for averaging block means, up to two pixels.
+/// Cells and shares for averaging block means. The shares fall to 0 at two pixels.
 const MEAN_SHARES: [&[(isize, f32)]; CELL_PX] = [&[(0, 1.0)], &[(0, 0.5), (1, 0.5)]];
 
 impl SurfaceRows<'_> {
-    /// Keeps results in place of the surfaces from column u of the `row`-th of these rows on.
+    /// Replaces a vector of surfaces that starts at column u of row `row` of this band by results.
     #[inline(always)]
     pub(in crate::cpu) fn keep<S: Simd>(
         &mut self,
@@ -69,7 +70,7 @@ impl SurfaceRows<'_> {
         self.store::<S>(CURVATURE, at, surface.plane.curvature);
     }
 
-    /// Keeps holes.
+    /// Replaces a vector of surfaces that starts at column u of row `row` of this band by holes.
     #[inline(always)]
     pub(in crate::cpu) fn keep_holes<S: Simd>(&mut self, simd: S, (u, row): (usize, usize)) {
         let at = self.index(row, u);
@@ -80,7 +81,7 @@ impl SurfaceRows<'_> {
     }
 }
 
-/// Input of the pass of pixels.
+/// Input of the pixel pass.
 #[derive(Clone, Copy)]
 pub(in crate::cpu) struct Found<'a> {
     pub(in crate::cpu) pixels: &'a Pixels,
@@ -131,7 +132,7 @@ impl<S: Simd> PixelResults<S> {
         Self { projected, depth: nan, curvature: nan, n: zero }
     }
 
-    /// Brings the results of even and odd columns into their order.
+    /// Interleaves the results of even and odd columns into image order.
     #[inline(always)]
     fn interleave(even: Self, odd: Self) -> [Self; 2] {
         let [point, points] = Vec3::interleave(even.projected.point, odd.projected.point);
@@ -153,9 +154,9 @@ impl<S: Simd> PixelResults<S> {
     }
 }
 
-/// Returns the results of every second pixel of row v, one of each cell from column u of cells on: the one in the first
-/// column of its cell (0), or in the second (1).
-// Constants are passed on where it is inlined; for the browser one copy is smaller.
+/// Returns the results of one pixel in row v for each cell from cell column u on: the pixel in the first (0) or
+/// second (1) column of its cell.
+// Inlining propagates the constant `column`; for the browser, one copy is smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn result_of_column<S: Simd>(
@@ -187,10 +188,10 @@ fn result_of_column<S: Simd>(
     let Voted { total, certain, normal, height, best, code, curvature } =
         surfaces.surface_of(simd, around(FIND_SHARES), points, to_mean, noise);
     let on_one: Mask<S> = total.simd_gt(splat(simd, LEAST_SURFACE_WEIGHT));
-    // Their squares must not vanish.
+    // Divided by the total, so that squares do not underflow.
     let normal = normal.scale(one / on_one.select(total, one));
     let square = on_one.select(normal.dot(normal), one);
-    // Equal surfaces that face both sides cancel.
+    // Normals of equal surfaces that face opposite sides cancel.
     let vague: Mask<S> = square.simd_lt(splat(simd, LEAST_NORMAL * LEAST_NORMAL));
     let normal = if vague.any_true() {
         let mut distances = [0.0; MAX_LANES];
@@ -221,7 +222,7 @@ fn result_of_column<S: Simd>(
     let along = more.mul_add(share, along);
     let normal = mean.normal;
     let own_code = surfaces.planes.load(simd, CODE, cell);
-    // Far away, squares leave f32.
+    // Farther away, squares overflow f32.
     let near: Mask<S> = p.dot(p).simd_lt(splat(simd, MAX_RANGE_M * MAX_RANGE_M));
     let (own_n, own_status) = decode(simd, own_code);
     let own_has_normal: Mask<S> = own_status.simd_ge(splat(simd, PLANE));
@@ -249,13 +250,13 @@ fn result_of_column<S: Simd>(
     }
 }
 
-/// Returns the way onto surfaces: a share of rays, or a height along normals.
+/// Returns the displacement onto surfaces: a share of the ray, or a height along the normal.
 #[inline(always)]
 fn step<S: Simd>(kernel: &Kernel, along: S::f32s, ray: Vec3<S>, height: S::f32s, normal: Vec3<S>) -> Vec3<S> {
     if kernel.on_ray { ray.scale(along) } else { normal.scale(height) }
 }
 
-/// Splits codes into numbers of neighbours and status.
+/// Splits codes into numbers of neighbours and status codes.
 #[inline(always)]
 fn decode<S: Simd>(simd: S, code: S::f32s) -> (S::f32s, S::f32s) {
     let n = (code * splat(simd, 1.0 / CODES)).floor();
@@ -280,7 +281,7 @@ impl Around {
         (index(rows[0].0, columns[0].0), index(rows[rows.len() - 1].0, columns[columns.len() - 1].0))
     }
 
-    /// Visits the indices of the cells, and how much they count.
+    /// Visits the index and the share of each cell.
     #[inline(always)]
     fn visit(self, row_len: usize, mut visit: impl FnMut(usize, f32)) {
         for &(row, down) in self.rows {
@@ -299,10 +300,11 @@ struct Voted<S: Simd> {
     certain: S::f32s,
     normal: Vec3<S>,
     height: S::f32s,
-    /// Index of the cell that counts most, relative to the point's own.
+    /// Index of the cell with the largest weight, relative to the point's own cell.
     best: S::f32s,
-    /// Status and neighbours of that cell.
+    /// [`CODE`] of the cell with the largest weight.
     code: S::f32s,
+    /// Curvature of the cell with the largest weight.
     curvature: S::f32s,
 }
 
@@ -348,7 +350,7 @@ impl Found<'_> {
 }
 
 impl Surfaces {
-    /// Returns the normals of cells as x, y and z, given their distances from the cells from one on.
+    /// Returns one cell's normal for each lane, as x, y and z. Lane i's cell is at `cell` + i + `distances[i]`.
     #[cold]
     fn normals_at(&self, cell: usize, distances: &[f32]) -> [[f32; MAX_LANES]; 3] {
         let mut normals = [[0.0; MAX_LANES]; 3];
@@ -404,8 +406,8 @@ impl Surfaces {
                 let from_mean = (height - to_mean.dot(normal)) * per_noise;
                 let badness = from_mean.mul_add(from_mean, one);
                 let square = badness * badness;
-                // Its product with the normal is the same whichever side that faces, unless that is exactly across the
-                // ray.
+                // The product of side and normal does not depend on which way the normal faces, unless the normal is
+                // exactly perpendicular to the ray.
                 let side = no_direction.select(one, normal.dot(towards));
                 let side = side.abs().min(one).max(splat(simd, LEAST_SIDE)).copysign(side);
                 let fits = counts.select(near * splat(simd, share) / (square * square), zero);
@@ -425,7 +427,7 @@ impl Surfaces {
         voted
     }
 
-    /// Averages the surfaces around points on their own, whose normals are given.
+    /// Averages the surfaces around points that are like their own, whose normals are given.
     #[inline(always)]
     fn mean_around<S: Simd>(
         &self,

@@ -1,4 +1,4 @@
-//! How the nine planes around a point vote for its surface (docs/method.md, section 10).
+//! Vote of the nine planes around a point on its surface (docs/method.md, section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -15,19 +15,19 @@ pub(super) struct Vote<S: Simd> {
     pub(super) height: S::f32s,
     pub(super) total: S::f32s,
     weights: [S::f32s; 9],
-    /// How near the planes are. Only valid for planes with a weight.
+    /// Gate weights of the planes by their distance from the point. Only valid for planes with a nonzero weight.
     nearness: [S::f32s; 9],
-    /// How well the planes fit their own points, wherever p is.
+    /// Sum of the planes' fits to their own points, F of (10.17).
     pub(super) fitting: S::f32s,
 }
 
-/// The points whose surfaces are sought, and the quantities that weigh the planes around them.
+/// The points whose surfaces are searched for, and the quantities that weight the planes around them.
 pub(super) struct Voting<'a, S: Simd> {
     pub(super) measured: &'a PaddedFrame,
     /// Index of the first point.
     pub(super) here: usize,
     pub(super) p: Vec3<S>,
-    /// From it to its block mean, whose distance from a plane determines how well it fits.
+    /// Offset from p to its block mean, whose distance from a plane determines how well the plane fits.
     pub(super) to_mean: Vec3<S>,
     pub(super) per_variance: S::f32s,
     pub(super) gate: Gate<S>,
@@ -40,7 +40,7 @@ impl FirstPlanes {
         here + self.shift * (k / 3 * row_len + k % 3) - self.shift * (row_len + 1)
     }
 
-    /// Weighs the planes around points by how well they fit.
+    /// Weights the planes around points by how well they fit.
     #[inline(always)]
     pub(super) fn vote<S: Simd>(&self, simd: S, voting: &Voting<'_, S>) -> Vote<S> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
@@ -60,8 +60,8 @@ impl FirstPlanes {
             let weight = |variance: S::f32s| {
                 let badness = variance.mul_add(voting.per_variance, one);
                 let square = badness * badness;
-                // An unusable plane has an infinite residual, hence no weight. One that is not near may hold anything,
-                // and changes nothing.
+                // An unusable plane has an infinite residual and thus no weight. The values of a plane that is not
+                // near are arbitrary, and masked out.
                 near.select(nearness / (square * square), zero)
             };
             vote.fitting += weight(variance);
@@ -75,7 +75,7 @@ impl FirstPlanes {
         vote
     }
 
-    /// Returns 0 where the planes fit, or hardly turn, to 1 where none does.
+    /// Returns the degree to which no plane fits: from 0, if the planes fit or hardly turn, to 1.
     #[inline(always)]
     pub(super) fn no_plane_fits<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> S::f32s {
         let zero = splat(simd, 0.0);
@@ -85,7 +85,7 @@ impl FirstPlanes {
         if lacks.any_true() { lacking * self.turning(simd, voting.here, vote) } else { zero }
     }
 
-    /// Returns 0 where the normals of the planes around points hardly turn, to 1 where they do, or planes are missing.
+    /// Returns the degree to which the normals of the planes around points turn or planes are missing, from 0 to 1.
     #[inline(never)]
     fn turning<S: Simd>(&self, simd: S, here: usize, vote: &Vote<S>) -> S::f32s {
         simd.vectorize(
@@ -107,7 +107,7 @@ impl FirstPlanes {
         )
     }
 
-    /// Returns the sums for the bend between the planes that a vote has weighed.
+    /// Returns the sums over the planes, weighted by a vote, for the bend between them.
     #[inline(always)]
     pub(super) fn around<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> Around<S> {
         let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));

@@ -16,7 +16,7 @@ use crate::constants::{
 };
 use crate::neighbours::LEAF;
 
-/// The pass of the first planes, for some leaves.
+/// Fits the first planes of some leaves.
 #[inline(always)]
 pub(super) fn fit_first_planes<S: Simd>(simd: S, kernel: &Kernel<'_>, rows: &mut FirstPlaneRows<'_>) {
     let mut gathered = Gathered::default();
@@ -56,7 +56,8 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, kernel: &Kernel<'_>, rows: &mut
     }
 }
 
-/// Finds the surfaces that the points p from a place on lie on; `gathered` has room for the positions around them.
+/// Finds the surfaces of the points p, the first of which is at `place`. `gathered` is a buffer for the positions
+/// around them.
 #[inline(always)]
 pub(super) fn find_surfaces<S: Simd>(
     simd: S,
@@ -76,7 +77,7 @@ pub(super) fn find_surfaces<S: Simd>(
     let gate = Gate::new(simd, plane_reach);
     let mean_gate = Gate::new(simd, radius * splat(simd, GENERAL_MEAN_REACH));
     let radius_squared = radius * radius;
-    // The noise is the harmonic mean of the residuals, which planes that fit well dominate.
+    // The noise is the harmonic mean of the residuals, which is dominated by planes that fit well.
     let (mut total, mut inverse, mut near, mut mean) = (zero, zero, zero, Vec3::splat(simd, 0.0));
     gathered.for_each_offset(
         simd,
@@ -125,7 +126,7 @@ pub(super) fn find_surfaces<S: Simd>(
             let root = one / residual.mul_add(per_variance, one);
             let square = root * root;
             let weight = near.select(square * square * nearness, zero);
-            // Normals that point the other way are turned round.
+            // Normals that point the other way are flipped.
             let facing = (plane.normal.dot(n) * per_facing).max(-one).min(one);
             let turned = weight * facing;
             normal = normal.add_scaled(turned, n);
@@ -133,10 +134,10 @@ pub(super) fn find_surfaces<S: Simd>(
             total = weight.mul_add(facing.abs(), total);
         },
     );
-    // Planes that disagree may lie further away than a point may move.
+    // Planes that disagree may be farther away than a point may move.
     let height = (height / total).max(-radius).min(radius);
     let length = has_plane.select(normal.dot(normal), one).sqrt();
-    // The other way round it is the same plane.
+    // A flipped normal with the opposite height describes the same plane.
     let away: Mask<S> = normal.dot(kernel.sensor.ray(simd, p)).simd_gt(zero);
     let sign = away.select(-one, one);
     plane.normal = normal.scale(sign / length).or(has_plane, plane.normal);

@@ -12,78 +12,81 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch, PointsView};
 use crate::neighbours::{LEAF, PointIndex};
 use crate::params::Edges;
 
-/// The numbers of neighbours that are tried, each about the root of two times the one before.
+/// The numbers of neighbours to try, each about √2 times the previous one.
 const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
-/// Smaller numbers, for thin walls and fine shapes.
+/// Smaller numbers of neighbours, for thin walls and fine shapes.
 const FEW: [u32; 4] = [10, 14, 20, 28];
-/// They are considered if the mean square motion with 40 neighbours exceeds this multiple of that with 20,
+/// Ratio of the mean square motion with 40 neighbours to that with 20 above which [`FEW`] is considered.
 const GROWS: f64 = 2.0;
-/// if the mean cosine of the angle between normals with 20 neighbours is at least this (less is noise),
+/// Minimum mean |cosine| between normals with 20 neighbours for [`FEW`] to be considered; less is noise.
 const COHERENT: f64 = 0.77;
-/// and the RMS motion with 40 exceeds this share of the mean radius (less is rounding).
+/// Ratio of the RMS motion with 40 neighbours to the mean radius above which [`FEW`] is considered; less is rounding.
 const LEAST_MOTION: f64 = 1e-4;
-/// About this many points are smoothed with each of them.
+/// Approximate number of points that are smoothed with each number of neighbours.
 const SAMPLE: usize = 2000;
-/// A neighbourhood is wider than the noise if its mean radius is at least this multiple of the RMS motion,
+/// Ratio of the mean radius to the RMS motion from which neighbourhoods are wider than the noise.
 const CLEAR_RATIO: f64 = 3.2;
-/// or if that ratio is at least this multiple of the smallest ratio so far.
+/// Multiple of the smallest ratio of mean radius to RMS motion so far from which neighbourhoods also count as wider
+/// than the noise.
 const CLEAR_RISE: f64 = 1.2;
 /// Number of coefficients of the polynomial: with K neighbours, the fit follows 6/K of the noise's variance.
 const COEFFICIENTS: f64 = 6.0;
-/// With K neighbours, smoothing leaves 12/K of the noise's variance.
+/// Numerator of the share of the noise's variance that remains: smoothing with K neighbours leaves 12/K.
 const LEFT: f64 = 12.0;
 
-/// Clouds whose mean radius for 40 neighbours is less than this multiple of the noise get a first pass.
+/// Ratio of the mean radius with 40 neighbours to the noise below which a cloud gets a first pass.
 const NOISY: f64 = 8.0;
-/// If that radius is less than this multiple, edges are off.
+/// Ratio of the mean radius with 40 neighbours to the noise up to which edges are off.
 const NOISIEST: f64 = 1.6;
-/// If it is more than this multiple, there is nothing to smooth.
+/// Ratio of the mean radius with 40 neighbours to the noise above which there is nothing to smooth.
 const CLEAN: f64 = 1000.0;
-/// How far around held-out points a first pass goes, in radii for 40 neighbours: more than twice the radius for 905.
+/// Reach of a first pass around held-out points, in mean radii with 40 neighbours: more than twice the radius with
+/// 905.
 const REACH: f32 = 12.0;
-/// Edges are kept if they reduce the mean square error by more than this many standard errors.
+/// Reduction of the mean square error, in standard errors, above which a way counts as better.
 const SURE: f64 = 1.0;
 
-/// The sides of a wall were merged if the kurtosis of the distances of held-out points is less than 3, as of noise, by
-/// this much and by this many standard errors.
+/// Shortfall of the kurtosis of held-out points' distances below 3, that of noise, above which the sides of a wall
+/// were merged.
 const FLAT: f64 = 0.35;
+/// Shortfall of the kurtosis below 3, in standard errors, above which the sides of a wall were merged.
 const FLAT_ERRORS: f64 = 3.0;
-/// Fewer neighbours than 40 keep the sides of walls apart if they reduce the mean square distance to this share.
+/// Ratio of mean square distances below which fewer than 40 neighbours are chosen to keep the sides of walls apart.
 const MUCH_LESS: f64 = 2.0 / 3.0;
 
-/// The noise of an unorganized cloud, and the way to smooth it that suits its noise and shape.
+/// The estimated noise of an unorganized cloud, and the way to smooth it that suits its noise and shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
     /// The number of neighbours that suits the noise and the shape, 10 to 905.
     pub neighbours: u32,
-    /// Whether edges are kept: where that reduces the error at held-out points.
+    /// The edge handling: edges are kept if that reduces the error at held-out points.
     pub edges: Edges,
-    /// The number of neighbours of a first pass, which noisy clouds need: their points are too far from the surface to
-    /// find it with all its detail at once.
+    /// The number of neighbours of a first pass; `None` for a single pass. Noisy clouds need a first pass because
+    /// their points are too far from the surface to find all its detail at once.
     pub first_neighbours: Option<u32>,
     /// The standard deviation of the points across their surface, in metres.
     pub noise_m: f32,
 }
 
-/// Choices that the settings have made.
+/// Choices made by the settings.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Decided {
     pub(crate) edges: Option<Edges>,
     pub(crate) passes: Option<u32>,
 }
 
-/// How far points moved with some number of neighbours.
+/// Motion of the sampled points when smoothed with a number of neighbours.
 #[derive(Debug, Clone, Copy)]
 struct Motion {
     neighbours: u32,
-    /// Mean square in m².
+    /// Mean square motion in m².
     square: f64,
-    /// Median square in m².
+    /// Median squared motion in m².
     median: f64,
     /// Ratio of the mean radius to the root mean square motion.
     ratio: f64,
-    /// Mean cosine of the angle between the normals of points that follow each other, whichever side they are on.
+    /// Mean |cosine| of the angle between the normals of consecutive points.
     coherence: f64,
 }
 
@@ -91,13 +94,13 @@ impl CloudEstimate {
     /// The number of neighbours of a first pass.
     pub const FIRST_NEIGHBOURS: u32 = 20;
 
-    /// Smooths about 2000 points of a cloud in several ways. `None` for a cloud of fewer than 160 distinct points, or
-    /// if none of the sampled points has enough neighbours.
+    /// Estimates the noise and chooses how to smooth a cloud, by smoothing about 2000 of its points in several ways.
+    /// `None` for a cloud of fewer than 160 distinct points, or if none of the sampled points has enough neighbours.
     pub fn of(cloud: &PointsView<'_>) -> Option<Self> {
         Self::with(cloud, Decided::default())
     }
 
-    /// As [`of`](Self::of), with the choices of the settings.
+    /// Same as [`of`](Self::of), with choices made by the settings.
     pub(crate) fn with(cloud: &PointsView<'_>, decided: Decided) -> Option<Self> {
         let mut index = PointIndex::default();
         index.fill(cloud);
@@ -116,7 +119,7 @@ impl CloudEstimate {
         }
         let few = if narrow.neighbours == least.neighbours { sample.of_few(&narrow) } else { None };
         let mut best = few.map_or(narrow, |[_, best]| best);
-        // From there on, wider ones leave less noise but move points off a surface that bends.
+        // Wider neighbourhoods leave less noise but move points off curved surfaces.
         for wider in tried.take_while(|_| few.is_none()).map_while(|neighbours| sample.motion(neighbours)) {
             if narrow.error_of(&wider) < narrow.error_of(&best) {
                 best = wider;
@@ -131,7 +134,7 @@ impl CloudEstimate {
         let off = Way { edges: Edges::Off, neighbours: best.neighbours };
         let first = FirstPass { neighbours: Self::FIRST_NEIGHBOURS, reach_m: REACH * radius_m as f32 };
         let held_out = HeldOut::new(&index, kernels, off, passes_twice.then_some(first)).ok()?;
-        // Noise beyond the spacing shifts round surfaces outwards, as keeping edges does.
+        // Noise larger than the spacing shifts round surfaces outwards, as keeping edges does.
         let may_have_edges = radius_m > NOISIEST * f64::from(noise_m);
         let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
         let mut chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
@@ -151,7 +154,7 @@ impl CloudEstimate {
     }
 }
 
-/// Ways to smooth, compared on points that are held out.
+/// Comparison of ways to smooth, on held-out points.
 struct Compared<'a> {
     held_out: &'a HeldOut,
     /// The largest number of neighbours.
@@ -161,14 +164,15 @@ struct Compared<'a> {
 /// Selects the distance to compare.
 type Distance = fn(&Miss) -> f64;
 
-/// A way, and its misses of the held-out points.
+/// A way to smooth, and its misses at the held-out points.
 struct Tried {
     way: Way,
     misses: Vec<Miss>,
 }
 
 impl Compared<'_> {
-    /// Returns the best way. Unless the settings choose, edges are kept only if that is clearly better.
+    /// Returns the best way. Unless `edges` is given, edges are kept only if that is clearly better or, on fine
+    /// shapes, not clearly worse.
     fn choose(&self, start: Way, is_noisy: bool, edges: Option<Edges>) -> Tried {
         // With too few neighbours, normals follow the noise, which shortens distances along them.
         let whole: Distance = |miss| miss.whole;
@@ -194,7 +198,7 @@ impl Compared<'_> {
         if is_few && kept.way.neighbours == neighbours {
             kept = self.walk(kept, &|neighbours| self.below(neighbours), whole);
         }
-        // Shapes that 40 neighbours distort suffer most from rounding, so there edges need only be no worse.
+        // Shapes that 40 neighbours distort suffer most from rounding, so it suffices that keeping edges is no worse.
         let is_fine = neighbours < TRIED[0] && !is_noisy;
         let keeps = if is_fine { !smooth.is_better(&kept, along) } else { kept.is_better(&smooth, along) };
         if edges.is_none() && !keeps {
@@ -203,8 +207,8 @@ impl Compared<'_> {
         self.walk(kept, &|neighbours| self.above(neighbours, 2), along)
     }
 
-    /// Returns a way that keeps the two sides of walls apart: with 40 neighbours, or with fewer if those miss by much
-    /// less. They always miss by a little less, since they follow the noise.
+    /// Returns a way that keeps the two sides of walls apart: with 40 neighbours, or with fewer if their misses are
+    /// much smaller. Fewer neighbours always miss by slightly less, since they follow the noise.
     fn choose_apart(&self, edges: Edges) -> Tried {
         let mut best = self.try_way(Way { edges, neighbours: TRIED[0] });
         for neighbours in FEW.into_iter().rev() {
@@ -220,7 +224,7 @@ impl Compared<'_> {
         Tried { way, misses: self.held_out.misses(way) }
     }
 
-    /// Changes the number of neighbours step by step until two tries in a row miss by more.
+    /// Changes the number of neighbours step by step until two tries in a row do not reduce the error.
     fn walk(&self, mut best: Tried, next: &dyn Fn(u32) -> u32, distance: Distance) -> Tried {
         let mut neighbours = best.way.neighbours;
         let mut worse = 0;
@@ -236,12 +240,12 @@ impl Compared<'_> {
         best
     }
 
-    /// Returns the next smaller number of neighbours, at least the smallest.
+    /// Returns the next smaller number of neighbours, or the same number if it is the smallest.
     fn below(&self, neighbours: u32) -> u32 {
         FEW.into_iter().chain(TRIED).take_while(|&tried| tried < neighbours).last().unwrap_or(neighbours)
     }
 
-    /// Returns the number of neighbours `steps` above this one, at most the largest.
+    /// Returns the number of neighbours `steps` steps up from `neighbours`, at most the largest.
     fn above(&self, neighbours: u32, steps: usize) -> u32 {
         let above = FEW.into_iter().chain(TRIED).filter(|&tried| tried > neighbours && tried <= self.most);
         above.take(steps).last().unwrap_or(neighbours)
@@ -249,13 +253,13 @@ impl Compared<'_> {
 }
 
 impl Tried {
-    /// Returns true if it misses by less than another way, by more than [`SURE`] standard errors.
+    /// Returns true if this way misses by less than another, by more than [`SURE`] standard errors.
     fn is_better(&self, than: &Self, distance: Distance) -> bool {
         let (gain, doubt) = self.gain(than, distance);
         gain > SURE * doubt
     }
 
-    /// Returns by how much it misses less than another way in the mean, and the standard error of that.
+    /// Returns the mean reduction of the squared misses relative to another way, and its standard error.
     fn gain(&self, than: &Self, distance: Distance) -> (f64, f64) {
         let pairs = than.misses.iter().zip(&self.misses);
         let gains: Vec<f64> =
@@ -271,7 +275,8 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the misses vary less than noise does: they are then from a surface between the sides of a wall.
+    /// Returns true if the misses are distributed more evenly than noise, as from a surface between the two sides of
+    /// a wall.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);
@@ -284,7 +289,7 @@ impl Tried {
         3.0 - count * squared / (sum * sum) > f64::max(FLAT, FLAT_ERRORS * (24.0 / count).sqrt())
     }
 
-    /// Returns the noise that explains the median miss; `None` if no point counts.
+    /// Returns the noise in metres that explains the median miss; `None` if no point counts.
     fn noise_m(&self) -> Option<f32> {
         let mut squares: Vec<f64> =
             self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite()).collect();
@@ -293,7 +298,7 @@ impl Tried {
     }
 }
 
-/// Returns the mean of the finite ones of some values.
+/// Returns the mean of the finite values; NaN if there are none.
 fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
     let finite = values.filter(|value| value.is_finite());
     let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
@@ -306,7 +311,8 @@ impl Motion {
         1.0 / (1.0 - COEFFICIENTS / f64::from(self.neighbours))
     }
 
-    /// Returns the mean square error after another smoothing, in m², if this one removed the noise and kept the shape.
+    /// Returns the mean square error of another smoothing in m², (8.2), if this one removed the noise and kept the
+    /// shape.
     fn error_of(&self, other: &Self) -> f64 {
         other.square + LEFT * self.square * self.whole() / f64::from(other.neighbours)
     }
@@ -317,15 +323,15 @@ impl Motion {
     }
 }
 
-/// Some leaves of the points of a cloud.
+/// A cloud of which some leaves are smoothed.
 struct Sample<'a> {
     index: &'a PointIndex,
     kernels: Kernels,
 }
 
 impl Sample<'_> {
-    /// Returns the motions with the fewest neighbours and with the best number below 40, if 40 distort the shape: if
-    /// they move points to the other side of a thin wall, or off fine detail.
+    /// Returns the motions with the fewest neighbours and with the best number below 40, if 40 neighbours distort the
+    /// shape by moving points to the other side of a thin wall or off fine detail.
     fn of_few(&self, narrow: &Motion) -> Option<[Motion; 2]> {
         let few = self.motion(CloudEstimate::FIRST_NEIGHBOURS)?;
         let grows = narrow.square > GROWS * few.square && narrow.ratio < 1.0 / LEAST_MOTION;
@@ -341,7 +347,7 @@ impl Sample<'_> {
         (best.neighbours < narrow.neighbours).then_some([least, best])
     }
 
-    /// Returns how far its points move; `None` if none has enough neighbours.
+    /// Returns the motion of the sampled points; `None` if none has enough neighbours.
     fn motion(&self, neighbours: u32) -> Option<Motion> {
         let Self { index, kernels } = *self;
         let leaves = index.leaves();

@@ -11,15 +11,15 @@ use crate::neighbours::LEAF;
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FirstPlane {
     pub(super) normal: [f32; 3],
-    /// The foot of the position is this times the normal.
+    /// Height of the plane over the position along the normal, in metres.
     pub(super) height: f32,
-    /// Measures how badly the plane fits its points and how little they determine it, in m²: infinite for too few or
-    /// collinear points.
+    /// Misfit of the plane to its points and its uncertainty, R of (10.22), in m²; infinite for too few or collinear
+    /// points.
     pub(super) residual: f32,
     pub(super) curvature: f32,
     /// The number of neighbours; negative if they are collinear, 0 if no plane was fitted.
     pub(super) count: f32,
-    /// The square of the extent in m².
+    /// Square of the neighbourhood's in-plane extent, in m².
     pub(super) extent_squared: f32,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct FirstPlanes {
     pub(super) radii: Vec<f32>,
 }
 
-/// Those of some leaves.
+/// The first planes of some leaves.
 pub(super) struct FirstPlaneRows<'a> {
     pub(super) first: usize,
     pub(super) planes: &'a mut [FirstPlane],
@@ -53,9 +53,9 @@ impl SplitRows for FirstPlaneRows<'_> {
 }
 
 impl FirstPlanes {
-    /// Allocates the rows of this many leaves.
+    /// Allocates the rows of `leaves` leaves.
     pub(super) fn rows(&mut self, leaves: usize) -> FirstPlaneRows<'_> {
-        // No more room than is needed: clouds are large.
+        // Reserves no more room than needed, since clouds are large.
         let places = LEAF * leaves;
         self.planes.reserve_exact(places.saturating_sub(self.planes.len()));
         self.planes.resize(places, FirstPlane::default());
@@ -64,7 +64,7 @@ impl FirstPlanes {
         FirstPlaneRows { first: 0, planes: &mut self.planes, radii: &mut self.radii }
     }
 
-    /// Returns the radii that were taken, for all positions.
+    /// Returns the radii used for the planes, for all positions.
     pub(super) fn radii(&self) -> &[f32] {
         &self.radii
     }
@@ -73,7 +73,7 @@ impl FirstPlanes {
         size_of::<FirstPlane>() * self.planes.capacity() + 4 * self.radii.capacity()
     }
 
-    /// Returns a number of the planes from a place on.
+    /// Returns one quantity of the planes from a place on.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, place: usize, number: impl Fn(&FirstPlane) -> f32) -> S::f32s {
         let mut lanes = [0.0; LEAF];
@@ -83,7 +83,8 @@ impl FirstPlanes {
         S::f32s::from_slice(simd, &lanes[..S::f32s::LEN])
     }
 
-    /// Returns the planes of the positions from a place on, as their own neighbours say, and how many those are.
+    /// Returns the planes fitted to the own neighbours of the positions from a place on, and the numbers of
+    /// neighbours.
     #[inline(always)]
     pub(super) fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
         let normal = Vec3::new(

@@ -1,4 +1,4 @@
-//! The candidates of a vector of points: everything within reach of one of them, and some points near that.
+//! The candidates of a vector of points: all positions within reach of any of the points, and some others nearby.
 
 use std::ops::Range;
 
@@ -8,19 +8,20 @@ use super::super::vector::{Mask, Vec3, splat};
 use super::super::window::{Candidates, Gate, Sums};
 use crate::neighbours::{Bounds, LEAF, LeafMoments, PointIndex};
 
-/// Leaves that reach beyond this squared distance are never summed as a whole: their moments may exceed f32.
+/// Squared distance in m² beyond which leaves are never summed as a whole, since their moments may overflow f32.
 const LARGEST_SQUARE: f32 = 1e24;
-/// The numbers of lanes.
+/// The lane numbers.
 const LANES: [u32; LEAF] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
 /// Candidates copied together.
 #[derive(Default)]
 pub(super) struct Gathered {
-    /// Leaves that are within the gate of every lane: no gate is needed.
+    /// Points of leaves that are fully within the gate of every lane, so that no gate is applied.
     whole: Copied,
-    /// The sums over the leaves.
+    /// Sums over the points of each leaf in `whole`.
     moments: Vec<LeafMoments>,
-    /// Points of all other leaves within reach of at least one lane, if they are in the box around what lanes reach.
+    /// Points of all other leaves within reach of at least one lane, if they are in the bounding box of all lanes'
+    /// reaches.
     others: Copied,
 }
 
@@ -39,15 +40,16 @@ struct Copied {
 /// Reach of the points of a vector; NaN for lanes without a point.
 #[derive(Clone, Copy)]
 pub(super) struct Reach<S: Simd> {
-    /// There are no candidates beyond this distance.
+    /// Distance in metres beyond which there are no candidates.
     pub(super) outer: S::f32s,
-    /// Up to this, candidates count wholly. Never NaN: the minimum of a NaN and a number is unspecified.
+    /// Distance in metres up to which candidates count fully. Never NaN: the minimum of a NaN and a number is
+    /// unspecified.
     pub(super) inner: S::f32s,
 }
 
 impl Gathered {
-    /// Gathers every position within reach of its lane's point p, for some lane, and others near them.
-    // One copy in the Web module, which counts every byte.
+    /// Gathers all positions within reach of at least one lane's point p, and others near them.
+    // One copy in the Web module, whose size matters.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub(super) fn fill<S: Simd>(&mut self, simd: S, index: &PointIndex, p: Vec3<S>, reach: Reach<S>) {
@@ -57,7 +59,7 @@ impl Gathered {
         let around = bounds_of(p, reach.outer);
         let outer_squared = reach.outer * reach.outer;
         let inner_squared = (reach.inner * reach.inner).min(splat(simd, LARGEST_SQUARE));
-        // Lanes that reach nothing have no say.
+        // Lanes without a reach are ignored.
         let idle: Mask<S> = reach.outer.simd_ne(reach.outer);
         index.for_each_leaf(
             simd,
@@ -82,7 +84,7 @@ impl Gathered {
         self.whole.len + self.others.len
     }
 
-    /// Returns the squares of the distances of all candidates, in a buffer.
+    /// Returns the squared distances of all candidates from p, stored in `buffer`.
     #[inline(always)]
     pub(super) fn squares<'a, S: Simd>(&self, simd: S, p: Vec3<S>, buffer: &'a mut Vec<S::f32s>) -> &'a [S::f32s] {
         if buffer.len() < self.len() {
@@ -100,7 +102,7 @@ impl Gathered {
         squares
     }
 
-    /// The offsets of all candidates from p, and their places.
+    /// Visits the offset from p and the place of each candidate.
     #[inline(always)]
     pub(super) fn for_each_offset<S: Simd>(&self, simd: S, p: Vec3<S>, mut visit: impl FnMut(Vec3<S>, usize)) {
         for Copied { x, y, z, places, len, .. } in [&self.whole, &self.others] {
@@ -114,7 +116,7 @@ impl Gathered {
 }
 
 impl Copied {
-    /// Room for the points of one more leaf.
+    /// Makes room for the points of one more leaf.
     #[inline(always)]
     fn reserve(&mut self) {
         if self.x.len() < self.len + LEAF {
@@ -130,7 +132,7 @@ impl Copied {
     #[inline(always)]
     fn push_leaf(&mut self, index: &PointIndex, leaf: usize) {
         self.reserve();
-        // The last leaf may be filled up with NaN.
+        // The last leaf may be padded with NaN.
         let from = LEAF * leaf..(LEAF * (leaf + 1)).min(index.len());
         let to = self.len..self.len + from.len();
         let [x, y, z] = &index.positions;
@@ -142,7 +144,7 @@ impl Copied {
         self.len += from.len();
     }
 
-    /// Copies those points of a leaf that are in a box.
+    /// Copies the points of a leaf that are in a box.
     #[inline(always)]
     fn push_inside<S: Simd>(&mut self, simd: S, index: &PointIndex, leaf: usize, bounds: &Bounds) {
         self.reserve();
@@ -184,13 +186,13 @@ fn is_reached<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>, reach_squared: S::f
     reached.any_true()
 }
 
-/// Returns how far values are outside `low` to `high`.
+/// Returns the distance of each value from the range `low` to `high`; 0 within it.
 #[inline(always)]
 fn outside<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (splat(simd, low) - values).max(values - splat(simd, high)).max(splat(simd, 0.0))
 }
 
-/// Returns the squares of the distances of a box's farthest corners.
+/// Returns the squared distance from each point to the farthest corner of a box.
 #[inline(always)]
 fn farthest_squared<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>) -> S::f32s {
     let Bounds { low, high } = bounds;
@@ -208,7 +210,7 @@ fn farther<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (values - splat(simd, low)).max(splat(simd, high) - values)
 }
 
-/// Returns the box of all points with their reaches.
+/// Returns the box that contains all points with their reaches, ignoring NaN.
 #[inline(always)]
 fn bounds_of<S: Simd>(p: Vec3<S>, reach: S::f32s) -> Bounds {
     Bounds {
@@ -217,13 +219,13 @@ fn bounds_of<S: Simd>(p: Vec3<S>, reach: S::f32s) -> Bounds {
     }
 }
 
-/// Returns the least value that is a number.
+/// Returns the smallest value, ignoring NaN.
 #[inline(always)]
 fn least<S: Simd>(values: S::f32s) -> f32 {
     values.as_slice().iter().copied().fold(f32::INFINITY, f32::min)
 }
 
-/// Returns the largest value that is a number.
+/// Returns the largest value, ignoring NaN.
 #[inline(always)]
 fn largest<S: Simd>(values: S::f32s) -> f32 {
     values.as_slice().iter().copied().fold(f32::NEG_INFINITY, f32::max)
@@ -269,7 +271,7 @@ impl<S: Simd> Candidates<S> for &Gathered {
         }
     }
 
-    /// Leaves that count wholly by their moments.
+    /// Uses the moments of leaves that count fully.
     #[inline(always)]
     fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
         let mut sums = self.sums_of_rows(simd, p, radius, self.whole.len..self.len());

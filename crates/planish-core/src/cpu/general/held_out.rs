@@ -1,5 +1,5 @@
-//! Points of a cloud that are held out, to compare ways to smooth it (docs/method.md, section 8): the best surface is
-//! the one that is nearest to points that it was not fitted to.
+//! Held-out points of a cloud, to compare ways to smooth it (docs/method.md, section 8). The best surface is the one
+//! nearest to points that it was not fitted to.
 
 use glam::Vec3;
 
@@ -9,13 +9,15 @@ use crate::frame::PointsView;
 use crate::neighbours::{LEAF, PointIndex};
 use crate::params::Edges;
 
-/// One point in this many is held out, of some groups of points that lie together.
+/// Interval between held-out points in each sampled leaf: one of eight is held out.
 const ONE_IN: usize = 8;
-/// The number of groups in a large cloud, and of leaves in each.
+/// Number of groups of leaves that are sampled in a large cloud.
 const GROUPS: usize = 32;
+/// Number of leaves in each group.
 const GROUP_LEAVES: usize = 1024 / LEAF;
 
-/// Squared distance in m² between a measured point and the surface where it was moved to; NaN if that does not count.
+/// Squared distance in m² between a measured point and the point on the surface that it was moved to; NaN if that
+/// point does not count.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Miss {
     /// Along the surface's normal.
@@ -32,11 +34,11 @@ impl Miss {
     }
 }
 
-/// A pass over all points before the surface is sought.
+/// Parameters of a first pass, before the surface is fitted.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FirstPass {
     pub(super) neighbours: u32,
-    /// How far around the leaves with held-out points it goes.
+    /// Distance around the leaves with held-out points within which points are smoothed.
     pub(super) reach_m: f32,
 }
 
@@ -51,8 +53,9 @@ pub(super) struct HeldOut {
 }
 
 impl HeldOut {
-    /// Holds out points of a cloud. They are smoothed in this way before they are compared with a surface: otherwise
-    /// their noise would decide which surface is theirs. If there is a first pass, it smooths the others.
+    /// Holds out points of a cloud. They are smoothed in the given way before they are compared with a surface;
+    /// otherwise their noise would decide which surface they belong to. A first pass, if any, smooths the other
+    /// points.
     pub(super) fn new(
         cloud: &PointIndex,
         kernels: Kernels,
@@ -101,7 +104,7 @@ impl HeldOut {
         self.index.append(self.others, &points);
     }
 
-    /// Smooths the held-out points.
+    /// Returns the held-out points, smoothed; `None` for those that do not count.
     fn smoothed(&self, way: Way) -> Vec<Option<OnSurface>> {
         let first = self.others / LEAF;
         let leaves: Vec<_> = (first..self.index.leaves()).collect();
@@ -110,7 +113,7 @@ impl HeldOut {
         places.map(|place| smoothed[place / LEAF - first].on_surface(place % LEAF)).collect()
     }
 
-    /// Returns how far each held-out point was measured from the surface.
+    /// Returns the squared distances of each held-out point, as measured, from the surface that `way` gives.
     pub(super) fn misses(&self, way: Way) -> Vec<Miss> {
         self.smoothed(way).iter().zip(&self.measured).map(|(surface, measured)| Miss::of(surface, *measured)).collect()
     }
@@ -122,7 +125,7 @@ fn index_of(points: &[[f32; 3]]) -> Result<PointIndex, FrameError> {
     Ok(index)
 }
 
-/// Returns which leaves have points to hold out: all of a small cloud, or groups of leaves that lie together.
+/// Returns a predicate for leaves with points to hold out: all of a small cloud, or groups of consecutive leaves.
 fn sampled_leaves(index: &PointIndex) -> impl Fn(usize) -> bool {
     let leaves = index.leaves();
     let is_small = leaves <= GROUPS * GROUP_LEAVES;

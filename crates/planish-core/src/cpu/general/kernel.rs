@@ -18,21 +18,21 @@ pub(super) struct Kernel<'a> {
     pub(super) sensor: Sensor,
     pub(super) index: &'a PointIndex,
     pub(super) radii: Radii<'a>,
-    /// `None` where edges are not kept, or these are about to be fitted.
+    /// The first planes; `None` if edges are not kept, or if the first planes are yet to be fitted.
     pub(super) first_planes: Option<&'a FirstPlanes>,
 }
 
 #[derive(Clone, Copy)]
 pub(super) enum Radii<'a> {
     Fixed(f32),
-    /// By density, before the limit from the radii around each point.
+    /// Radii by density, before they are limited by the mean radius around each point.
     Of(&'a [f32]),
-    /// After that limit.
+    /// Final radii, used without a further limit.
     Known(&'a [f32]),
 }
 
 impl Kernel<'_> {
-    /// Gathers the candidates of the points p from a place on, and gives their radii.
+    /// Gathers the candidates of the points p from a place on, and returns the points' radii.
     #[inline(always)]
     pub(super) fn gather<S: Simd>(
         &self,
@@ -70,8 +70,8 @@ pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S
     }
 }
 
-/// Returns the mean of the radii around each point, which is much smaller than the radius of an isolated point.
-/// Infinite without neighbours.
+/// Returns the mean of the radii around each point; infinite without neighbours. For an isolated point it is much
+/// smaller than the point's radius.
 #[inline(always)]
 fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));

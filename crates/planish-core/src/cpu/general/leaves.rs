@@ -21,9 +21,9 @@ use crate::smoothed::Smoothed;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// Around the smoothed leaves, first planes are fitted in one leaf of this many: enough for a comparison.
+/// Interval between the leaves in which first planes are fitted around the smoothed leaves: enough for a comparison.
 const ONE_LEAF_IN: usize = 4;
-/// Planes within twice the radius decide on a surface; this is a little more.
+/// Distance within which first planes are fitted, in radii: slightly more than that of the planes that vote.
 const PLANES_REACH: f32 = 2.04;
 
 /// A way to smooth.
@@ -41,7 +41,7 @@ pub(super) struct Kernels {
 }
 
 impl Kernels {
-    /// Smooths the points of some leaves. One copy, since the Web module counts every byte.
+    /// Smooths the points of some leaves. Not inlined, since the size of the Web module matters.
     #[inline(never)]
     pub(super) fn smooth(self, index: &PointIndex, way: Way, leaves: &[usize]) -> Vec<SmoothedLeaf> {
         let Self { sensor, level } = self;
@@ -93,7 +93,7 @@ impl Kernels {
     }
 }
 
-/// Returns the leaves within reach of some leaves, which differs from leaf to leaf.
+/// Returns the leaves within reach of the given leaves; `reach_m` returns the reach of each.
 pub(super) fn leaves_around(
     level: Level,
     index: &PointIndex,
@@ -108,14 +108,14 @@ pub(super) fn leaves_around(
     (0..index.leaves()).filter(|&leaf| is_near[leaf]).collect()
 }
 
-/// Puts the values of the points of some leaves in their places.
+/// Copies the values of the points of some leaves to their places.
 fn put<T: Copy>(values: &mut [T], leaves: &[usize], of_leaves: Vec<[T; LEAF]>) {
     for (&leaf, of_leaf) in leaves.iter().zip(of_leaves) {
         values[LEAF * leaf..LEAF * (leaf + 1)].copy_from_slice(&of_leaf);
     }
 }
 
-/// Returns the results for some leaves, in their order.
+/// Applies `of` to each leaf, in parallel, and returns the results in the order of the leaves.
 fn of_leaves<T: Send>(leaves: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let results: Vec<Mutex<Option<T>>> = leaves.iter().map(|_| Mutex::new(None)).collect();
     for_each(leaves.len(), &|i| {
@@ -124,7 +124,7 @@ fn of_leaves<T: Send>(leaves: &[usize], of: impl Fn(usize) -> T + Sync) -> Vec<T
     results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
 }
 
-/// One copy of the task runner, which is large.
+/// Calls `work` for each index, in parallel. Not generic, so that the large task runner is compiled only once.
 fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
     if ONE_THREAD { (0..count).for_each(work) } else { (0..count).into_par_iter().for_each(work) }
 }
@@ -141,7 +141,7 @@ pub(super) struct SmoothedLeaf {
     points: Xyz,
     normals: Xyz,
     radii_m: [f32; LEAF],
-    /// False for points without a surface, and for strays: their neighbourhoods are much wider than the median.
+    /// False for points without a surface and for strays, whose neighbourhoods are much wider than the leaf's median.
     counts: [bool; LEAF],
 }
 
@@ -156,7 +156,7 @@ impl SmoothedLeaf {
         Self { points: smoothed.points, normals: smoothed.normals.unwrap_or_default(), radii_m, counts }
     }
 
-    /// Returns point `k` if it counts.
+    /// Returns point `k`; `None` if it does not count.
     pub(super) fn on_surface(&self, k: usize) -> Option<OnSurface> {
         self.counts[k].then(|| OnSurface { point: self.points.get(k), normal: self.normals.get(k) })
     }

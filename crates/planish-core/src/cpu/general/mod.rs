@@ -1,8 +1,9 @@
-//! Unorganized clouds (docs/method.md, section 8): a vector of points that lie together at a time.
+//! Unorganized clouds (docs/method.md, section 8), smoothed in vectors of nearby points.
 //!
-//! [`PointIndex`] sorts the points; the neighbours of all points of a vector are gathered once ([`gather`]), and the
-//! stages equal the stages of frames. Each result depends only on its point and is computed in the order of the index,
-//! then moved to the order of the cloud. Results are therefore bit-identical for any number of threads.
+//! [`PointIndex`] sorts the points. The neighbours of all points of a vector are gathered once ([`gather`]) and then
+//! pass through the same stages as those of frames. Each point's result is computed independently of the others, in
+//! the order of the index, and then moved to the order of the cloud. Results are therefore bit-identical for any
+//! number of threads.
 
 mod edges;
 mod estimate;
@@ -53,7 +54,7 @@ pub(crate) struct GeneralCpu {
     threads: Threads,
     outputs: Outputs,
     index: PointIndex,
-    /// In the order of the index, where radii differ.
+    /// Radii in the order of the index, if they differ between points.
     radii: Vec<f32>,
     /// First planes with their radii, if edges are kept.
     first_planes: FirstPlanes,
@@ -87,7 +88,7 @@ impl GeneralCpu {
         progress.begin((of_radius + of_first_plane + of_fit) * index.leaves());
         let radii = match params.radius {
             Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
-            // `Smoother::open` refuses any other.
+            // `Smoother::open` rejects `Radius::Sensor`.
             Radius::Neighbours { count } => {
                 let density =
                     Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
@@ -164,13 +165,14 @@ impl ImmediateEngine for GeneralCpu {
         matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
     }
 
-    /// Includes the sorted points, their radii and results.
+    /// Returns the bytes of the index, the radii, the first planes and the sorted results.
     fn buffer_bytes(&self) -> u64 {
         (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
     }
 }
 
-/// One copy of each kernel, which are large, for the engine and the estimate.
+/// Fits the first planes of some leaves. Not inlined, so that the engine and the estimate share one copy of this
+/// large kernel.
 #[inline(never)]
 fn fit_first_planes(level: Level, kernel: &Kernel<'_>, rows: &mut FirstPlaneRows<'_>) {
     dispatch!(level, simd => edges::fit_first_planes(simd, kernel, rows));
@@ -231,7 +233,7 @@ fn smooth_vector<S: Simd, const D: usize>(
             (surface, radius)
         }
     };
-    // Farther away than squares can say.
+    // So far away that squares overflow.
     let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
     let n = valid.select(is_far.select(splat(simd, 1.0), surface.n), splat(simd, 0.0));
     let surface = Surface { n, ..surface };

@@ -7,13 +7,13 @@ use super::super::vector::{Mask, Vec3, splat};
 use super::gather::{Gathered, Reach, load};
 use crate::neighbours::{LEAF, PointIndex};
 
-/// The first reach that is tried, in radii of the points before.
+/// First trial reach, in radii of the previous vector of points.
 const FIRST_REACH: f32 = 1.2;
-/// Factor between successive trial radii.
+/// Factor between successive trial reaches.
 const NEXT_REACH: f32 = 1.5;
-/// Number of trial radii for all lanes together.
+/// Number of trial reaches for all lanes together.
 const TRIES: usize = 4;
-/// Steps of Newton's method; five to eight usually suffice.
+/// Maximum number of Newton steps; five to eight usually suffice.
 const MOST_STEPS: usize = 50;
 
 /// The radii of some leaves.
@@ -36,9 +36,9 @@ impl SplitRows for RadiusRows<'_> {
 /// Target density of a radius.
 #[derive(Clone, Copy)]
 pub(super) struct Density {
-    /// Half of the neighbours that evenly spread points would have.
+    /// Half the number of neighbours within the radius on evenly spread points.
     pub(super) half: f32,
-    /// No radius is larger.
+    /// Maximum radius.
     pub(super) largest_m: f32,
 }
 
@@ -64,7 +64,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
         let near_m = last_m.unwrap_or_else(|| reach_m(index, density, index.point(place)));
         let mut reach = splat(simd, (FIRST_REACH * near_m).min(density.largest_m));
         let mut radius = nan;
-        // Lanes without a radius yet; lanes with one reach no further.
+        // Lanes without a radius yet; the others gather no more candidates.
         let mut missing = valid;
         for _ in 0..TRIES {
             gathered.fill(simd, index, p, Reach { outer: missing.select(reach, nan), inner: zero });
@@ -104,16 +104,16 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
     }
 }
 
-/// Returns the distance within which to gather candidates for a single point's radius, nearest first until there are
-/// enough.
+/// Returns the distance within which to gather candidates for a single point's radius, found by visiting positions
+/// from the nearest on until there are enough.
 fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     let (mut n, mut sum) = (0.0, 0.0);
     for (square, _) in index.nearest(point) {
         if square == f32::INFINITY {
-            // Farther away than f32 can say.
+            // The squared distance overflows f32.
             break;
         }
-        // Sums the points so far, all of which are within this distance.
+        // The sums so far cover exactly the points within this distance.
         if square > 0.0 && n - sum / square > density.half {
             // Slightly larger, so that rounding excludes none.
             return (1.001 * square.sqrt()).min(density.largest_m);
@@ -124,12 +124,12 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
     density.largest_m
 }
 
-/// Returns the radii of lanes whose candidates within `reach` are enough; NaN for the others. `guess` is where the
-/// search starts, and at most `reach`.
+/// Returns the radii of lanes with enough candidates within `reach`; NaN for the others. The search starts at
+/// `guess`, which must not exceed `reach`.
 ///
-/// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. From a radius that is
-/// too large, Newton's method reaches the solution without overshooting, and stops there; from one that is too small,
-/// its first step leads to one that is too large.
+/// The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. From a radius that
+/// is too large, Newton's method reaches the solution without overshooting, and stops there. From a radius that is
+/// too small, its first step leads to one that is too large.
 #[inline(always)]
 fn radii_within<S: Simd>(
     simd: S,
@@ -167,7 +167,7 @@ fn radii_within<S: Simd>(
 #[inline(always)]
 fn within<S: Simd>(simd: S, squares: &[S::f32s], limit: S::f32s) -> (S::f32s, S::f32s) {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    // Two sums each, since an addition takes longer than the rest for a candidate.
+    // Two sums each, since an addition has a longer latency than the other work per candidate.
     let (mut n, mut sum) = ([zero; 2], [zero; 2]);
     let pairs = squares.chunks_exact(2);
     for (&square, k) in pairs.remainder().iter().zip([0]) {

@@ -1,4 +1,4 @@
-//! The buffers of an unorganized cloud on the device, kept from cloud to cloud, and what binds them.
+//! The buffers of an unorganized cloud on the device, reused from cloud to cloud, and their bind groups.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -15,22 +15,22 @@ use crate::error::EngineError;
 use crate::neighbours::LEAF;
 use crate::xyz::MAX_PIXELS;
 
-/// Nodes under a node.
+/// Number of children of a node.
 const CHILDREN: usize = 8;
-/// Levels of nodes that a cloud may have, and one more.
+/// Maximum number of levels of nodes, plus one.
 const LEVELS: usize = 12;
-/// Distance in bytes between the numbers of parts; every device accepts uniforms at such offsets.
+/// Distance in bytes between the uniforms of parts; every device accepts this alignment.
 const PART_STRIDE: u64 = 256;
-/// Parts of a pass, at most.
+/// Maximum number of parts per pass.
 pub(super) const MOST_PARTS: usize = 64;
-/// Cloud-wide state written by the kernels (cloud.wgsl).
+/// Size in bytes of the cloud-wide state that the kernels write (cloud.wgsl).
 pub(super) const STATE_BYTES: u64 = 8;
 /// Bytes of a node's box and moments.
 const NODE_BYTES: usize = 48;
 /// Bytes of a first plane.
 const PLANE_BYTES: usize = 48;
 
-/// The uniform of all kernels, as cloud.wgsl has it.
+/// The uniform of all kernels, as declared in cloud.wgsl.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 pub(super) struct CloudUniform {
@@ -52,9 +52,9 @@ pub(super) struct CloudUniform {
 
 const _: () = assert!(size_of::<CloudUniform>() == 112);
 
-/// Offsets of the nodes of each level.
+/// The levels of nodes over a cloud's points.
 pub(super) struct Levels {
-    /// The first node of each level, and of the one after the highest.
+    /// Index of the first node of each level; beyond the highest level, the total number of nodes.
     pub(super) firsts: [u32; LEVELS],
     pub(super) top: usize,
     pub(super) top_nodes: usize,
@@ -84,7 +84,7 @@ impl Levels {
     }
 }
 
-/// Bytes of the buffers that grow with a cloud.
+/// Sizes in bytes of the buffers that grow with a cloud.
 struct Sizes {
     kept: [(&'static str, u64); 10],
     input: u64,
@@ -115,7 +115,7 @@ impl Sizes {
         Self { kept, input: bytes(SAMPLES + 3 * points), output, readback: output + STATE_BYTES + bytes(points) }
     }
 
-    /// Returns the bytes of the largest buffer.
+    /// Returns the size of the largest buffer in bytes.
     fn largest(&self) -> u64 {
         self.kept.iter().map(|&(_, size)| size).chain([self.input, self.readback]).max().unwrap_or(0)
     }
@@ -126,7 +126,7 @@ fn largest_buffer(gpu: &GpuDevice) -> u64 {
     gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size)
 }
 
-/// Returns the maximum number of points on the device at once, by its limits.
+/// Returns the maximum number of points whose buffers are within the device's limits.
 pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: bool) -> usize {
     let allowed = largest_buffer(gpu);
     let fits = |points: usize| Sizes::of(points, output_words, keeps_edges).largest() <= allowed;
@@ -141,7 +141,7 @@ pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: boo
 /// The buffers for clouds of up to `capacity` points.
 pub(super) struct Buffers {
     pub(super) capacity: usize,
-    /// Written by the host; mapped whenever no cloud is under way.
+    /// Written by the host; mapped whenever no cloud is being smoothed.
     pub(super) upload: wgpu::Buffer,
     pub(super) input: wgpu::Buffer,
     pub(super) output: wgpu::Buffer,
@@ -151,12 +151,12 @@ pub(super) struct Buffers {
     pub(super) state: wgpu::Buffer,
     pub(super) mapped: Mapped,
     pub(super) stamps: Option<Stamps>,
-    /// By pass and part; passes without parts have one.
+    /// Bind groups, by pass and part.
     groups: Vec<Vec<wgpu::BindGroup>>,
     _counted: Counted,
 }
 
-/// Words of the input before its points.
+/// Number of words of the input before its points.
 pub(super) const SAMPLES: usize = HEADER_WORDS;
 
 impl Buffers {

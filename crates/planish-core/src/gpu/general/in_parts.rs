@@ -1,8 +1,9 @@
 //! Smooths clouds with more points than the device can hold, part by part.
 //!
 //! Radii by density are known only after a part has been computed. If many of its points reach beyond the halo, the
-//! part is computed again with a wider one; if few do, only these points are, each with a wider halo. Radii with
-//! missing neighbours come out too large, so a halo as wide as such a radius is sufficient.
+//! part is computed again with a wider halo. If only a few do, just these points are computed again, in small groups
+//! with wider halos. Radii with missing neighbours come out too large, so a halo as wide as such a radius is
+//! sufficient.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -21,12 +22,14 @@ use crate::params::Radius;
 use crate::smoothing_engine::AdmittedFrame;
 use crate::xyz::Xyz;
 
-/// If more than this share of a part's points reach beyond its halo, the halo is widened.
+/// Share of a usual part's points that may reach beyond the halo; if more do, the halo is widened.
 const MAY_REACH_BEYOND: f64 = 0.01;
-/// Points that reach beyond their halo are recomputed this many at a time, or a typical part's points over `FAR_SHARE`.
+/// Number of points beyond their halo that are recomputed together, unless [`FAR_SHARE`] gives more.
 const FAR_TOGETHER: usize = 64;
+/// Ratio of a usual part's points to the points beyond their halo that are recomputed together.
 const FAR_SHARE: usize = 1024;
-/// Maximum runs per part as planned at first; clouds that need more are left to other engines. Scans need about four.
+/// Maximum number of runs per part of the initial division; clouds that need more are left to other engines. Scans
+/// need about four.
 const RUNS_A_PART: usize = 24;
 /// Share of a part's progress reported before its far-reaching points are done.
 const FIRST_SHARE: f64 = 0.8;
@@ -34,38 +37,40 @@ const FIRST_SHARE: f64 = 0.8;
 const MAY_BE_INEXACT: f64 = 1e-3;
 /// Maximum factor by which a halo is widened at once.
 const MOST_WIDENING: f64 = 4.0;
-/// If an estimate from a sample exceeds the device's capacity by this factor, there are certainly too many points
-/// around one point.
+/// Ratio of a neighbourhood's estimated size to the device's capacity above which the neighbourhood certainly exceeds
+/// it.
 const SURELY_TOO_MANY: f64 = 2.0;
-/// Points closer than this count as coincident, together with more others than the device can hold.
+/// Width in metres below which a halo is not narrowed further: points closer than this count as coincident.
 const LEAST_HALO_M: f64 = 1e-9;
-/// Parts of a usual one's points over this are not cut further for the sake of their halo.
+/// Ratio of a usual part's points to those of a small part, whose halo is narrowed instead of dividing the part
+/// further.
 const SMALL: usize = 64;
-/// A halo of one point, or of a small part, that holds too many others is tried narrower by this.
+/// Factor by which the halo of one point or of a small part is narrowed if it holds too many points.
 const NARROWER: f64 = 0.7;
-/// A part starts with the halo that the previous part needed, up to this many times the halo expected from its density.
+/// Maximum ratio of a part's first halo, which follows the previous part's halo, to the halo expected from its
+/// density.
 const MOST_HALO_SHARE: f64 = 4.0;
 
-/// A part under way.
+/// A part to be smoothed.
 struct Task {
     part: Arc<Part>,
     /// Progress steps of its first run.
     steps: usize,
 }
 
-/// A cloud under way.
+/// A cloud that is being smoothed in parts.
 struct Work {
     parts: Parts,
-    /// Points of a usual part.
+    /// Number of points of a usual part, without its halo.
     usual: usize,
     geometry: FrameGeometry,
-    /// Points of the whole cloud that are no holes, and how far it spans in metres.
+    /// Number of points of the whole cloud without holes, and its extent in metres.
     whole: (usize, f64),
     wants_radii: bool,
-    /// Points that reach beyond the halo of their part, by index, and how far each reaches, in metres.
+    /// Reach in metres of each point that reaches beyond the halo of its part, by index.
     far: HashMap<u32, f64>,
     far_records: Vec<Record>,
-    /// The halo of the part before, in those by its density.
+    /// Ratio of the previous part's halo to the halo expected from its density.
     last_share: f64,
     /// Points of a part, followed by its halo.
     points: Xyz,
@@ -76,8 +81,8 @@ struct Work {
 }
 
 impl Work {
-    /// Takes the far-reaching points in the order of the cloud: the first of each position, and pairs of it and each
-    /// other point there.
+    /// Takes the far-reaching points: the first at each position, in the order of the cloud, and a pair of indices
+    /// (first, other) for each other point at that position.
     fn far_places(&mut self) -> (Vec<Record>, Vec<(u32, u32)>) {
         let mut records = std::mem::take(&mut self.far_records);
         // -0 and 0 are one place.
@@ -87,7 +92,7 @@ impl Work {
         for at_place in records.chunk_by(|a, b| place(a) == place(b)) {
             let [first, others @ ..] = at_place else { continue };
             repeated.extend(others.iter().map(|other| (first.number, other.number)));
-            // Each reach is too large by what its part lacked.
+            // Neighbours missing from a part make a reach too large, so the smallest is the best.
             let reach_m = at_place.iter().filter_map(|record| self.far.get(&record.number));
             let reach_m = reach_m.copied().fold(f64::INFINITY, f64::min);
             self.far.insert(first.number, reach_m);
@@ -108,7 +113,7 @@ impl GeneralGpu {
     ) -> Result<(), Error> {
         let most = self.most_points;
         let usual = (OWN_SHARE * most as f64).ceil() as usize;
-        // First of all: a device without room for it leaves the rest to smaller parts.
+        // Allocated first: if memory runs out, the caller tries again with smaller parts.
         let buffers = self.take_buffers(most)?;
         let mut work = Work {
             parts: Parts::of(view, usual),
@@ -178,8 +183,8 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Smooths a part, and records its points that reach beyond its halo; false if the device cannot hold it with its
-    /// halo.
+    /// Smooths a part, and records its points that reach beyond the halo. Returns false if the device cannot hold the
+    /// part with its halo.
     fn smooth_part(
         &mut self,
         buffers: &Buffers,
@@ -219,14 +224,14 @@ impl GeneralGpu {
                 }
                 return Ok(true);
             }
-            // A radius for which most neighbours were missing says little.
+            // The widening is limited, since a radius found with most neighbours missing is unreliable.
             let base_m = halo_m.max(by_density_m);
             halo_m = if base_m > 0.0 { needed.halo_m.min(MOST_WIDENING * base_m) } else { needed.halo_m };
         }
     }
 
-    /// Smooths points that reach beyond the halo of their part; false if they are to be tried in halves, or one of them
-    /// again.
+    /// Smooths points that reach beyond the halo of their part. Returns false if they must be tried again: several in
+    /// halves, a single point with its new reach.
     fn smooth_far(
         &mut self,
         buffers: &Buffers,
@@ -250,8 +255,8 @@ impl GeneralGpu {
         self.run_part(buffers, work, Own { points: part.len(), steps: 0, largest_radius_m: halo_m as f32 })?;
         let radii = self.take_results(buffers, work, part, out)?;
         let (Some(&radius_m), Some(record)) = (radii.first(), part.own().first()) else { return Ok(true) };
-        // With more points around it than in its part, its radius is smaller. A point that still exceeds the device is
-        // left.
+        // With more points around it than in its part, the point's radius is smaller. If it is hardly smaller, the
+        // point keeps this result.
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
@@ -261,8 +266,8 @@ impl GeneralGpu {
         Ok(is_left)
     }
 
-    /// Returns the error for clouds in which neighbourhoods exceed the device, or in which so many are wide that parts
-    /// would take too long.
+    /// Returns the error for clouds whose neighbourhoods exceed the device, or with so many wide neighbourhoods that
+    /// their parts would take too long.
     fn crowded(&self) -> EngineError {
         EngineError::Crowded { device: self.gpu.name.clone(), points_at_once: self.most_points as u64 }
     }
@@ -276,8 +281,8 @@ impl GeneralGpu {
         Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)
     }
 
-    /// Copies the results of a part's own points to where those are in the cloud, and returns their radii by density,
-    /// if there are any.
+    /// Copies the results of a part's own points to their places in the cloud. Returns their radii by density; empty
+    /// if they have none.
     fn take_results(
         &mut self,
         buffers: &Buffers,

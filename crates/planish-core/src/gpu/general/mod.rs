@@ -36,20 +36,20 @@ use buffers::{Buffers, CloudUniform, Levels, MOST_PARTS, SAMPLES, STATE_BYTES};
 use passes::{Compiled, DIGITS, Pass, TILE};
 use results::GeneralResults;
 
-/// Positions that are fitted in one submission, at least: as many as the largest devices have threads.
+/// Minimum number of positions fitted per submission: the number of threads of the largest devices.
 const PART_PLACES: usize = 1 << 18;
-/// Workgroups along the first axis of a dispatch: fewer than any device allows.
+/// Maximum number of workgroups along the first axis of a dispatch; every device allows more.
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
-/// A smaller extent counts as this, so that its inverse stays within f32.
+/// Minimum half extent in metres; smaller ones are raised to it, so that the inverse stays within f32.
 const LEAST_EXTENT_M: f64 = 1e-18;
 
-/// The number of points that need results; they come first.
+/// The points of a run that need results; they come first.
 #[derive(Debug, Clone, Copy)]
 struct Own {
     points: usize,
     /// Progress steps of the run.
     steps: usize,
-    /// No radius by density is larger, of the others neither.
+    /// Maximum radius by density in metres, of all points of the run.
     largest_radius_m: f32,
 }
 
@@ -66,8 +66,9 @@ pub(crate) struct GeneralGpu {
     buffers: Option<Buffers>,
     /// Maximum number of points on the device at once.
     most_points: usize,
-    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`]; the radii of the last cloud.
+    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`].
     keeps_radii: bool,
+    /// Radii by density of the last cloud, in metres.
     radii: Vec<f32>,
     progress: Arc<Progress>,
     timings: Option<FrameTimings>,
@@ -75,7 +76,7 @@ pub(crate) struct GeneralGpu {
 }
 
 impl GeneralGpu {
-    /// Opens an adapter by the options.
+    /// Opens the adapter that the options select.
     pub(crate) fn open(params: EngineParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
         let adapter = OpenAdapter::open(choose(&super::adapters(), options.adapter.as_deref())?, Purpose::OneAtATime)?;
         let gpu = Arc::clone(&adapter.devices[0]);
@@ -114,14 +115,14 @@ impl GeneralGpu {
         matches!(self.params.radius, Radius::Neighbours { .. })
     }
 
-    /// Returns the layout of the points' results; words of status and neighbours follow the other channels.
+    /// Returns the layout of the points' results. Words with status and neighbours follow the other channels.
     fn layout(&self, points: usize) -> Layout {
         let outputs = Outputs { status: false, neighbours: false, ..self.outputs };
         let kind = InputKind::Points;
         Layout { width: points, height: 1, kind, outputs, keeps_points: false, keeps_planes: false, cell: 1 }
     }
 
-    /// Words of a point's result.
+    /// Returns the number of words of a point's result.
     fn output_words(&self) -> usize {
         self.layout(1).output_words() + usize::from(self.outputs.status || self.outputs.neighbours)
     }
@@ -246,7 +247,7 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Submits parts of passes in order. wgpu orders them by the buffers that they share.
+    /// Submits parts of passes. wgpu runs them in order because they share buffers.
     fn submit_steps(
         &self,
         buffers: &Buffers,
@@ -275,7 +276,7 @@ impl GeneralGpu {
     ) -> Result<(), EngineError> {
         let buffers = self.take_buffers(view.len())?;
         let wants_radii = self.keeps_radii && self.is_by_density();
-        // After an error the buffers are dropped: whether they are mapped is not known.
+        // After an error the buffers are dropped, since they may still be mapped.
         let own = Own { points: view.len(), steps: view.len(), largest_radius_m: f32::INFINITY };
         self.run(&buffers, frame, view, wants_radii, own)?;
         self.radii = self.with_results(&buffers, view.len(), |results| {
@@ -311,11 +312,11 @@ impl GeneralGpu {
     }
 }
 
-/// A part of a pass, with its number of points, positions or nodes.
+/// A pass, its part, and the number of points, positions or nodes.
 type Step = (Pass, usize, usize);
 
-/// Returns the steps that sort the points and build the boxes, per submission: the lowest bits of the keys, the middle,
-/// the highest, and finally places and boxes.
+/// Returns the steps that sort the points and build the boxes, per submission: sorting by the lowest, the middle and
+/// the highest bits of the keys, and finally finding positions and building boxes.
 fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     let sort = |digits: std::ops::Range<usize>| {
         digits.flat_map(|digit| {
@@ -338,17 +339,18 @@ fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     ]
 }
 
-/// Returns the least and the largest of the coordinates of most points.
+/// Returns the smallest and largest coordinate along each axis, without the outermost hundredth of the points at
+/// either end.
 fn middle_of(view: &PointsView<'_>) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|axis| middle(view.len(), |i| f64::from(view.get(i)[axis] as f32)).unwrap_or_default())
 }
 
-/// Returns the extent of most points in metres.
+/// Returns the diagonal in metres of a box that [`middle_of`] returned.
 fn extent_m(middle: &[[f64; 2]; 3]) -> f64 {
     middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Positions of a submission.
+/// Returns the number of positions per submission.
 fn part_places(points: usize) -> usize {
     points.div_ceil(MOST_PARTS).next_multiple_of(PART_PLACES)
 }

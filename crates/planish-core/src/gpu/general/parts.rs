@@ -1,7 +1,7 @@
-//! Clouds with more points than the device can hold, divided at medians into boxes, each of which is smoothed with a
-//! halo of surrounding points (`neighbours/halo.rs`).
+//! Division of clouds with more points than the device can hold. Cuts at medians give boxes, each of which is
+//! smoothed with a halo of surrounding points (`neighbours/halo.rs`).
 //!
-//! The points of a part keep the order of the cloud, so that results are stored in parallel.
+//! The points of a part keep the order of the cloud, so that results can be stored in parallel.
 
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -14,23 +14,23 @@ use crate::xyz::Xyz;
 
 /// Number of sampled points that determine the cuts between parts.
 const SAMPLE: usize = 1 << 16;
-/// A part may exceed the intended number of points by this factor.
+/// Maximum ratio of a part's number of points to the intended number.
 const TOLERANCE: f64 = 1.1;
-/// Points that are dealt at a time.
+/// Number of points that one task assigns to parts.
 const CHUNK: usize = 1 << 16;
 
-/// A point, and its number in the cloud.
+/// A point and its index in the cloud.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Record {
     pub(super) position: [f32; 3],
     pub(super) number: u32,
 }
 
-/// Some points of the cloud, and the box around them.
+/// Some points of the cloud and their bounding box.
 #[derive(Debug)]
 pub(super) struct Part {
     records: Vec<Record>,
-    /// The least and the largest coordinates; `None` for points that are no neighbours of others: holes, and those too
+    /// Smallest and largest coordinates; `None` for points that cannot be neighbours of others: holes, and points too
     /// far away.
     bounds: Option<[[f32; 3]; 2]>,
 }
@@ -38,7 +38,7 @@ pub(super) struct Part {
 /// The points of a cloud, part by part.
 pub(super) struct Parts(Vec<Arc<Part>>);
 
-/// Cuts between parts, as a tree.
+/// A tree of cuts between parts.
 enum Cuts {
     Part(usize),
     At { axis: usize, value: f32, below: Box<Cuts>, above: Box<Cuts> },
@@ -72,7 +72,7 @@ impl Part {
         sides[1] * sides[2]
     }
 
-    /// Returns how far a point within is from the border, in metres.
+    /// Returns the distance in metres from a point of the box to the nearest side of the box.
     pub(super) fn to_border_m(&self, point: [f32; 3]) -> f64 {
         let Some([low, high]) = self.bounds else { return 0.0 };
         let along = |axis: usize| f64::from((point[axis] - low[axis]).min(high[axis] - point[axis]));
@@ -95,7 +95,7 @@ impl Parts {
         let mut sample: Vec<_> = (0..view.len()).step_by(step).map(record).filter(is_neighbour).collect();
         let mut parts = 0;
         let cuts = Cuts::of(&mut sample, view.len().div_ceil(most), &mut parts);
-        // The last group contains holes, which are nobody's neighbours.
+        // The last group contains the points that cannot be neighbours.
         let dealt = |chunk: usize| {
             let mut groups = vec![Vec::new(); parts + 1];
             for record in (CHUNK * chunk..view.len().min(CHUNK * (chunk + 1))).map(record) {
@@ -117,12 +117,12 @@ impl Parts {
         Self(all)
     }
 
-    /// Returns the parts as dealt at first.
+    /// Returns the parts of the initial division.
     pub(super) fn all(&self) -> impl Iterator<Item = Arc<Part>> {
         self.0.iter().map(Arc::clone)
     }
 
-    /// Estimates how many points are closer than this along each axis to the point that has most of them.
+    /// Estimates the maximum number of points in a cube centred on a point, with a side of twice `half_m`.
     pub(super) fn most_around(&self, half_m: f64) -> f64 {
         let all = || self.0.iter().filter(|part| part.has_neighbours()).flat_map(|part| part.own());
         let count = self.0.iter().filter(|part| part.has_neighbours()).map(|part| part.len()).sum::<usize>();
@@ -141,9 +141,9 @@ impl Parts {
         most as f64 * count as f64 / sample.len().max(1) as f64
     }
 
-    /// Writes the points of a part, then those of its halo; returns false if they exceed `most`.
+    /// Writes the points of a part to `to`, then the points of its halo. Returns false if there are more than `most`.
     ///
-    /// The part may be one of these, or have some of their points.
+    /// The part may be one of these parts or a subset of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {
         to.clear();
         push(to, &part.records);
@@ -173,8 +173,8 @@ impl Parts {
 }
 
 impl Cuts {
-    /// Cuts a sample of points into `parts` parts of similar size, numbered from `part` on; into fewer if it is too
-    /// small.
+    /// Cuts a sample of points into `parts` parts of similar size, or fewer if the sample is too small. The parts are
+    /// numbered starting at `part`, which advances.
     fn of(sample: &mut [Record], parts: usize, part: &mut usize) -> Self {
         let left = sample.len() * (parts / 2) / parts.max(1);
         if left == 0 {
@@ -224,7 +224,7 @@ pub(super) fn deal(records: Vec<Record>, most: usize) -> Vec<Part> {
 /// Splits off the first `left` points along the longest side of the bounding box.
 fn cut(records: &[Record], left: usize) -> [Vec<Record>; 2] {
     let axis = longest_side(&bounds(records));
-    // Points at one place may lie on both sides.
+    // Points at the same position may end up on both sides.
     let order = |a: &Record, b: &Record| -> Ordering {
         a.position[axis].total_cmp(&b.position[axis]).then(a.number.cmp(&b.number))
     };
@@ -238,13 +238,13 @@ fn push(to: &mut Xyz, records: &[Record]) {
     to.par_extend(records.len(), |axis, i| records[i].position[axis]);
 }
 
-/// Returns true if other points may have it as a neighbour.
+/// Returns true if the point may be a neighbour of others.
 fn is_neighbour(record: &Record) -> bool {
-    // NaN is none.
+    // False for NaN.
     record.position.iter().all(|value| value.abs() <= MAX_RANGE_M)
 }
 
-/// Returns the least and the largest coordinates.
+/// Returns the smallest and the largest coordinates along each axis.
 fn bounds(records: &[Record]) -> [[f32; 3]; 2] {
     let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
     for Record { position, .. } in records {
@@ -273,7 +273,7 @@ mod tests {
             (0..5000).map(|_| [10.0 * random.next(), 4.0 * random.next(), random.next()]).collect();
         points[7][1] = f32::NAN;
         points[4000][2] = 2.0 * MAX_RANGE_M;
-        // Points at one place may lie in several parts.
+        // Points at the same position may be in several parts.
         points[1000..3000].fill([5.0, 2.0, 0.5]);
         let view = PointsView::from_rows(&points).unwrap();
         let parts = Parts::of(&view, 700);

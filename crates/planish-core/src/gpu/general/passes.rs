@@ -1,4 +1,4 @@
-//! The kernels of an unorganized cloud: what each reads and writes, and its WGSL.
+//! The kernels of an unorganized cloud: the buffers that each reads and writes, and its WGSL.
 
 use std::fmt::Write;
 
@@ -10,15 +10,16 @@ use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, Radius};
 
-/// Values of the four bits of a key that a pass of the sort looks at.
+/// Number of values of a digit: four bits of a key, by which one pass of the sort orders the points.
 pub(super) const DIGITS: usize = 16;
-/// Points of a tile of the sort, handled by one workgroup.
+/// Number of points per tile of the sort; one workgroup handles one tile.
 pub(super) const TILE: usize = 2048;
-/// Threads per workgroup if each thread handles one point, position or node.
+/// Threads per workgroup of passes in which each thread handles one position or node.
 const THREADS: usize = 64;
+/// Threads per workgroup of passes in which each thread handles one point.
 const POINT_THREADS: usize = 256;
 
-/// A buffer of a kernel, by its binding.
+/// A buffer of a kernel; its discriminant is the binding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Resource {
     Batch,
@@ -71,22 +72,27 @@ impl Resource {
 pub(super) enum Pass {
     /// Computes the position of each point along the curve; finishes holes.
     Keys,
-    /// A pass of the sort.
+    /// Counts the keys of each tile by digit, in one pass of the sort.
     CountDigits,
+    /// Replaces each count by the sum of the counts before it.
     ScanCounts,
+    /// Orders keys and points by a digit, in one pass of the sort.
     ScatterDigits,
-    /// Assigns one index to equal positions.
+    /// Counts the distinct positions of each tile.
     CountHeads,
+    /// Assigns one index to equal positions.
     PlaceHeads,
-    /// The boxes.
+    /// Builds the boxes of the leaves.
     Leaves,
+    /// Builds the boxes of a higher level of nodes.
     Nodes,
-    /// Radii from the density.
+    /// Finds the radii by density.
     Radii,
     /// Fits the planes of all positions, if edges are kept.
     FirstPlanes,
+    /// Fits the surfaces and stores the result of each position's first point.
     Fit,
-    /// The results of points at the same position.
+    /// Copies each result to the other points at the same position.
     Repeat,
     /// Writes the radii in the order of the points, if the host requests them.
     PointRadii,
@@ -127,7 +133,8 @@ impl Pass {
         }
     }
 
-    /// Returns the buffers that it reads and those that it writes; at most eight storage buffers.
+    /// Returns the buffers that the kernel reads and the buffers that it writes; at most eight of them are storage
+    /// buffers.
     fn resources(self, edges: Edges) -> (&'static [Resource], &'static [Resource]) {
         use Resource::*;
         match self {
@@ -238,7 +245,7 @@ impl Pass {
     }
 }
 
-/// Returns the function that gives the radius of a place.
+/// Returns the WGSL function that returns the radius at a position.
 fn radius_of(radius: Radius) -> &'static str {
     match radius {
         Radius::Neighbours { .. } => shader!("../shaders/general/radius_limited.wgsl"),
@@ -246,7 +253,7 @@ fn radius_of(radius: Radius) -> &'static str {
     }
 }
 
-/// The loop over the points within reach, up to its body and after it.
+/// The WGSL loop over the points within reach: the text before its body, and the text after it.
 const LEAVES_LOOP: [&str; 2] = [
     "var walk = new_walk();
     while next_leaf(&walk, p, reach_squared_of(radius_squared)) {
@@ -301,7 +308,7 @@ impl Compiled {
         Ok(Self { pipeline, layout, resources: [read, written].concat() })
     }
 
-    /// Binds its buffers, as `buffer` gives them.
+    /// Creates the bind group of the kernel's buffers, which `buffer` returns.
     pub(super) fn bind<'a>(
         &self,
         gpu: &GpuDevice,

@@ -8,7 +8,7 @@ use super::parts::Record;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::status::Status;
 
-/// The results of a cloud, or of a part of one with its halo.
+/// The results of a cloud, or of a part with its halo.
 pub(super) struct GeneralResults<'a> {
     /// Status and neighbours follow the other channels, one word per point.
     pub(super) layout: Layout,
@@ -94,7 +94,7 @@ impl<'a> GeneralResults<'a> {
     }
 }
 
-/// Copies the results of points to others at the same place, by pairs of their numbers.
+/// Copies the results of points to other points at the same position. `pairs` are indices (from, to).
 pub(super) fn repeat(out: SmoothedMut<'_>, pairs: &[(u32, u32)]) {
     fn copy<T: Copy>(to: &mut [T], pairs: &[(u32, u32)], set: impl Fn(&mut T, T)) {
         for &(from, number) in pairs {
@@ -125,7 +125,8 @@ pub(super) fn repeat(out: SmoothedMut<'_>, pairs: &[(u32, u32)]) {
     }
 }
 
-/// Writes values for consecutive points, the first of which has index `first`, in parallel.
+/// Writes the values of the points `own`, whose indices ascend, in parallel. `to` starts at the point with index
+/// `first`.
 fn put_from<T: Send, U: Copy + Sync>(
     first: usize,
     own: &[Record],
@@ -133,7 +134,7 @@ fn put_from<T: Send, U: Copy + Sync>(
     from: &[U],
     set: &(impl Fn(&mut T, U) + Sync),
 ) {
-    /// Points that one thread sets.
+    /// Number of points per task.
     const TOGETHER: usize = 1 << 14;
     if own.len() <= TOGETHER {
         own.iter().zip(from).for_each(|(record, from)| set(&mut to[record.number as usize - first], *from));

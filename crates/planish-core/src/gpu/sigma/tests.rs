@@ -1,4 +1,4 @@
-//! Compares the device's errors with the CPU's, estimated from the same result.
+//! Compares the device's standard errors with the CPU's, which are estimated from the same result.
 
 use super::super::engine::Gpu;
 use super::super::tests::device;
@@ -17,7 +17,7 @@ use crate::threads::Threads;
 
 const OUTPUTS: Outputs = Outputs::POINTS.with_status(true).with_neighbours(true);
 
-/// Compares a frame's errors with the CPU's, and those of a batch with the single frame's.
+/// Compares a frame's standard errors with the CPU's, and those of a batch with the single frame's.
 fn compare(name: &str, frame: Frame<'_>, params: FrameParams, bounds_checks: bool) {
     let Some((_, adapter)) = device("standard errors") else { return };
     let options = GpuOptions::default().with_adapter(adapter.index.to_string()).with_bounds_checks(bounds_checks);
@@ -71,7 +71,7 @@ fn depth_of_every_kind_has_the_errors_of_the_cpu() {
         let view = DepthView::new(&frame.raw, &distorted).unwrap();
         compare("distorted", view.into_frame().unwrap(), FrameParams::default(), false);
     }
-    // Walls narrower than the largest lag.
+    // Frames no larger than the largest lag along one axis.
     for shape in [(6, 40), (40, 5), (1, 30)] {
         let camera = Camera::new(shape, [525.0; 2], [0.0; 2]);
         let raw: Vec<u16> = (0..shape.0 * shape.1).map(|i| 1000 + (i * i % 7) as u16).collect();

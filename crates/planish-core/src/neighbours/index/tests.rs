@@ -21,7 +21,7 @@ fn every_point_has_a_place_and_equal_points_share_theirs() {
     for i in (0..1000).step_by(9) {
         points[i] = points[3];
     }
-    // A stray point, and one at the other zero.
+    // A stray point, and two equal points, one of which has -0 for a coordinate.
     points[5] = [1e30, -1e30, 0.0];
     points[6] = [0.0, 0.0, 0.0];
     points[7] = [-0.0, 0.0, 0.0];

@@ -1,4 +1,4 @@
-//! COLMAP: its `rig_config.json`, or a model as text, whose images are one of each camera.
+//! COLMAP: its `rig_config.json`, or a text model with one image per camera.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,8 +10,8 @@ use crate::rig::{RigCamera, file::MAX_BYTES};
 use planish_core::{Camera, FormatError, SensorPose, internal::RigidTransform};
 use planish_io::{self as io, ReadOptions};
 
-/// Returns the cameras of the first rig of a `rig_config.json`. Its poses are cam_from_rig; the reference sensor is the
-/// rig.
+/// Returns the cameras of a `rig_config.json`, which must contain one rig. Its poses are cam_from_rig; the frame of
+/// the reference sensor is the rig's.
 pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec<RigCamera>, FormatError> {
     #[derive(Deserialize)]
     struct RigEntry {
@@ -45,7 +45,7 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
         let placed = place(name, &camera_from_rig, options).map_err(|error| problem(error.to_string()))?;
         let intrinsics = entry.camera_model_name.as_ref().map(|model| {
             let parameters: Vec<String> = entry.camera_params.iter().map(f64::to_string).collect();
-            // Without a size, which the file lacks.
+            // The file does not state the image size.
             planish_io::internal::colmap_camera(&format!("1 {model} 0 0 {}", parameters.join(" ")))
                 .map_err(|error| problem(error.to_string()))
         });
@@ -54,7 +54,7 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
     rig.cameras.iter().map(camera).collect()
 }
 
-/// Returns the cameras of a model as text: `cameras.txt`, and `images.txt` with one image of each camera of the rig.
+/// Returns the cameras of a text model: `cameras.txt`, and `images.txt` with one image per camera of the rig.
 pub(super) fn model(folder: &Path, options: &CalibrationOptions) -> Result<Vec<RigCamera>, FormatError> {
     let read = |name: &str| {
         let path = folder.join(name);
@@ -78,7 +78,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
         intrinsics.insert(id.to_owned(), planish_io::internal::colmap_camera(line)?);
     }
     let mut found: Vec<RigCamera> = Vec::new();
-    // Every second line has the points of the image before it, and may be empty.
+    // Every second line lists the points of the image on the previous line, and may be empty.
     for line in lines(images).iter().step_by(2).filter(|line| !line.is_empty()) {
         let words: Vec<&str> = line.split_whitespace().collect();
         let numbers: Option<Vec<f64>> = words.iter().skip(1).take(7).map(|word| word.parse().ok()).collect();
@@ -94,7 +94,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
         let problem = |what: &str| malformed(format!("image {name:?}: {what}"));
         let camera_from_world = SensorPose { position_m: [tx, ty, tz], orientation: [w, x, y, z] };
         let intrinsics = intrinsics.get(*id).ok_or_else(|| problem("its camera is not in cameras.txt"))?;
-        // The folder of a camera's images, or the image.
+        // The name of the image's folder or, without one, of the image.
         let of_camera = name.rsplit_once('/').map_or_else(
             || name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem),
             |(folder, _)| folder.rsplit('/').next().unwrap_or(folder),
@@ -133,7 +133,8 @@ mod tests {
     fn a_model_s_images_are_the_cameras() {
         let cameras = of_lists(CAMERAS, IMAGES, &CalibrationOptions::default().with_metres_per_unit(0.5)).unwrap();
         assert_eq!(cameras.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(), ["left", "right"]);
-        // Seen from the second camera the first is 2 units ahead; its x is the first one's z.
+        // Seen from the second camera, the first is 2 units ahead; the x axis of the second is the z axis of the
+        // first.
         let [x, y, z] = cameras[1].pose.position_m;
         assert!((x - 1.0).abs() < 1e-9 && y.abs() < 1e-9 && z.abs() < 1e-9, "{:?}", cameras[1].pose);
         assert_eq!(cameras[1].camera.map(|camera| (camera.width, camera.cx)), Some((320, 159.5)));

@@ -1,4 +1,4 @@
-//! Kalibr's `camchain.yaml`: cameras in a chain, each calibrated to the one before it.
+//! Kalibr's `camchain.yaml`: cameras in a chain, each calibrated relative to the previous one.
 
 use serde::Deserialize;
 
@@ -14,14 +14,14 @@ struct Entry {
     #[serde(default)]
     distortion_coeffs: Vec<f64>,
     resolution: Option<[usize; 2]>,
-    /// Added to the camera's time stamps to get the IMU's time, in seconds.
+    /// Offset added to the camera's timestamps to get the IMU's time, in seconds.
     timeshift_cam_imu: Option<f64>,
-    /// Transforms points of the previous camera to this one's frame.
+    /// Transform from the previous camera's frame to this camera's frame.
     #[serde(rename = "T_cn_cnm1")]
     from_previous: Option<Vec<[f64; 4]>>,
 }
 
-/// Returns true if a text has the cameras of a chain.
+/// Returns true if a text is a camchain.
 pub(super) fn is_camchain(text: &str) -> bool {
     text.lines().any(|line| line.trim_end() == "cam0:")
 }
@@ -48,7 +48,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
             None => return Err(problem("no T_cn_cnm1: it was not calibrated to the previous camera".into())),
         }
         let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
-        // Both offsets convert time stamps to the IMU's clock.
+        // Both are added to timestamps, which converts them to the IMU's clock.
         cameras.push(camera.with_time_offset_s(entry.timeshift_cam_imu.unwrap_or(0.0)));
     }
     let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());
@@ -122,8 +122,8 @@ cam2:
         assert!(is_camchain(CHAIN));
         let cameras = camchain(CHAIN).unwrap();
         let places: Vec<[f64; 3]> = cameras.iter().map(|camera| camera.pose.position_m).collect();
-        // The second camera is 11 cm to the right of the first; the third 20 cm to the right of that, turned to the
-        // left.
+        // The second camera is 11 cm to the right of the first. The third is 20 cm to the right of the second, and
+        // turned to the right.
         let expected = [[0.0, 0.0, 0.0], [0.11, 0.0, 0.0], [0.31, 0.0, 0.0]];
         let off = |i: usize, k: usize| (places[i][k] - expected[i][k]).abs();
         assert!((0..3).all(|i| (0..3).all(|k| off(i, k) < 1e-12)), "{places:?}");

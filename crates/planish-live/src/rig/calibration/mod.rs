@@ -1,8 +1,8 @@
-//! Reads rigs from other programs' calibrations: static transforms of ROS (as `ros2 topic echo /tf_static` prints them,
-//! or a URDF), Kalibr's camchain, and COLMAP (its rig_config.json, or a text model). The type is detected from the
-//! contents.
+//! Reads rigs from calibrations of other programs: ROS static transforms (the output of `ros2 topic echo /tf_static`,
+//! or a URDF), Kalibr's camchain, and COLMAP's rig_config.json or text model. The type is detected from the contents.
 //!
-//! A calibration states the poses of cameras, and sometimes their intrinsics; you add the sources of their frames.
+//! A calibration states the poses of cameras, and sometimes their intrinsics; the sources of their frames are added
+//! later.
 
 mod colmap;
 mod kalibr;
@@ -25,8 +25,8 @@ const HELP: &str = "a calibration is a list of static transforms (ros2 topic ech
 pub struct CalibrationOptions {
     /// For ROS transforms: the frame that becomes the rig's; `None` selects the root of the tree.
     pub base: Option<String>,
-    /// For ROS transforms: the camera frames. If empty, all frames whose names end in `depth_optical_frame`, otherwise
-    /// in `optical_frame`.
+    /// For ROS transforms: the camera frames. If empty, all frames whose names end in `depth_optical_frame` or,
+    /// without such frames, in `optical_frame`.
     pub frames: Vec<String>,
     /// For COLMAP models, whose scale is arbitrary: metres per unit.
     pub metres_per_unit: f64,
@@ -49,7 +49,7 @@ impl CalibrationOptions {
         Self { frames, ..self }
     }
 
-    /// Sets the scale.
+    /// Sets the scale of a COLMAP model, in metres per unit.
     pub fn with_metres_per_unit(self, metres_per_unit: f64) -> Self {
         Self { metres_per_unit, ..self }
     }
@@ -86,7 +86,7 @@ pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
     read().map_err(IoError::at(path))
 }
 
-/// [`read`] of a file's text.
+/// Parses the text of a calibration file.
 fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
     match text.trim_start().chars().next() {
         Some('<') => {
@@ -124,12 +124,12 @@ fn malformed(problem: impl Into<String>) -> FormatError {
     FormatError::Malformed(problem.into())
 }
 
-/// Returns a camera at a place that was computed.
+/// Returns a camera at this pose.
 fn camera_at(name: &str, rig_from_camera: &RigidTransform) -> RigCamera {
     RigCamera::new(name, planish_core::SensorPose::from_transform(rig_from_camera))
 }
 
-/// Converts a text to a valid camera name: other characters become `_`.
+/// Converts a text to a camera name: characters that are not allowed become `_`.
 fn as_name(text: &str) -> String {
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let name: String = text.trim_matches('/').chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();

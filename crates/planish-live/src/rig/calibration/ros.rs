@@ -9,17 +9,17 @@ use super::{CalibrationOptions, as_name, camera_at, malformed};
 use crate::rig::RigCamera;
 use planish_core::{FormatError, SensorPose, internal::RigidTransform};
 
-/// Deeper than this no robot is; a loop is.
+/// Maximum depth of a tree of frames; a deeper one has a cycle.
 const DEEPEST: usize = 1000;
 
-/// Suffixes of the frames of depth cameras, and of cameras (REP 103).
+/// Suffixes of the frame names of depth cameras, and of cameras in general (REP 103).
 const OPTICAL: [&str; 2] = ["depth_optical_frame", "optical_frame"];
 
-/// For each frame, its parent and its pose there: parent_from_child.
+/// A tree of frames: the parent of each frame, and its pose there, parent_from_child.
 #[derive(Default)]
 pub(super) struct Tree {
     parents: BTreeMap<String, (String, RigidTransform)>,
-    /// Frames that move against their parents, with the joint.
+    /// Frames that move relative to their parents, with the names of their joints.
     moving: BTreeMap<String, String>,
 }
 
@@ -36,7 +36,7 @@ impl Tree {
         }
     }
 
-    /// Returns the frame that others hang on and that hangs on none.
+    /// Returns the only frame that has children and no parent.
     fn root(&self) -> Result<String, FormatError> {
         let mut roots: Vec<&String> = self
             .parents
@@ -55,7 +55,7 @@ impl Tree {
         }
     }
 
-    /// base_from_frame.
+    /// Returns the transform base_from_frame.
     fn base_from(&self, base: &str, frame: &str) -> Result<RigidTransform, FormatError> {
         let to_root = |frame: &str| {
             let (mut chain, mut here) = (vec![(frame.to_owned(), RigidTransform::IDENTITY)], frame);
@@ -80,7 +80,7 @@ impl Tree {
                  it as the rig's (--base), and only the cameras there (--frame)"
             )));
         }
-        // Their common ancestor: common_from_base and common_from_frame.
+        // Via their common ancestor: base_from_common after common_from_frame.
         let met = of_frame.iter().find_map(|(common, from_frame)| {
             of_base
                 .iter()
@@ -120,7 +120,7 @@ impl Tree {
     }
 }
 
-/// Returns the transforms of messages as `ros2 topic echo` prints them.
+/// Reads the transforms of messages printed by `ros2 topic echo`.
 pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     #[derive(Deserialize)]
     struct Message {
@@ -155,7 +155,7 @@ pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
         w: f64,
     }
     let mut tree = Tree::default();
-    // Each message ends with the mark of a new document.
+    // Each message ends with `---`, the separator of YAML documents.
     for document in text.split("\n---").filter(|document| document.contains("transforms:")) {
         let message: Message = serde_yaml_ng::from_str(document.trim_start().trim_start_matches("---"))
             .map_err(|error| malformed(format!("not a list of transforms: {error}")))?;

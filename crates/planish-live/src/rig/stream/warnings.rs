@@ -4,10 +4,10 @@ use super::{Inbox, Received, RigEvent, Running, SinkThread};
 use crate::{source::OwnedFrame, stream::ALL_SINKS_FAILED};
 use planish_core::{FrameError, IntoFrame, Smoothed};
 
-/// A camera is reported if its frames end this much before another's, in seconds.
+/// Time in seconds by which a camera's frames must end before the last camera's to be reported.
 const TOLD_EARLIER_S: f64 = 0.5;
 
-/// Different reasons why a camera's frames are refused that are reported; later ones are only counted.
+/// Maximum number of reported reasons why a camera's frames are refused; further ones are only counted.
 const MOST_REFUSALS_TOLD: usize = 5;
 
 impl Running<'_> {
@@ -24,14 +24,14 @@ impl Running<'_> {
         self.refused[camera] += 1;
         let why = error.to_string();
         let told = &mut self.told_refusals[camera];
-        // Once where every frame has the same.
+        // Each reason is reported once.
         if told.len() < MOST_REFUSALS_TOLD && !told.contains(&why) {
             tell(RigEvent::Warning(format!("camera {}: {why}", self.rig.cameras[camera].name)));
             told.push(why);
         }
     }
 
-    /// Warns once for each camera if a frame lost more than a hundredth of its points.
+    /// Warns once per camera if a frame lost more than 1 % of its points.
     pub(super) fn tell_lost_points(
         &mut self,
         camera: usize,
@@ -46,7 +46,7 @@ impl Running<'_> {
         }
     }
 
-    /// Names cameras whose frames never matched another's.
+    /// Warns about cameras whose frames never matched another camera's.
     pub(super) fn tell_alone(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
         let gave = self.smoothed.iter().filter(|smoothed| **smoothed > 0).count();
         if gave < 2 || inbox.has_told_unmatched() {
@@ -62,7 +62,7 @@ impl Running<'_> {
         }
     }
 
-    /// Names recordings that ended before others.
+    /// Warns about recordings that ended before others.
     pub(super) fn tell_short(&self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) {
         if self.is_live {
             return;

@@ -1,4 +1,4 @@
-//! Facing, views and the way back, on simulated rigs.
+//! Tests of facing, views and carrying points back, on simulated rigs.
 
 use glam::DMat3;
 
@@ -10,7 +10,7 @@ fn camera() -> Camera {
     Camera::new(SHAPE, [66.0, 66.0], [39.5, 29.5])
 }
 
-/// Returns a camera `shift_m` to the right that sees a wall at z = 1, and has it `off_m` too far.
+/// Returns a camera `shift_m` to the right that sees a wall at z = 1 m and measures it `off_m` too far.
 fn wall(shift_m: f64, off_m: f32) -> Measured {
     let rig_from_camera = RigidTransform { rotation: DMat3::IDENTITY, translation: DVec3::new(shift_m, 0.0, 0.0) };
     let points = camera().deproject_m(std::iter::repeat_n(1.0 + off_m, SHAPE.0 * SHAPE.1));
@@ -42,11 +42,11 @@ fn from_where_nothing_stands_surfaces_are_the_mean_and_nothing_shows_through_the
     let depths: Vec<f32> = view.points.z().iter().copied().filter(|z| z.is_finite()).collect();
     assert!(depths.len() > SHAPE.0 * SHAPE.1 / 8);
     assert!(depths.iter().all(|&z| (0.4999..0.5041).contains(&z)), "{:?}", depths.iter().find(|z| **z > 0.51));
-    // A surface seen by one camera only is left to it: the first wall's left edge.
+    // A surface that only one camera sees is left to that camera: the first wall's left edge.
     let counted = view.counted[0].as_ref().unwrap();
     assert!(counted[30 * SHAPE.0 + 29] == NOWHERE && counted[30 * SHAPE.0 + 45] != NOWHERE);
     assert!(view.counted[3].is_none());
-    // It contributes nothing to other views.
+    // The viewpoint contributes nothing to other views.
     let alone = all[0].as_ref().unwrap().view(0, &all[..3], 0.01);
     assert!(all[0].as_ref().unwrap().view(0, &all, 0.01).points.z() == alone.points.z());
 }

@@ -1,4 +1,4 @@
-//! The part of OpenNI2's C API that is used (OniCAPI.h, OniCTypes.h, version 2.2).
+//! The part of OpenNI2's C API used here (OniCAPI.h, OniCTypes.h, version 2.2).
 
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::sync::Mutex;
@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use crate::source::driver::{self, c_functions};
 use planish_core::DeviceError;
 
-/// A device, a stream or a registration: the types are opaque.
+/// A pointer to a device, a stream or a registration, whose types are opaque.
 pub(super) type Handle = *mut c_void;
 
 // OniStatus
@@ -31,7 +31,7 @@ pub(super) const HORIZONTAL_FOV: c_int = 1;
 pub(super) const VERTICAL_FOV: c_int = 2;
 pub(super) const VIDEO_MODE: c_int = 3;
 pub(super) const MIRRORING: c_int = 7;
-/// OniImageRegistrationMode
+/// A value of `OniImageRegistrationMode`.
 pub(super) const DEPTH_TO_COLOR: c_int = 1;
 
 const VERSION: c_int = 2002;
@@ -138,7 +138,7 @@ impl Functions {
             // SAFETY: the signatures match OniCAPI.h 2.2.
             let functions = unsafe { Self::find(library) }
                 .map_err(|error| DeviceError::Driver { what: format!("not OpenNI2 2.2: {error}"), help })?;
-            // SAFETY: needs nothing.
+            // SAFETY: the call has no preconditions.
             functions.check("OpenNI2 does not start", unsafe { (functions.Initialize)(VERSION) })?;
             Ok(functions)
         })
@@ -160,10 +160,10 @@ impl Functions {
         Err(if status == STATUS_NO_DEVICE { DeviceError::Gone { what } } else { DeviceError::Failed { what } })
     }
 
-    /// Returns the URIs and names of the devices that are there.
+    /// Returns the URIs and names of the connected devices.
     pub(super) fn devices(&self) -> Vec<(String, String)> {
         let (mut list, mut count) = (std::ptr::null_mut(), 0);
-        // SAFETY: the list is the library's until it is released, and is read before.
+        // SAFETY: the list is valid until it is released, and is only read before.
         unsafe {
             if (self.GetDeviceList)(&raw mut list, &raw mut count) != STATUS_OK || list.is_null() {
                 return Vec::new();
@@ -183,7 +183,7 @@ impl Functions {
         (status == STATUS_OK).then(|| (info.description(), text(&info.uri)))
     }
 
-    /// Returns the modes of a device's sensor; none if it lacks that sensor.
+    /// Returns the modes of a device's sensor; empty if the device lacks that sensor.
     pub(super) fn modes_of(&self, device: Handle, sensor: c_int) -> Vec<VideoMode> {
         // SAFETY: the device is open, and its description of a sensor lives as long.
         unsafe {
@@ -214,7 +214,7 @@ impl Property for c_int {}
 impl Property for f32 {}
 impl Property for VideoMode {}
 
-/// What has properties.
+/// An object with properties.
 #[derive(Clone, Copy)]
 pub(super) enum Holder {
     Device(Handle),
@@ -236,7 +236,7 @@ impl Functions {
         (status == STATUS_OK).then_some(value)
     }
 
-    /// Sets a property, if the device lets it be set.
+    /// Sets a property; an error if the device refuses it.
     pub(super) fn set<T: Property>(&self, of: Holder, property: c_int, value: T) -> Result<(), DeviceError> {
         let (from, bytes) = ((&raw const value).cast(), size_of::<T>() as c_int);
         // SAFETY: as above.

@@ -9,10 +9,10 @@ use std::time::Duration;
 use super::api::{self, DeviceCallbacks, DeviceInfo, Frame, Functions, Handle, Holder, VideoMode};
 use planish_core::DeviceError;
 
-/// Between stopping a stream and destroying it.
+/// Time between stopping a stream and destroying it.
 const AFTER_STOP: Duration = Duration::from_millis(50);
 
-/// A device that is open.
+/// An open device.
 pub(super) struct Device {
     library: &'static Functions,
     pub(super) handle: Handle,
@@ -59,7 +59,7 @@ impl Drop for Device {
     }
 }
 
-/// A stream of a device that is open.
+/// An open stream of a device.
 pub(super) struct Stream {
     library: &'static Functions,
     pub(super) handle: Handle,
@@ -83,7 +83,7 @@ impl Stream {
         self.library.check("the camera does not start", unsafe { (self.library.StreamStart)(self.handle) })
     }
 
-    /// Sets a mode, unless the stream has it: some devices have one only and let none be set.
+    /// Sets a mode, unless the stream already has it: some devices have only one mode and refuse to set it.
     pub(super) fn set_mode(&self, mode: VideoMode) -> Result<(), DeviceError> {
         let of_stream = Holder::Stream(self.handle);
         if self.library.get(of_stream, api::VIDEO_MODE) == Some(mode) {
@@ -96,7 +96,7 @@ impl Stream {
         self.library.get::<c_int>(Holder::Stream(self.handle), api::MIRRORING).is_some_and(|is| is != 0)
     }
 
-    /// Returns the newest frame, which is there.
+    /// Returns the newest frame, which must be available.
     pub(super) fn read(&self) -> Result<OwnedFrame, DeviceError> {
         let mut frame = std::ptr::null_mut();
         // SAFETY: the stream is open.
@@ -143,7 +143,7 @@ impl Drop for OwnedFrame {
     }
 }
 
-/// Sees that a device is gone, or that a recording is over.
+/// Detects that a device is gone, or that a recording is over.
 pub(super) struct Watch {
     library: &'static Functions,
     registration: Handle,
@@ -162,9 +162,9 @@ impl Watch {
         let mut callbacks =
             DeviceCallbacks { connected: None, disconnected: Some(on_disconnected), state_changed: Some(on_state) };
         let mut registration = std::ptr::null_mut();
-        // Takes the box back if the registration fails, and with it at its end.
+        // Frees the box when dropped, also if the registration fails.
         let mut watch = Self { library, registration: std::ptr::null_mut(), watched };
-        // SAFETY: the watched data live until they are unregistered.
+        // SAFETY: the watched data live until the callbacks are unregistered.
         let status =
             unsafe { (library.RegisterDeviceCallbacks)(&raw mut callbacks, watched.cast(), &raw mut registration) };
         library.check("the device cannot be watched", status)?;
@@ -173,14 +173,14 @@ impl Watch {
     }
 
     pub(super) fn is_over(&self) -> bool {
-        // SAFETY: it lives as long as this.
+        // SAFETY: the data live as long as `self`.
         unsafe { &*self.watched }.is_over.load(Ordering::Relaxed)
     }
 }
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        // SAFETY: registered at the start; no callback runs once that is taken back, and this is the box's only owner.
+        // SAFETY: no callback runs after it is unregistered, and this is the box's only owner.
         unsafe {
             if !self.registration.is_null() {
                 (self.library.UnregisterDeviceCallbacks)(self.registration);
@@ -191,14 +191,14 @@ impl Drop for Watch {
 }
 
 /// # Safety
-/// The library calls this with one of its devices, and with the data registered by a [`Watch`].
+/// `device` must be null or valid, and `watched` must be null or the data registered by a [`Watch`].
 unsafe extern "C" fn on_disconnected(device: *const DeviceInfo, watched: *mut c_void) {
     // SAFETY: as above.
     unsafe { end(device, watched) }
 }
 
 /// # Safety
-/// As `on_disconnected`.
+/// Same as `on_disconnected`.
 unsafe extern "C" fn on_state(device: *const DeviceInfo, state: c_int, watched: *mut c_void) {
     if state == api::STATE_EOF {
         // SAFETY: as above.
@@ -207,7 +207,7 @@ unsafe extern "C" fn on_state(device: *const DeviceInfo, state: c_int, watched: 
 }
 
 /// # Safety
-/// As `on_disconnected`.
+/// Same as `on_disconnected`.
 unsafe fn end(device: *const DeviceInfo, watched: *mut c_void) {
     // SAFETY: as above.
     if let (Some(device), Some(watched)) = unsafe { (device.as_ref(), watched.cast::<Watched>().as_ref()) }
@@ -217,7 +217,7 @@ unsafe fn end(device: *const DeviceInfo, watched: *mut c_void) {
     }
 }
 
-/// Returns true if a URI is a file's.
+/// Returns true if a URI names a recording.
 pub(super) fn is_recording(uri: &str) -> bool {
     let path = Path::new(uri);
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oni")) || path.is_file()

@@ -1,11 +1,12 @@
-//! Cameras of OpenNI2 (Xtion, Carmine, Astra, Structure), and recordings of them, through its library, loaded at run
-//! time and never linked.
+//! OpenNI2 cameras (Xtion, Carmine, Astra, Structure), and recordings of them, through the OpenNI2 library, loaded at
+//! run time and never linked.
 //!
-//! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to the
-//! colour camera if the device supports it and has colour images of the same size. The library states fields of view
-//! but not intrinsics: the focal length follows from them, and the principal point is assumed at the centre. Mirrored
-//! images are flipped back. A live camera delivers its newest frame, and gaps in frame numbers are counted as dropped.
-//! A recording (.oni) delivers every depth frame in order; if the library loses one, it is counted too.
+//! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to
+//! the colour camera if the device supports it and has colour images of the same size. The library states fields of
+//! view but not intrinsics: the focal length follows from them, and the principal point is assumed at the centre.
+//! Mirrored images are flipped back. A live camera delivers its newest frame, and gaps in frame numbers are counted
+//! as dropped. A recording (.oni) delivers every depth frame in order; frames that the library loses are also counted
+//! as dropped.
 
 mod api;
 mod device;
@@ -22,16 +23,16 @@ use api::{Frame, Functions, Handle, Holder, VideoMode};
 use device::{Device, Stream, Watch};
 use planish_core::{Camera, DepthFrame, DeviceError, Error, IoError, ParamError};
 
-/// How often a wait looks at whether a frame is still wanted.
+/// Interval in milliseconds at which a wait checks whether a frame is still wanted.
 const PATIENCE_MS: c_int = 100;
 
-/// Numbers of frames that jump further than this are not of frames that were lost.
+/// Maximum gap in frame numbers that counts as lost frames.
 const MOST_LOST: u64 = 10_000;
 
 /// The playback speed at which a recording waits until its frames are taken.
 const AS_TAKEN: f32 = -1.0;
 
-/// A camera of OpenNI2 that is running, or a recording of one.
+/// A running OpenNI2 camera, or a recording of one.
 pub struct OpenNi2Source {
     library: &'static Functions,
     /// The caller's camera, which replaces the one derived from the device's field of view.
@@ -44,7 +45,7 @@ pub struct OpenNi2Source {
     has_ended: bool,
     dropped: u64,
     ended: Arc<AtomicBool>,
-    /// Colour images, if depth is mapped to them. Closed before the device, in this order.
+    /// The stream of colour images, if depth is mapped to them. Streams are closed before the device, in field order.
     color: Option<Stream>,
     depth: Stream,
     watch: Watch,
@@ -65,8 +66,8 @@ struct Image {
 }
 
 impl OpenNi2Source {
-    /// Opens the device or recording with a URI; an empty URI selects the first device. By default at 640x480 and 30
-    /// frames per second, with depth mapped to colour if possible.
+    /// Opens the device or recording with a URI; an empty URI selects the first device. By default, depth is 640x480
+    /// at 30 frames per second, mapped to colour if possible.
     pub fn open(
         uri: &str,
         camera: Option<Camera>,
@@ -92,7 +93,7 @@ impl OpenNi2Source {
         started.map_err(|error| named(recording.as_deref(), error))
     }
 
-    /// Returns true if a URI is a file's.
+    /// Returns true if a URI names a recording.
     pub(super) fn is_recording(uri: &str) -> bool {
         device::is_recording(uri)
     }
@@ -118,15 +119,15 @@ impl OpenNi2Source {
                 depth.set_mode(mode)?;
             }
         }
-        // Map depth to colour only if colour is delivered: otherwise nothing would state the camera that sees it. A
-        // recording does not state whether its depth was mapped, but its user may.
+        // Map depth to colour only if colour is delivered; otherwise the camera of the depth image would be unknown.
+        // A recording does not state whether its depth was mapped, but its user may.
         let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
         let color =
             if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };
         let is_registered = color.is_some() && (recording.is_some() || register(library, device.handle));
         let color = color.filter(|_| is_registered);
         if !is_registered && recording.is_none() {
-            // The device may still be as another program left it.
+            // Another program may have left the mapping on.
             let _ = library.set(of_device, api::IMAGE_REGISTRATION, 0);
         }
         if alignment == Some(Alignment::Colour) && !is_registered {
@@ -134,7 +135,7 @@ impl OpenNi2Source {
             return Err(DeviceError::Failed { what }.into());
         }
         for stream in std::iter::once(&depth).chain(&color) {
-            // Not every device mirrors; what one still does is turned back.
+            // Not every device lets mirroring be set; images that are still mirrored are flipped back.
             let _ = library.set(Holder::Stream(stream.handle), api::MIRRORING, 0);
             stream.start()?;
         }
@@ -155,7 +156,7 @@ impl OpenNi2Source {
         })
     }
 
-    /// Waits for a frame of either stream; one of colour is kept.
+    /// Waits for a frame of either stream, and keeps a colour frame.
     fn poll(&mut self) -> Result<Polled, Error> {
         let mut streams: Vec<Handle> = std::iter::once(&self.depth).chain(&self.color).map(|s| s.handle).collect();
         let mut ready = -1;
@@ -205,8 +206,8 @@ impl OpenNi2Source {
         Ok(depth.with_timestamp_s(1e-6 * frame.timestamp_us as f64))
     }
 
-    /// Returns the camera with the field of view that the library states, of the colour camera if depth is mapped to
-    /// it.
+    /// Returns the camera derived from the stated field of view: the colour camera if depth is mapped to it,
+    /// otherwise the depth camera.
     fn camera_of(&self, frame: &Frame) -> Result<Camera, DeviceError> {
         let stream = self.color.as_ref().unwrap_or(&self.depth);
         let angle = |property| {
@@ -246,7 +247,7 @@ impl OpenNi2Source {
         Ok(None)
     }
 
-    /// Handles the end of the recording or of the device.
+    /// Returns the result at the end: `None` for a recording with frames, otherwise an error.
     fn over(&self) -> Result<Option<OwnedFrame>, Error> {
         match &self.recording {
             Some(_) if self.last_index.is_some() => Ok(None),
@@ -255,7 +256,7 @@ impl OpenNi2Source {
         }
     }
 
-    /// Returns the error of a source that has been silent for long.
+    /// Returns the error of a source that has been silent for too long.
     fn silent(&self) -> Error {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
@@ -314,14 +315,14 @@ fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<Vide
     }
 }
 
-/// Has a device map depth to its colour camera; returns whether it does.
+/// Makes a device map depth to its colour camera; returns false if it cannot.
 fn register(library: &Functions, device: Handle) -> bool {
     // SAFETY: the device is open.
     let can = unsafe { (library.DeviceIsImageRegistrationModeSupported)(device, api::DEPTH_TO_COLOR) != 0 };
     can && library.set(Holder::Device(device), api::IMAGE_REGISTRATION, api::DEPTH_TO_COLOR).is_ok()
 }
 
-/// Opens the stream of colour images of depth's size, if there is one.
+/// Opens a stream of colour images with the size of the depth images; `None` if the device has none.
 fn colour_stream(library: &'static Functions, device: Handle, depth: &Stream, is_recording: bool) -> Option<Stream> {
     let color = Stream::create(library, device, api::SENSOR_COLOR, "the device has no colour sensor").ok()?;
     let of_depth: VideoMode = library.get(Holder::Stream(depth.handle), api::VIDEO_MODE)?;
@@ -337,7 +338,7 @@ fn colour_stream(library: &'static Functions, device: Handle, depth: &Stream, is
     library.get(Holder::Stream(color.handle), api::VIDEO_MODE).filter(fits).map(|_| color)
 }
 
-/// Names the recording that an error is about.
+/// Adds the name of the recording to an error of its device.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
         (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),

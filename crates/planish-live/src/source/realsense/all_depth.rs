@@ -1,7 +1,7 @@
-//! All depth of a recording, of which some has colour.
+//! All depth frames of a recording, with colour if available.
 //!
-//! The library puts depth and colour together from the first image to the last; depth before and after those does not
-//! come with them. A second player, of depth alone, has it.
+//! The library pairs depth and colour from the first colour image to the last, and leaves out depth before and after.
+//! A second player, for depth alone, delivers all of it.
 
 use crate::source::{OwnedFrame, Source};
 use planish_core::{DepthFrame, Error};
@@ -14,12 +14,12 @@ pub(super) struct AllDepth {
 }
 
 impl AllDepth {
-    /// Takes a player of the same recording that gives depth alone.
+    /// Creates it from a second player of the same recording, which delivers depth alone.
     pub(super) fn new(player: Box<dyn Source>) -> Self {
         Self { player, coloured: None, is_colour_over: false }
     }
 
-    /// Returns the next frame of depth, with colour where `next_coloured` has it.
+    /// Returns the next depth frame, with colour if `next_coloured` has a frame with the same timestamp.
     pub(super) fn next_frame(
         &mut self,
         mut next_coloured: impl FnMut() -> Result<Option<OwnedFrame>, Error>,

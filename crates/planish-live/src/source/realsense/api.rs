@@ -1,4 +1,4 @@
-//! The part of librealsense2's C API that is used (rs.h and its parts, since version 2.39).
+//! The part of librealsense2's C API used here (rs.h and its headers, since version 2.39).
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::sync::Mutex;
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::source::driver::{self, c_functions};
 use planish_core::DeviceError;
 
-/// Any object of the library: its types are opaque.
+/// A pointer to any object of the library, whose types are opaque.
 pub(super) type Object = *mut c_void;
 
 // rs2_stream
@@ -83,7 +83,7 @@ c_functions! {
         create_align(c_int, Error) -> Object;
         delete_processing_block(Object);
         start_processing_queue(Object, Object, Error);
-        /// Takes the frame over.
+        /// Takes ownership of the frame.
         process_frame(Object, Object, Error);
         create_frame_queue(c_int, Error) -> Object;
         delete_frame_queue(Object);
@@ -107,7 +107,7 @@ c_functions! {
     }
 }
 
-/// An object of the library that is deleted with its owner.
+/// An object of the library, deleted when dropped.
 pub(super) struct Owned {
     object: Object,
     delete: unsafe extern "C" fn(Object),
@@ -117,12 +117,12 @@ pub(super) struct Owned {
 unsafe impl Send for Owned {}
 
 impl Owned {
-    /// For calls, which may keep it no longer than its owner lives.
+    /// Returns the object for calls, which must not keep it beyond the lifetime of this owner.
     pub(super) fn get(&self) -> Object {
         self.object
     }
 
-    /// Gives it away to a call that takes it over.
+    /// Returns the object for a call that takes ownership of it.
     fn into_object(self) -> Object {
         std::mem::ManuallyDrop::new(self).object
     }
@@ -135,7 +135,7 @@ impl Drop for Owned {
     }
 }
 
-/// A device of a context.
+/// Name and serial number of a device.
 pub(super) struct DeviceName {
     pub(super) name: String,
     pub(super) serial: String,
@@ -147,13 +147,13 @@ impl Functions {
         static LOADED: Mutex<Option<&'static Functions>> = Mutex::new(None);
         let help = "install librealsense2, or set PLANISH_LIBREALSENSE to its file (the Python package pyrealsense2 \
                     includes it)";
-        // Debian and Ubuntu have the minor version in the name; the name without it comes with the packages for
-        // development.
+        // Debian and Ubuntu have the minor version in the file name; the name without it is only in the development
+        // packages.
         let numbered = (39..100).rev().map(|minor| format!("librealsense2.so.2.{minor}"));
         let usual = std::iter::once("librealsense2.so".to_owned()).chain(numbered);
         driver::load_once(&LOADED, || {
             let library = driver::load("PLANISH_LIBREALSENSE", usual, help)?;
-            // SAFETY: the signatures match rs.h, which is the same in all versions 2.
+            // SAFETY: the signatures match rs.h, which is the same in all 2.x versions.
             unsafe { Self::find(library) }.map_err(|error| DeviceError::Driver {
                 what: format!("not librealsense2 2.39 or later: {error}"),
                 help,
@@ -195,7 +195,8 @@ impl Functions {
     }
 
     pub(super) fn create_context(&self) -> Result<Owned, DeviceError> {
-        // SAFETY: these calls need nothing. The library checks the version that its caller knows; ours is any.
+        // SAFETY: these calls have no preconditions. The library checks the version for which its caller was built;
+        // its own version always passes.
         unsafe {
             let version = self.call("librealsense has no version", |f, e| (f.get_api_version)(e))?;
             self.create("librealsense does not start", self.delete_context, |f, e| (f.create_context)(version, e))
@@ -208,7 +209,7 @@ impl Functions {
         self.create("no pipeline", self.delete_pipeline, call)
     }
 
-    /// Takes over a context and a pipeline.
+    /// Takes ownership of a context and a pipeline.
     #[cfg(feature = "internal")]
     pub(super) fn own(&self, context: Object, pipeline: Object) -> [Owned; 2] {
         [(context, self.delete_context), (pipeline, self.delete_pipeline)]
@@ -222,7 +223,7 @@ impl Functions {
         unsafe {
             let list = self.create(what, self.delete_device_list, |f, e| (f.query_devices)(context.get(), e))?;
             let count = self.call(what, |f, e| (f.get_device_count)(list.get(), e))?;
-            // One that is just being plugged in may fail; the others are there all the same.
+            // A device that is just being plugged in may fail; the others are still listed.
             let device = |i| self.create(what, self.delete_device, |f, e| (f.create_device)(list.get(), i, e)).ok();
             Ok((0..count).filter_map(device).map(|device| self.name_of(&device)).collect())
         }
@@ -240,15 +241,15 @@ impl Functions {
         DeviceName { name: info(INFO_NAME), serial: info(INFO_SERIAL_NUMBER) }
     }
 
-    /// Returns true if a recording is being played: not before it starts, and not after its end.
+    /// Returns true if a recording is being played; false before its start and after its end.
     pub(super) fn is_playing(&self, device: &Owned) -> bool {
         // SAFETY: the device outlives the call.
         let call = |f: &Self, e| unsafe { (f.playback_device_get_current_status)(device.get(), e) };
         self.call("", call).is_ok_and(|status| status != PLAYBACK_STOPPED)
     }
 
-    /// Returns the next frames that belong together, if they come in time. (The library's own wait starts a pipeline
-    /// anew if its device is gone, on any other device, and takes 15 s to find none.)
+    /// Returns the next frames that belong together; `None` after `timeout`. Polls, because if the device is gone,
+    /// the library's own wait restarts the pipeline on any other device and takes 15 s to find none.
     pub(super) fn wait(&self, pipeline: &Owned, timeout: Duration) -> Result<Option<Owned>, DeviceError> {
         let deadline = Instant::now() + timeout;
         loop {
@@ -269,14 +270,15 @@ impl Functions {
     pub(super) fn process(&self, block: &Owned, queue: &Owned, frames: Owned) -> Result<Owned, DeviceError> {
         let what = "frames cannot be aligned";
         let frames = frames.into_object();
-        // SAFETY: the block takes the frames over; it works on this thread, so that its result is in the queue at once.
+        // SAFETY: the block takes ownership of the frames. It works on this thread, so its result is in the queue at
+        // once.
         unsafe {
             self.call(what, |f, e| (f.process_frame)(block.get(), frames, e))?;
             self.create(what, self.release_frame, |f, e| (f.wait_for_frame)(queue.get(), 1000, e))
         }
     }
 
-    /// Returns the frame of a kind among frames that belong together.
+    /// Returns the frame of a stream among frames that belong together; `None` if it is missing.
     pub(super) fn frame_of(&self, frames: &Owned, stream: c_int) -> Result<Option<Owned>, DeviceError> {
         let what = "frames cannot be read";
         // SAFETY: the frames outlive the calls; each extracted or additional reference is released by its owner.
@@ -335,7 +337,7 @@ impl Functions {
             let width = size(self.call(what, |f, e| (f.get_frame_width)(frame.get(), e))?);
             let height = size(self.call(what, |f, e| (f.get_frame_height)(frame.get(), e))?);
             let stride = size(self.call(what, |f, e| (f.get_frame_stride_in_bytes)(frame.get(), e))?);
-            // 0 for a frame of a device in software, whose data is its maker's.
+            // 0 for a frame of a software device, whose data belongs to the creator of the device.
             let bytes = match size(self.call(what, |f, e| (f.get_frame_data_size)(frame.get(), e))?) {
                 0 if !is_recorded => stride * height,
                 bytes => bytes,
@@ -357,7 +359,7 @@ impl Functions {
 }
 
 /// # Safety
-/// The text is null or ends with a zero byte.
+/// `text` must be null or point to a string that ends with a zero byte.
 unsafe fn text(text: *const c_char) -> String {
     if text.is_null() {
         return String::new();

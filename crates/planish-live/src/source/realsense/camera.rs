@@ -4,8 +4,9 @@
 //! distortion. It is replaced by OpenCV's model with five coefficients, fitted over the image, with an error of at most
 //! a hundredth of a pixel for these cameras.
 //!
-//! Depth that is aligned to the colour camera states that camera's distortion, but the library's `align` applies it for
-//! one model alone (sse-align.cpp and neon-align.cpp): for the others its image is one without distortion.
+//! Depth aligned to the colour camera states that camera's distortion, but the library's `align` applies it only for
+//! the modified Brown-Conrady model (sse-align.cpp and neon-align.cpp). With other models, the aligned image has no
+//! distortion.
 
 use std::ffi::c_int;
 
@@ -18,14 +19,14 @@ const MODIFIED_BROWN_CONRADY: c_int = 1;
 const INVERSE_BROWN_CONRADY: c_int = 2;
 const BROWN_CONRADY: c_int = 4;
 
-/// Positions along each side at which distortion is fitted.
+/// Number of positions along each side of the image at which distortion is fitted.
 const SAMPLES: u32 = 25;
 
-/// The largest error of a fit, in pixels.
+/// Maximum error of a distortion fit, in pixels.
 const MOST_ERROR_PX: f64 = 0.1;
 
-/// Returns the camera of a depth image with this many metres per unit, either as measured or as mapped onto the colour
-/// image by `align`.
+/// Returns the camera of a depth image with this many metres per unit, as measured or, if `is_aligned`, as mapped
+/// onto the colour image by `align`.
 pub(super) fn camera_of(
     intrinsics: &Intrinsics,
     metres_per_unit: f32,
@@ -53,7 +54,8 @@ pub(super) fn camera_of(
     Ok(Camera::new(shape, focal, centre).with_depth_units_per_metre(units).with_distortion(distortion))
 }
 
-/// Returns the library gives metres per unit as f32: 0.001 there is 1000 units per metre, not 999.99995.
+/// Returns the depth units per metre, rounded if they are whole to within f32 precision. The library states metres
+/// per unit as f32: its 0.001 is 1000 units per metre, not 999.99995.
 fn units_per_metre(metres_per_unit: f32) -> f64 {
     let units = 1.0 / f64::from(metres_per_unit);
     let whole = units.round();
@@ -76,13 +78,14 @@ fn fitted(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Result<Distortion,
     }
 }
 
-/// Returns directions with the positions at which they are seen, over the image: both in units of the focal length.
+/// Returns directions over the whole image, each with the position at which the camera sees it, both in units of the
+/// focal length.
 fn pairs_of(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Vec<([f64; 2], [f64; 2])> {
     let at = |i: u32, length: c_int, centre: f32, focal: f32| {
         let pixel = f64::from(i) / f64::from(SAMPLES - 1) * f64::from(length - 1);
         (pixel - f64::from(centre)) / f64::from(focal)
     };
-    // Somewhat beyond the image, so that they cover it however it is distorted.
+    // 10 % beyond the image, so that the samples cover it despite distortion.
     let direction = |i: u32| {
         let x = 1.1 * at(i % SAMPLES, intrinsics.width, intrinsics.ppx, intrinsics.fx);
         let y = 1.1 * at(i / SAMPLES, intrinsics.height, intrinsics.ppy, intrinsics.fy);
@@ -91,7 +94,8 @@ fn pairs_of(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Vec<([f64; 2], [
     (0..SAMPLES * SAMPLES).map(direction).collect()
 }
 
-/// rs2_project_point_to_pixel for both models. Despite its name, the "inverse" model is applied in the same direction.
+/// Distorts a direction as rs2_project_point_to_pixel does for both models. Despite its name, the "inverse" model is
+/// applied in the same direction.
 fn distorted([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
     let r2 = x * x + y * y;
     let q = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));

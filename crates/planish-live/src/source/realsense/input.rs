@@ -1,16 +1,16 @@
-//! Which RealSense to open.
+//! The choice of a RealSense camera or recording.
 
 use std::path::{Path, PathBuf};
 
-/// Which RealSense.
+/// A RealSense camera or recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum RealSenseInput {
-    /// The first that is found.
+    /// The first camera found.
     Any,
-    /// The one with this serial number.
+    /// The camera with this serial number.
     Serial(String),
-    /// A recording that librealsense wrote: .bag, or .db3 since version 2.58.
+    /// A recording made by librealsense: .bag, or .db3 since version 2.58.
     Recording(PathBuf),
 }
 

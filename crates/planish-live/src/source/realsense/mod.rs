@@ -1,10 +1,10 @@
 //! Intel RealSense cameras, and recordings of them, through librealsense2, loaded at run time and never linked.
 //!
 //! The library is `librealsense2.so`, or the path in the environment variable PLANISH_LIBREALSENSE. Its pipeline uses
-//! the device's default modes, or the requested one, and pairs depth and colour by time; its `align` maps one onto the
-//! other. A live camera delivers its newest frames, and gaps in frame numbers are counted as dropped. A recording
-//! delivers every depth frame once, between the first and the last colour image, paired with the colour image closest
-//! in time ([`all_depth`]). Depth mapped onto colour has values only where there is colour.
+//! the device's default modes, or the requested one, and pairs depth and colour by time; its `align` maps one onto
+//! the other. A live camera delivers its newest frames, and gaps in frame numbers are counted as dropped. A recording
+//! delivers every depth frame once, paired with the colour image closest in time; depth before the first and after
+//! the last colour image has no colour ([`all_depth`]). Depth mapped onto colour is delivered only with colour.
 
 mod all_depth;
 mod api;
@@ -27,29 +27,31 @@ pub use input::RealSenseInput;
 use planish_core::{Camera, DepthFrame, DeviceError, Error, IoError, ParamError};
 use start::{Colour, Started, check_device, start};
 
-/// How often a wait looks at whether a frame is still wanted.
+/// Interval at which a wait checks whether a frame is still wanted.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// How many times nothing came, one [`PATIENCE`] each, after which a recording whose player has stopped is over.
+/// Number of waits of [`PATIENCE`] without a frame after which a recording with a stopped player is over.
 const WAITS_AT_END: u32 = 5;
 
-/// Numbers of frames that jump further than this are not of frames that were lost.
+/// Maximum gap in frame numbers that counts as lost frames.
 const MOST_LOST: u64 = 10_000;
 
-/// A RealSense camera that is running, or a recording of one.
+/// A running RealSense camera, or a recording of one.
 pub struct RealSenseSource {
     library: &'static Functions,
-    /// The caller's camera instead of the device's own.
+    /// The caller's camera, which replaces the device's own.
     camera: Option<Camera>,
     description: String,
     recording: Option<PathBuf>,
     aligner: Option<Aligner>,
     held: Option<Held>,
-    /// For a recording whose colour is mapped onto depth.
+    /// The player of all depth, for a recording whose colour is mapped onto depth.
     all_depth: Option<AllDepth>,
-    /// True once a recording has begun; true once it is over, at its end or after an error, which is returned once.
+    /// True once a recording has begun.
     has_begun: bool,
+    /// Number of frames delivered.
     delivered: u64,
+    /// True once a recording is over, at its end or after an error, which is returned once.
     is_over: bool,
     last_number: Option<u64>,
     last_camera: Option<(Intrinsics, f32, Camera)>,
@@ -61,11 +63,11 @@ pub struct RealSenseSource {
     _context: Owned,
 }
 
-/// Frames of a recording that wait for a colour image that is closer in time.
+/// Frames of a recording, held in case a colour image follows that is closer in time.
 struct Held {
-    /// The number of their depth.
+    /// Frame number of the depth.
     number: u64,
-    /// Between depth and colour.
+    /// Time between depth and colour, in milliseconds.
     apart_ms: f64,
     frames: Owned,
 }
@@ -79,8 +81,8 @@ struct Aligner {
 }
 
 impl RealSenseSource {
-    /// Starts a camera or a recording, with the camera's intrinsics unless others are given. By default in its default
-    /// mode, with colour mapped onto depth if available.
+    /// Starts a camera or a recording. `camera` replaces the device's intrinsics. By default, the device's default
+    /// mode is used, and colour is mapped onto depth if available.
     pub fn open(
         input: &RealSenseInput,
         camera: Option<Camera>,
@@ -159,14 +161,14 @@ impl RealSenseSource {
         })
     }
 
-    /// Returns frames whose depth was not delivered yet, unless better ones may follow.
+    /// Returns frames whose depth was not yet delivered, unless the same depth may follow with closer colour.
     fn take(&mut self, frames: Owned) -> Result<Option<Owned>, DeviceError> {
         let Some(depth) = self.library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
         // SAFETY: the frame outlives the call.
         let number = |f: &Functions, e| unsafe { (f.get_frame_number)(depth.get(), e) };
         let number = self.library.call("a frame has no number", number)?;
         if self.recording.is_some() && self.aligner.is_some() {
-            // Depth may come again with the colour image after it.
+            // The same depth may arrive again with the next colour image.
             let apart_ms = match self.library.frame_of(&frames, STREAM_COLOR)? {
                 Some(colour) => (self.timestamp_ms(&depth)? - self.timestamp_ms(&colour)?).abs(),
                 None => f64::INFINITY,
@@ -231,7 +233,7 @@ impl RealSenseSource {
         Ok(Some(OwnedFrame::Depth(frame)))
     }
 
-    /// Returns the camera of a frame of depth, the caller's with the device's depth units.
+    /// Returns the camera of a depth frame: the caller's, if given, with the device's depth units.
     fn camera_of(&mut self, depth: &Owned, metres_per_unit: f32) -> Result<Camera, DeviceError> {
         let intrinsics = self.library.intrinsics_of(depth)?;
         if let Some((of, units, camera)) = &self.last_camera
@@ -282,7 +284,7 @@ impl RealSenseSource {
             }
             // Other streams may continue without depth.
             if Instant::now() >= deadline {
-                // The last frame before the silence is whole.
+                // The held frame is complete.
                 let last = self.held.take().map(|held| self.frame_from(held.frames)).transpose()?.flatten();
                 return last.map_or_else(|| Err(self.silent()), |frame| Ok(Some(frame)));
             }
@@ -295,14 +297,14 @@ impl RealSenseSource {
         if self.aligner.is_some() { "; --align none plays depth without colour" } else { "" }
     }
 
-    /// Returns the error of a recording from which no frame came.
+    /// Returns the error of a recording that delivered no frame.
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
         let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
         malformed(file, format!("it has {what}, or is damaged{}", self.advice())).into()
     }
 
-    /// Returns the error of a source that has been silent for long.
+    /// Returns the error of a source that has been silent for too long.
     fn silent(&self) -> Error {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
@@ -354,7 +356,8 @@ impl Source for RealSenseSource {
 
 impl Drop for RealSenseSource {
     fn drop(&mut self) {
-        // Frames go before the pipeline that they came from. One that was unplugged cannot be stopped, and need not be.
+        // Frames are released before their pipeline. The pipeline of an unplugged camera cannot be stopped, and need
+        // not be.
         self.held = None;
         // SAFETY: the pipeline is deleted after this.
         let _ = self.library.call("", |f, e| unsafe { (f.pipeline_stop)(self.pipeline.get(), e) });
@@ -364,7 +367,7 @@ impl Drop for RealSenseSource {
 impl Aligner {
     fn new(library: &Functions, to: c_int) -> Result<Self, DeviceError> {
         let what = "depth and colour cannot be aligned";
-        // SAFETY: the queue outlives the block's use of it, since both go together.
+        // SAFETY: the queue outlives the block's use of it, since both are dropped together.
         unsafe {
             let block = library.create(what, library.delete_processing_block, |f, e| (f.create_align)(to, e))?;
             let queue = library.create(what, library.delete_frame_queue, |f, e| (f.create_frame_queue)(1, e))?;
@@ -374,10 +377,11 @@ impl Aligner {
     }
 }
 
-/// Starts a pipeline of the caller's, which may have a device in software.
+/// Starts the caller's pipeline, which may have a software device.
 ///
 /// # Safety
-/// The context and its pipeline are objects of the library that PLANISH_LIBREALSENSE names, and are given away.
+/// The context and its pipeline must be objects of the library that PLANISH_LIBREALSENSE names. They must not be used
+/// afterwards, since this function takes ownership.
 #[cfg(feature = "internal")]
 pub unsafe fn start_realsense(
     [context, pipeline]: [*mut std::ffi::c_void; 2],
@@ -389,7 +393,7 @@ pub unsafe fn start_realsense(
     RealSenseSource::start(library, context, pipeline, &RealSenseInput::Any, None, alignment, mode)
 }
 
-/// Names the recording that an error is about.
+/// Adds the name of the recording to an error of its device.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
         (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),

@@ -35,14 +35,15 @@ pub(super) enum Colour {
     None,
 }
 
-/// A pipeline that runs.
+/// A running pipeline.
 pub(super) struct Started {
     pub(super) device: Owned,
     pub(super) profile: Owned,
     pub(super) colour: Colour,
 }
 
-/// Starts a pipeline with colour at the rate of depth, then at any rate; then without colour, unless it was requested.
+/// Starts a pipeline with colour at the rate of depth. If that fails, tries colour at any rate, then no colour unless
+/// it was requested.
 pub(super) fn start(
     library: &Functions,
     pipeline: &Owned,
@@ -66,7 +67,7 @@ pub(super) fn start(
     let mut resolved = resolve(attempts[0]);
     for &colour in &attempts[1..] {
         if resolved.is_err() {
-            // Report the error of the requested mode.
+            // Keeps the first error, which is about the requested mode.
             resolved = resolve(colour).or(resolved);
         }
     }
@@ -77,7 +78,7 @@ pub(super) fn start(
         let device = |f: &Functions, e| (f.pipeline_profile_get_device)(profile.get(), e);
         let device = library.create(what, library.delete_device, device)?;
         if matches!(input, RealSenseInput::Recording(_)) {
-            // As fast as frames are taken, without loss; before it starts, so that none is lost before.
+            // Plays as fast as frames are taken, without loss. Set before the start, so that no frame is lost.
             library.call(what, |f, e| (f.playback_device_set_real_time)(device.get(), 0, e))?;
         }
         let start = |f: &Functions, e| (f.pipeline_start_with_config)(pipeline.get(), config.get(), e);

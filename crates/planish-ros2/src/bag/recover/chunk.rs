@@ -15,7 +15,7 @@ use planish_io::internal::guarded;
 /// The records of a chunk.
 #[derive(Default)]
 pub(super) struct Contents {
-    /// The records, if they are to be written again.
+    /// The bytes of the records, if they are to be written again.
     pub bytes: Vec<u8>,
     pub index: BTreeMap<u16, Vec<MessageIndexEntry>>,
     pub schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
@@ -26,7 +26,7 @@ pub(super) struct Contents {
 }
 
 impl Contents {
-    /// Adds a record, with its bytes if they are needed; returns false if it cannot be read.
+    /// Adds a record, and its bytes if `with_bytes` is set; returns false if it cannot be read.
     pub fn add(&mut self, opcode: u8, data: &[u8], with_bytes: bool) -> bool {
         let offset = self.end;
         let Ok(parsed) = parse_record(opcode, data) else { return false };
@@ -52,8 +52,8 @@ impl Contents {
     }
 }
 
-/// Returns the whole records of a chunk that was cut and is not compressed; `None` for others. Its header may not be
-/// written yet: some programs put the sizes there at the end.
+/// Returns the whole records of a cut, uncompressed chunk; `None` for other chunks. The sizes in its header may be
+/// missing, since some programs write them last.
 pub(super) fn cut_contents(chunk: &[u8]) -> Option<Contents> {
     let mut rest = chunk.get(header_bytes(chunk)?..)?;
     if !chunk.get(BEFORE_COMPRESSION..)?.starts_with(&[0; 4]) {
@@ -71,10 +71,10 @@ pub(super) fn cut_contents(chunk: &[u8]) -> Option<Contents> {
     Some(contents)
 }
 
-/// Two times, the size and the checksum, at the beginning of a chunk.
+/// Size in bytes of the part of a chunk before the name of its compression: two times, the size and the checksum.
 const BEFORE_COMPRESSION: usize = 8 + 8 + 8 + 4;
 
-/// Returns the bytes of a chunk's header: those, the name of its compression and its size.
+/// Returns the size in bytes of a chunk's header, which ends with the compression's name and the records' size.
 pub(super) fn header_bytes(chunk: &[u8]) -> Option<usize> {
     let name = u32::from_le_bytes(*chunk.get(BEFORE_COMPRESSION..)?.first_chunk()?) as usize;
     name.checked_add(BEFORE_COMPRESSION + 4 + 8)
@@ -84,7 +84,7 @@ pub(super) fn header_bytes(chunk: &[u8]) -> Option<usize> {
 pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions) -> (Contents, bool) {
     let mut contents = Contents::default();
     let mut bytes = Vec::with_capacity(chunk.len() + RECORD_HEADER as usize);
-    // With the length that its header states, so that a cut chunk is detected.
+    // The record has the length that its header states, so that a cut chunk is detected.
     let length = length_of(chunk).unwrap_or(chunk.len() as u64);
     bytes.push(op::CHUNK);
     bytes.extend(length.to_le_bytes());
@@ -124,7 +124,7 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
     }
 }
 
-/// One step of the reader of a chunk.
+/// One step of the chunk reader.
 enum Step {
     Read(usize),
     Record(u8, Vec<u8>),
@@ -132,7 +132,7 @@ enum Step {
     Damaged,
 }
 
-/// Returns the length of a chunk's record that its header states; a cut chunk is shorter.
+/// Returns the length of a chunk's record that the chunk's header states; a cut chunk is shorter.
 fn length_of(chunk: &[u8]) -> Option<u64> {
     let header = header_bytes(chunk)?;
     let size = u64::from_le_bytes(*chunk.get(header - 8..)?.first_chunk()?);
