@@ -1,4 +1,4 @@
-//! Experiment 2: how the time grows with the number of candidates.
+//! Experiment 2: time by the number of candidates.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams, FrameRadius};
@@ -10,9 +10,9 @@ use super::plot::{line_through, lines};
 use super::section::Section;
 use super::timing::Timing;
 
-/// The 2011 report's fit of a straight line.
+/// R² of the straight line in the 2011 report.
 const REPORT_R2: f64 = 0.96;
-/// The report's radius per pixel of the window's half-width.
+/// The report's radius in metres per pixel of the window's half-width.
 const RADIUS_M_A_STEP: f32 = 0.01;
 
 #[derive(Serialize)]
@@ -25,9 +25,11 @@ struct Curve {
     degree: u32,
     candidates: Vec<usize>,
     times: Vec<Timing>,
-    /// Linear fit through the medians: intercept in milliseconds, milliseconds per candidate, R².
+    /// Intercept of the linear fit through the medians, in milliseconds.
     intercept_ms: f64,
+    /// Slope of the linear fit, in milliseconds per candidate.
     slope_ms: f64,
+    /// R² of the linear fit.
     r2: f64,
 }
 
@@ -60,7 +62,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         }
     }
     let bar = context.bar("connectivity", curves.len() * windows.len())?;
-    // All engines at one setting after each other, so that the reference computes it once.
+    // All engines are measured at one setting before the next, so that the reference computes it once.
     for (degree, &window) in [2, 3].into_iter().flat_map(|degree| windows.iter().map(move |window| (degree, window))) {
         let radius = FrameRadius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
         let params = FrameParams::paper().with_window(window).with_degree(degree).with_radius(radius);

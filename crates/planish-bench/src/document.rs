@@ -10,17 +10,17 @@ use planish::io::write_whole;
 use super::record::Origin;
 use super::section::Section;
 
-/// A document with a block that is to be replaced.
+/// A document with a block of results to replace.
 pub struct Document {
     path: PathBuf,
-    /// The markers of its first and its last line.
+    /// The markers in the first and the last line of the block.
     marks: [String; 2],
     /// Path from the document to the folder with the pictures.
     folder: String,
 }
 
 impl Document {
-    /// Checks for the block before anything is measured, so that no measurement is lost.
+    /// Opens a document and checks that it has the block, before any measurement that could be lost.
     pub fn open(path: &Path, folder: &Path) -> Result<Self> {
         let absolute = |path: &Path| std::path::absolute(path).with_context(|| path.display().to_string());
         let (whole_path, whole_folder) = (absolute(path)?, absolute(folder)?);
@@ -41,7 +41,7 @@ impl Document {
         Ok(document)
     }
 
-    /// Returns the text before the block and after it, with the lines that mark it.
+    /// Returns the text before and after the block, each with the block's marker.
     fn around(&self) -> Result<[String; 2]> {
         let text = fs::read_to_string(&self.path).with_context(|| self.path.display().to_string())?;
         let [start, end] = &self.marks;
@@ -55,12 +55,12 @@ impl Document {
         }
     }
 
-    /// Writes the document, as it is by now, with a new block.
+    /// Reads the document again and writes it with a new block.
     pub fn update(&self, origin: &Origin, sections: &[Section]) -> Result<()> {
         let [mut text, after] = self.around()?;
         write!(text, "\n\n{}", origin.markdown())?;
         for section in sections {
-            // A section of the block is one of its machine's.
+            // Within the block, the sections are below the heading of their machine.
             write!(text, "\n{}", section.markdown(&self.folder).replacen("## ", "### ", 1))?;
         }
         write!(text, "\n{after}")?;

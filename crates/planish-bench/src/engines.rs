@@ -39,7 +39,7 @@ impl Subject {
         subject
     }
 
-    /// Returns the clocks that can time it.
+    /// Returns the clocks that can time the engine.
     pub fn clocks(&self) -> Result<Vec<Clock>> {
         if !self.is_gpu() {
             return Ok(vec![Clock::Host]);
@@ -52,7 +52,7 @@ impl Subject {
         }
     }
 
-    /// Returns its name in a table with both clocks.
+    /// Returns the engine's name in a table with both clocks.
     pub fn name_by(&self, clock: Clock) -> String {
         match clock {
             Clock::Host => self.name.clone(),
@@ -103,21 +103,22 @@ pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
     Ok(subjects)
 }
 
-/// How frames pass through an engine, and how results are read.
+/// The way in which frames pass through an engine and results are read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// One at a time; each result is copied to host memory.
     CopiedOut,
     /// One at a time; each result is read in place.
     InPlace,
-    /// Copied out, with as many frames in flight as the engine allows.
+    /// As many frames in flight as the engine allows; each result is copied to host memory.
     CopiedOutInFlight,
+    /// As many frames in flight as the engine allows; each result is read in place.
     InPlaceInFlight,
-    /// Several at once, copied out.
+    /// Several at once; results are copied to host memory.
     Batch,
 }
 
-/// An engine with the frames that it is timed at.
+/// An engine and the frames on which it is timed.
 pub struct Load<'a> {
     smoother: Smoother,
     way: Way,
@@ -126,7 +127,7 @@ pub struct Load<'a> {
 }
 
 impl<'a> Load<'a> {
-    /// Opens the engine for frames of one shape, of which there must be one, and in a batch may be more.
+    /// Opens the engine for frames of one shape: one frame, or several for a batch.
     pub fn open(subject: &Subject, params: FrameParams, way: Way, frames: Vec<Frame<'a>>) -> Result<Self> {
         let shape = frames.first().map_or((0, 0), Frame::shape);
         let smoother = Smoother::open_with(params, &subject.options, shape)?;
@@ -134,8 +135,8 @@ impl<'a> Load<'a> {
         Ok(Self { smoother, way, frames, results })
     }
 
-    /// Processes the frames once; in flight, one is submitted and one received. Returns the engine's times if it
-    /// reports them.
+    /// Processes the frames once; in flight, one is submitted and one received. Returns the engine's times; `None` if
+    /// it does not report them.
     pub fn once(&mut self) -> Result<Option<FrameTimings>> {
         match self.way {
             Way::Batch => self.smoother.smooth_batch(&self.frames, &mut self.results)?,
@@ -163,8 +164,8 @@ impl<'a> Load<'a> {
         Ok(timings)
     }
 
-    /// Processes the frames once more and shows the points of each, with as many in flight as during timing, through
-    /// every reused buffer.
+    /// Processes the frames again and passes the points of each to `look`. As many frames are in flight as during
+    /// timing, so that every reused buffer is seen.
     pub fn show(&mut self, mut look: impl FnMut([&[f32]; 3]) -> Result<()>) -> Result<()> {
         while self.smoother.receive()?.is_some() {}
         if matches!(self.way, Way::CopiedOut | Way::Batch) {
@@ -200,13 +201,13 @@ impl<'a> Load<'a> {
         }
     }
 
-    /// Bytes that the engine keeps.
+    /// Returns the size of the engine's buffers in bytes.
     pub fn buffer_bytes(&self) -> u64 {
         self.smoother.buffer_bytes()
     }
 }
 
-/// Reads a result, so that it must be available.
+/// Reads a value of the result, which must then be available.
 fn touch(view: &SmoothedView) {
     black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
 }

@@ -55,7 +55,7 @@ pub struct Bench<'a> {
     pub inputs: Vec<Input>,
     /// Set by Ctrl-C: finished measurements are kept.
     pub stop: &'a AtomicBool,
-    /// The reference's last result, with the frame and the setting that it is of.
+    /// The reference's last result, with the index of its frame and its parameters.
     reference: RefCell<Option<(usize, FrameParams, Smoothed)>>,
     /// Skipped measurements and the reasons.
     skipped: RefCell<Vec<String>>,
@@ -82,7 +82,8 @@ impl<'a> Bench<'a> {
         Ok(ProgressBar::new(steps as u64).with_style(style).with_message(name))
     }
 
-    /// Returns the engines to measure. CPU engines at every SIMD level and with one and all threads if `all_levels`.
+    /// Returns the engines to measure. With `all_levels`, CPU engines are included at every SIMD level, and with one
+    /// and all threads.
     pub fn subjects(&self, all_levels: bool) -> Result<Vec<Subject>> {
         engines::subjects(&self.options.engines, all_levels)
     }
@@ -94,8 +95,8 @@ impl<'a> Bench<'a> {
         Ok(subjects)
     }
 
-    /// Returns the measurement. Returns `None` if it was interrupted, or if the engine does not open or has no room for
-    /// such frames, which is reported at the end. Any other failure is an error, in particular a wrong result.
+    /// Returns the measurement; `None` if it was interrupted, or if the engine is unavailable or has no room for the
+    /// frames, which is reported at the end. Any other failure, such as a wrong result, is an error.
     pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
         let error = match measured {
             Ok(measured) => return Ok(Some(measured)),
@@ -120,7 +121,7 @@ impl<'a> Bench<'a> {
         self.skipped.take()
     }
 
-    /// Many values of what `one` measures, in milliseconds, once it is warm.
+    /// Calls `one` repeatedly after a warm-up; each call returns a measurement in milliseconds.
     pub fn measure(&self, patience: Patience, mut one: impl FnMut() -> Result<f64>) -> Result<Timing> {
         // An idle GPU needs a third of a second to reach its full clock.
         let (fewest, runs, least_ms, most_ms, warm_up_ms) = match patience {
@@ -151,7 +152,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Times one frame after another going a way through an engine, `block` of them in each measurement.
+    /// Times consecutive frames going one way through an engine, `block` of them per measurement.
     pub fn time_way(
         &self,
         subject: &Subject,
@@ -171,7 +172,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Times an engine at some frames by a clock, and keeps its stages if the subject has time stamps.
+    /// Times an engine on some frames by a clock, and keeps the times of the engine's stages if it reports them.
     pub fn time_frames(
         &self,
         subject: &Subject,
@@ -269,7 +270,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Returns a cloud `copies` times in one.
+/// Returns `copies` copies of a cloud, stacked vertically into one.
 fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<OrganizedCloud> {
     let positions = cloud.positions().as_slices().map(|axis| axis.repeat(copies));
     let positions = Xyz::from_arrays(positions).map_err(Error::from)?;

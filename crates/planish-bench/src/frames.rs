@@ -4,19 +4,19 @@ use anyhow::Result;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, DepthFrame, Error, Frame, IntoFrame, OrganizedCloud};
 
-/// A frame under a name.
+/// A frame with a name.
 pub struct Input {
-    /// Its index, since two frames may have one name.
+    /// Index among the inputs, since two frames may have the same name.
     pub(crate) index: usize,
     name: String,
-    /// Set if the frame is a depth image.
+    /// The depth image; `None` for an organized cloud.
     depth: Option<DepthFrame>,
-    /// The frame, or what its depth is as points.
+    /// The organized cloud, or the points of the depth image.
     pub(crate) cloud: OrganizedCloud,
 }
 
 impl Input {
-    /// Returns a depth frame under a name; `index` is its place among the others.
+    /// Creates an input from a depth frame; `index` is its position among the inputs.
     ///
     /// # Errors
     /// If the frame is malformed.
@@ -25,12 +25,12 @@ impl Input {
         Ok(Self { index, name, depth: Some(depth), cloud })
     }
 
-    /// Returns an organized cloud under a name.
+    /// Creates an input from an organized cloud; `index` is its position among the inputs.
     pub fn of_cloud(index: usize, name: String, cloud: OrganizedCloud) -> Self {
         Self { index, name, depth: None, cloud }
     }
 
-    /// Returns the input of the engines.
+    /// Returns the frame that engines smooth.
     pub(crate) fn frame(&self) -> Result<Frame<'_>> {
         let frame = self.depth.as_ref().map_or_else(|| (&self.cloud).into_frame(), |depth| depth.into_frame());
         Ok(frame.map_err(Error::from)?)
@@ -40,7 +40,7 @@ impl Input {
         (self.cloud.width(), self.cloud.height())
     }
 
-    /// Returns its name, shape and kind.
+    /// Returns the name, shape and kind of the frame.
     pub(crate) fn describe(&self) -> String {
         let (width, height) = self.shape();
         let kind = if self.depth.is_some() { "16-bit depth" } else { "points" };

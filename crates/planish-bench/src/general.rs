@@ -14,21 +14,21 @@ use super::timing::{Spread, Timing, milliseconds};
 
 /// Number of points compared with the reference, which needs a second for about ten thousand.
 const CHECKED_POINTS: usize = 10_000;
-/// No further runs begin after this long.
+/// Time after which no further run begins.
 const LONGEST: Duration = Duration::from_secs(20);
 
 /// Options of the experiment on unorganized clouds.
 #[derive(Debug, Clone)]
 pub struct GeneralOptions {
-    /// Clouds under their names.
+    /// Clouds with their names.
     pub clouds: Vec<(String, PointCloud)>,
-    /// Points of simulated scans.
+    /// Number of points of each simulated scan.
     pub scans: Vec<usize>,
-    /// The radii, each measured.
+    /// The radii to measure.
     pub radii: Vec<CloudRadius>,
     /// Degree of the polynomial.
     pub degree: u32,
-    /// Whether edges are kept.
+    /// Handling of edges.
     pub edges: Edges,
     /// The engines; if empty or containing `Auto`, the CPU and a real GPU.
     pub engines: Vec<Engine>,
@@ -40,9 +40,9 @@ pub struct GeneralOptions {
     pub adapter: Option<String>,
     /// Maximum number of points on the GPU at once; `None` for the device's limit.
     pub points_at_once: Option<usize>,
-    /// Runs for each figure, at most.
+    /// Maximum number of runs per figure.
     pub runs: usize,
-    /// Print one JSON array.
+    /// Whether to print one JSON array.
     pub json: bool,
 }
 
@@ -57,7 +57,7 @@ struct Row {
     timing: Timing,
     /// Time on the device, if the engine reports it.
     kernel_ms: Option<f64>,
-    /// Bytes that the engine keeps, for each point.
+    /// Size of the engine's buffers in bytes per point.
     bytes_a_point: f64,
     /// Distance in metres from the points of the first engine: 99.9th percentile and maximum.
     from_first_m: Option<[f64; 2]>,
@@ -173,7 +173,7 @@ fn measure(options: &GeneralOptions, name: &str, cloud: &PointCloud, params: Clo
         let mut smoother = open(options, (engine, simd), params, Outputs::POINTS.with_normals(true))?;
         let mut smoothed = Smoothed::default();
         let (mut times_ms, mut kernels_ms) = (Vec::new(), Vec::new());
-        // The first makes the buffers and is not counted.
+        // The first run allocates the buffers and is not counted.
         smoother.smooth(view(&cloud.positions)?, &mut smoothed)?;
         let begun = Instant::now();
         while times_ms.is_empty() || (times_ms.len() < options.runs && begun.elapsed() < LONGEST) {
@@ -223,7 +223,7 @@ fn cut(positions: &Xyz) -> Xyz {
 }
 
 /// Returns a terrestrial scan of a yard: ground with waves, four walls and twelve pillars around a scanner 1.8 m up,
-/// with 2 mm of noise in range; at the walls points are tens of times sparser than at its foot.
+/// with 2 mm of noise in range. Points at the walls are tens of times sparser than points at the scanner's foot.
 fn scan(points: usize) -> PointCloud {
     let columns = (2.0 * points as f64).sqrt().round().max(1.0) as usize;
     let mut state = 1u64;

@@ -1,4 +1,4 @@
-//! `planish bench gpu`: kernels by time stamps of the device, frames by the host's clock.
+//! `planish bench gpu`: kernels by timestamps of the device, frames by the host's clock.
 
 mod over_time;
 mod report;
@@ -19,10 +19,10 @@ use super::timing::Spread;
 use report::{BatchRow, FleetRow, KernelRow, LatencyRow, Report, ThroughputRow, print_text};
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);
-/// Time to run frames before the first measurement: an idle GPU needs as long to reach its full clock.
+/// Duration of the warm-up before the first measurement: an idle GPU needs as long to reach its full clock.
 const WARM_UP: Duration = Duration::from_millis(300);
 
-/// How a result is read.
+/// The way in which a result is read.
 #[derive(Clone, Copy, PartialEq)]
 enum Take {
     PointsInPlace,
@@ -45,14 +45,14 @@ impl Take {
         if self == Self::DepthInPlace { Outputs::DEPTH } else { Outputs::POINTS }
     }
 
-    /// Reads a result, so that it must be available.
+    /// Reads a value of the result, which must then be available.
     fn touch(view: &SmoothedView) {
         black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
         black_box(view.depth_rows().and_then(|mut rows| rows.nth(rows.len() / 2)));
     }
 }
 
-/// Returns the settings that whole frames are timed with, each both ways over the bus.
+/// Returns the settings for which whole frames are timed, each with both kinds of transfer.
 fn timed_settings() -> impl Iterator<Item = ((&'static str, FrameParams), Transfer)> {
     let settings = [("paper", FrameParams::paper()), ("default", FrameParams::default())];
     settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
@@ -65,13 +65,13 @@ pub struct GpuOptions {
     pub input: Option<(String, OrganizedCloud)>,
     /// The GPU, by index or part of its name; by default the first real one.
     pub adapter: Option<String>,
-    /// Devices that frames are dealt to, one alone and all of them; none for no such figures.
+    /// Devices that share frames, measured alone (the first) and together; empty to skip these figures.
     pub devices: Vec<FleetDevice>,
-    /// Measure only several devices.
+    /// Whether only several devices are measured.
     pub only_devices: bool,
-    /// Frames for each figure.
+    /// Number of frames per figure.
     pub runs: u32,
-    /// Print one JSON object.
+    /// Whether to print one JSON object.
     pub json: bool,
 }
 
@@ -143,7 +143,7 @@ impl Bench<'_> {
         Ok(Smoother::open_with(params, &options, KINECT_SHAPE)?)
     }
 
-    /// Holds a setting's result against the reference's.
+    /// Compares a setting's results with the reference's.
     fn check(&self, params: FrameParams, reference: &Smoothed, bounds_checks: bool) -> Result<()> {
         let frames = [self.depth.into_frame().map_err(Error::from)?, (&self.cloud).into_frame().map_err(Error::from)?];
         for transfer in [Transfer::Staged, Transfer::Direct] {
@@ -310,7 +310,7 @@ impl Bench<'_> {
         Ok(rows)
     }
 
-    /// Frames a second of the first device alone, and of all, each as a fleet.
+    /// Measures frames per second of the first device alone, and of all devices, each as a fleet.
     fn fleets(&self) -> Result<Vec<FleetRow>> {
         let mut rows = Vec::new();
         let frame = Arc::clone(&self.depth);

@@ -38,11 +38,11 @@ use section::Section;
 /// An experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Experiment {
-    /// Times of a frame, and how many times faster than the serial method that is.
+    /// Time per frame, and the speedup over the serial method.
     Speedup,
-    /// Time over the candidates of a window.
+    /// Time per frame by the number of candidates in a window.
     Connectivity,
-    /// The scene several times over, as a tall cloud and as a batch; threads.
+    /// Time for several copies of the scene, as a tall cloud and as a batch, and by number of threads.
     Scaleup,
     /// Time per stage of a frame.
     Profile,
@@ -68,10 +68,10 @@ impl Experiment {
     }
 }
 
-/// How a run ended.
+/// The outcome of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// All was measured.
+    /// Everything was measured.
     Whole,
     /// `stop` was set; finished measurements are kept.
     Interrupted,

@@ -1,10 +1,10 @@
-//! What to measure.
+//! Options of the experiments.
 
 use std::path::PathBuf;
 
 use planish::Engine;
 
-/// The experiments to run, and the folder for results.
+/// Options of the experiments: engines, duration and output.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
     /// The engines; if empty or containing `Auto`, all of this machine except software GPUs.
@@ -13,10 +13,10 @@ pub struct Options {
     pub quick: bool,
     /// Folder for each experiment's JSON, Markdown and plots.
     pub out: Option<PathBuf>,
-    /// A Markdown file whose block of results is written again.
+    /// Markdown file whose block of results is replaced.
     pub update: Option<PathBuf>,
-    /// The program's version and compiler, for the record.
+    /// The program's version, for the record.
     pub version: &'static str,
-    /// The compiler it was built with.
+    /// The compiler that built the program, for the record.
     pub rustc: &'static str,
 }

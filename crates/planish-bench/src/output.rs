@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// The exit code for output that cannot be written, the same as for bad input.
 const FAILED: i32 = 2;
 
-/// Nobody reads standard output any more.
+/// True once the reader of standard output has closed it.
 static CLOSED: AtomicBool = AtomicBool::new(false);
 
 /// Writes to standard output. If the reader has closed it, as `head` does, the command continues silently; any other
@@ -27,12 +27,12 @@ pub fn print(text: Arguments<'_>) {
     }
 }
 
-/// Writes to standard error, if anybody reads it.
+/// Writes to standard error; ignores failures.
 pub fn print_error(text: Arguments<'_>) {
     let _ = write(&mut std::io::stderr().lock(), text);
 }
 
-/// Writes a text at once, without what could control the terminal.
+/// Writes a text in one call, without terminal control characters.
 fn write(to: &mut impl Write, text: Arguments<'_>) -> std::io::Result<()> {
     match text.as_str() {
         Some(text) => to.write_all(planish::io::printable(text).as_bytes()),

@@ -19,15 +19,16 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(180, 40, 90),
 ];
 const WIDTH_PX: u32 = 900;
-/// The names of lines, under them.
+/// Height of the name of a line, below the plot.
 const NAME_PX: u32 = 20;
-/// Height of a bar with its margin, and width of the names.
+/// Height of a bar with its margin.
 const BAR_PX: u32 = 22;
+/// Width of the names of bars.
 const BAR_NAMES_PX: u32 = 380;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Lines over x from 0 on, with a mark at each value, and their names below.
+/// Returns an SVG of lines over x, starting at 0, with a mark at each value and the names below.
 pub fn lines(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)]) -> Result<String> {
     const PLOT_PX: u32 = 420;
     let largest = |of: fn(&(f64, f64)) -> f64| lines.iter().flat_map(|(_, points)| points).map(of).fold(0.0, f64::max);
@@ -60,7 +61,7 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)])
     Ok(svg)
 }
 
-/// How long bars are.
+/// The axis of bars.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     FromZero,
@@ -68,7 +69,7 @@ pub enum Scale {
     Logarithmic,
 }
 
-/// Returns a bar for each of `rows`, labelled with its number; `marks` are vertical lines across all bars.
+/// Returns an SVG of a bar for each of `rows`, labelled with its value; `marks` are vertical lines across all bars.
 pub fn bars(title: &str, x: &str, scale: Scale, rows: &[(String, f64)], marks: &[f64]) -> Result<String> {
     let values = || rows.iter().map(|row| row.1).chain(marks.iter().copied());
     let (low, high) = values().fold((f64::INFINITY, 0.0), |(low, high), value| (value.min(low), value.max(high)));
@@ -139,7 +140,7 @@ fn short(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
-/// Returns the straight line through points by least squares: intercept, slope, and how much of the variance it
+/// Returns the straight line through points by least squares: intercept, slope, and the share of the variance that it
 /// explains (R²).
 pub fn line_through(points: &[(f64, f64)]) -> (f64, f64, f64) {
     let n = points.len() as f64;

@@ -24,14 +24,14 @@ struct Stage {
     ms: f64,
 }
 
-/// Medians of a frame's stages.
+/// Median times of a frame's stages in milliseconds.
 struct Stages {
     upload: f64,
     kernel: f64,
     readback: f64,
-    /// All of them.
+    /// Sum of upload, kernel and readback.
     engine: f64,
-    /// By the host's clock.
+    /// Whole frame by the host's clock.
     whole: f64,
     noisy: bool,
 }
@@ -116,7 +116,7 @@ fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
     })
 }
 
-/// Returns the stages of a frame smoothed by a degree.
+/// Returns the stages of a frame smoothed with polynomials of this degree.
 fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
     let params = FrameParams::paper().with_degree(degree);
     let stamped = subject.with_time_stamps();

@@ -1,4 +1,4 @@
-//! The picture of the report: a frame raw and smoothed, and how flat its largest plane is before and after.
+//! The picture of the report: a frame raw and smoothed, and the flatness of its largest plane before and after.
 
 use anyhow::Result;
 use planish::evaluate::largest_plane;

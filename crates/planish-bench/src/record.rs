@@ -12,14 +12,14 @@ use serde::Serialize;
 pub struct Origin {
     pub version: &'static str,
     pub rustc: &'static str,
-    /// How the program was called.
+    /// The command line.
     pub command: String,
     pub cpu: String,
     pub threads: usize,
     pub simd: &'static str,
     pub memory_gib: Option<f64>,
     pub system: String,
-    /// Name and driver of each.
+    /// Name, backend and driver of each GPU.
     pub gpus: Vec<String>,
 }
 
@@ -60,7 +60,7 @@ impl Origin {
     }
 }
 
-/// Returns the processor by the system's name for it, with its family where names hide it.
+/// Returns the system's name of the processor, with its family and model if known.
 fn cpu() -> String {
     let of =
         |key: &str| line_after("/proc/cpuinfo", key).map(|value| value.trim_start_matches([' ', '\t', ':']).to_owned());
@@ -73,7 +73,7 @@ fn cpu() -> String {
         (Some(name), Some(family), Some(model)) => format!("{name} (family {family}, model {model})"),
         (Some(name), ..) => name,
         _ if cfg!(target_os = "macos") => by_macos().unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
-        // Windows has it there.
+        // Windows sets this variable.
         _ => std::env::var("PROCESSOR_IDENTIFIER").unwrap_or_else(|_| std::env::consts::ARCH.to_owned()),
     }
 }

@@ -15,7 +15,7 @@ use super::timing::Timing;
 
 /// Warm-up time before the first measured moment.
 const WARM_UP: Duration = Duration::from_millis(500);
-/// No way is timed for longer than this.
+/// Maximum duration of a measurement.
 const LONGEST: Duration = Duration::from_secs(20);
 
 /// Options of the experiment on rigs.
@@ -23,19 +23,19 @@ const LONGEST: Duration = Duration::from_secs(20);
 pub struct RigBenchOptions {
     /// Number of simulated 640x480 cameras around the table.
     pub cameras: usize,
-    /// The ways.
+    /// The ways to measure.
     pub ways: Vec<RigWay>,
-    /// The size of the voxels that merged points are thinned to, in metres; `None` for all points.
+    /// Size of the voxels to which merged points are thinned, in metres; `None` for all points.
     pub voxel_m: Option<f64>,
     /// The parameters of merged points.
     pub general_params: CloudParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices that cameras are spread over; none for the one of the options.
+    /// The devices that share the cameras; empty for the device of the options.
     pub devices: Vec<FleetDevice>,
-    /// Moments for each figure, as far as 20 s go.
+    /// Maximum number of moments per figure; a figure takes at most 20 s.
     pub runs: usize,
-    /// Print one JSON array.
+    /// Whether to print one JSON array.
     pub json: bool,
 }
 
@@ -46,7 +46,7 @@ struct Row {
     points: usize,
     /// Time from the frames of a moment to its fused cloud, one moment at a time.
     one_ms: Timing,
-    /// Rate with the useful number of moments in flight.
+    /// Rate in moments per second, with the useful number of moments in flight.
     moments_a_second: f64,
     in_flight: usize,
 }
@@ -74,7 +74,7 @@ pub fn run(options: &RigBenchOptions) -> Result<()> {
     Ok(())
 }
 
-/// Returns a rig with a frame of each camera.
+/// Returns a simulated rig with a frame of each camera.
 fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
     let (scene, camera) = (RigScene::tabletop(1, cameras), Camera::kinect_v1());
     let mut placed = Vec::new();
@@ -128,8 +128,7 @@ fn measure(way: RigWay, rig: &Rig, frames: &[Option<Frame<'_>>], options: &RigBe
     })
 }
 
-/// Checks a result before it is timed: the table is present, with at least this percentage of the points of all
-/// cameras.
+/// Checks that a fused cloud has at least `least_percent` % of the points of all cameras, and no holes.
 fn check(fused: &PointCloud, frames: &[Option<Frame<'_>>], least_percent: usize) -> Result<()> {
     let measured: usize = frames.iter().flatten().map(Frame::valid_points).sum();
     if fused.is_empty() || 100 * fused.len() < least_percent * measured || fused.valid_points() != fused.len() {

@@ -1,4 +1,5 @@
-//! Experiment 3: the scene several times over, as one tall cloud and as a batch; and the CPU engine on more threads.
+//! Experiment 3: several copies of the scene, as one tall cloud and as a batch; and the CPU engine by number of
+//! threads.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams};
@@ -39,9 +40,9 @@ struct Results {
     threads: Vec<ThreadsRow>,
 }
 
-/// Up to this number, every thread count is timed; beyond it, powers of two and the maximum.
+/// Number of threads up to which every count is timed; above it, only powers of two and the maximum are.
 const EACH_UP_TO: usize = 16;
-/// Maximum relative difference between one thread's times at the start and at the end.
+/// Relative difference between one thread's times at the start and at the end above which the report notes it.
 const THREADS_DRIFT: f64 = 0.05;
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
@@ -113,8 +114,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     Ok(section)
 }
 
-/// Times a frame on one and more threads. One thread is timed again at the end, to report a machine that changed
-/// meanwhile.
+/// Times a frame on one and more threads. One thread is timed again at the end, to detect a change in the machine's
+/// speed.
 fn over_threads(
     context: &Bench<'_>,
     subject: &Subject,

@@ -13,7 +13,7 @@ use super::record::Origin;
 
 /// One experiment's results.
 pub struct Section {
-    /// Of its files.
+    /// Name of the section's files without extension.
     pub name: &'static str,
     text: String,
     pub json: Value,
@@ -57,7 +57,7 @@ impl Section {
         self.text += "\n";
     }
 
-    /// Notes which measurements were noisy.
+    /// Notes the number of noisy measurements, if any.
     pub fn note_noise(&mut self, timings: impl IntoIterator<Item = bool>) {
         let (all, noisy) = timings.into_iter().fold((0, 0), |(all, noisy), is| (all + 1, noisy + usize::from(is)));
         if noisy > 0 {
@@ -69,8 +69,8 @@ impl Section {
         self.figures.push(Figure { file: file.to_owned(), title: title.to_owned(), content: Drawing::Svg(svg) });
     }
 
-    /// Returns text and pictures as Markdown, for a document that reaches the pictures by `folder`, which ends in a
-    /// slash or is empty.
+    /// Returns the text and the pictures as Markdown. `folder` is the path from the document to the pictures; it ends
+    /// in a slash or is empty.
     pub fn markdown(&self, folder: &str) -> String {
         let figures = self.figures.iter().map(|figure| format!("\n![{}]({folder}{})\n", figure.title, figure.file));
         self.text.clone() + &figures.collect::<String>()
@@ -80,12 +80,12 @@ impl Section {
         crate::outln!("{}", self.text);
     }
 
-    /// Notes what could not be measured, and why.
+    /// Notes the skipped measurements and the reasons.
     pub fn note_skipped(&mut self, skipped: Vec<String>) {
         skipped.into_iter().for_each(|what| self.note(format!("Not measured: {what}.")));
     }
 
-    /// Writes it into a folder, including the origin of the numbers.
+    /// Writes the section into a folder, including the origin of the numbers.
     pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
         let write = |name: &str, bytes: &[u8]| {

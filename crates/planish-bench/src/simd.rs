@@ -1,4 +1,4 @@
-//! Time per frame by instruction set, one thread, and how much longer than with the widest.
+//! Time per frame by instruction set on one thread, and its ratio to the time with the widest.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams, SensorModel, Strength};
@@ -15,7 +15,7 @@ struct Row {
     preset: &'static str,
     engine: String,
     time: Timing,
-    /// Over the time of the preset's last row, the widest instruction set.
+    /// Ratio to the time of the preset's last row, the widest instruction set.
     times_the_widest: f64,
 }
 

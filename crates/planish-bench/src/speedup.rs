@@ -13,13 +13,15 @@ use super::plot::{Scale, bars};
 use super::section::Section;
 use super::timing::Timing;
 
-/// The 2011 report: frames per second by its GPU, a frame by the general method on its CPU, its two speedups.
+/// Frames per second of the 2011 report's GPU.
 const REPORT_FPS: f64 = 7.0;
+/// Time per frame of the general method on the 2011 report's CPU, in seconds.
 const REPORT_CPU_S: f64 = 4.76;
+/// The two speedups of the 2011 report.
 const REPORT_SPEEDUPS: [f64; 2] = [32.9, 57.6];
 /// Minimum number of measurements for a 99th percentile.
 const FRAMES_FOR_P99: usize = 100;
-/// Frames per measurement of those in flight, which finish in bursts.
+/// Frames per measurement with frames in flight, which finish in bursts.
 const BLOCK: usize = 16;
 
 #[derive(Serialize)]
@@ -33,7 +35,7 @@ struct Row {
     times_the_serial_method: f64,
 }
 
-/// How a GPU's frames go, what its name is followed by, and how many are measured at once.
+/// The ways of a GPU's frames: suffix of the engine's name, way, and number of frames per measurement.
 const GPU_WAYS: [(&str, Way, usize); 4] = [
     (", one at a time, copied out", Way::CopiedOut, 1),
     (", one at a time, read in place", Way::InPlace, 1),
@@ -114,7 +116,7 @@ fn cells(row: &Row) -> Vec<String> {
     vec![engine.clone(), time.cell(), p99, frames.to_string(), fps, significant(*times_the_serial_method)]
 }
 
-/// Returns a rate or a ratio in a table.
+/// Formats a rate or a ratio for a table.
 fn significant(value: f64) -> String {
     let digits = match value {
         _ if value < 10.0 => 2,

@@ -1,9 +1,10 @@
-//! Measured times and how much they vary.
+//! Measured times and their variation.
 
 use serde::Serialize;
 
-/// A measurement whose halves differ by more than this, or whose spread is wider than the next, is called noisy.
+/// Relative difference between the medians of a measurement's halves above which the measurement is noisy.
 const HALVES_DIFFER: f64 = 0.05;
+/// Ratio of the 95th to the 5th percentile above which a measurement is noisy.
 const WIDE_SPREAD: f64 = 1.5;
 /// Minimum number of values for a statement about noise.
 const ENOUGH: usize = 8;
@@ -18,28 +19,29 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Requires at least one value; the median of an even number is the mean of the middle two.
+    /// Computes the spread of at least one value. The median of an even number of values is the mean of the middle
+    /// two.
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let n = values.len();
-        // Quantile: the smallest value that at least this share does not exceed.
+        // The quantile is the smallest value that is not exceeded by at least this share of the values.
         let at = |share: f64| values[((n as f64 * share).ceil() as usize).clamp(1, n) - 1];
         Self { p5: at(0.05), median: 0.5 * (values[(n - 1) / 2] + values[n / 2]), p95: at(0.95), p99: at(0.99) }
     }
 }
 
-/// The time of a frame, or of frames at once.
+/// The time of a frame, or of several frames at once.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Timing {
     pub ms: Spread,
-    /// How many measurements.
+    /// Number of measurements.
     pub runs: usize,
     /// True if the machine was busy with other work, or its clock changed.
     pub noisy: bool,
 }
 
 impl Timing {
-    /// Requires at least one value, in milliseconds.
+    /// Summarizes at least one value, in milliseconds.
     pub fn of(values: Vec<f64>) -> Self {
         let middle = |values: &[f64]| Spread::of(values.to_vec()).median;
         let runs = values.len();
@@ -49,13 +51,13 @@ impl Timing {
         Self { ms, runs, noisy: drifts || (runs >= ENOUGH && ms.p95 > WIDE_SPREAD * ms.p5) }
     }
 
-    /// Returns the median for a table, with `~` if it was noisy.
+    /// Formats the median for a table, with `~` if the measurement was noisy.
     pub fn cell(&self) -> String {
         format!("{}{}", milliseconds(self.ms.median), if self.noisy { " ~" } else { "" })
     }
 }
 
-/// Returns a time in a table, with three digits or more.
+/// Formats a time for a table, with three digits or more.
 pub fn milliseconds(ms: f64) -> String {
     let digits = match ms.abs() {
         size if size < 1.0 => 3,

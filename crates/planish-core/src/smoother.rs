@@ -216,9 +216,9 @@ impl Smoother {
 
     /// Opens the engine again for a window of another size. Frames in flight are finished first.
     pub(crate) fn set_size(&mut self, size: WindowSize) -> Result<(), Error> {
-        self.undecided = None;
         let params = self.params.with_size(size);
         if params == self.params {
+            self.undecided = None;
             return Ok(());
         }
         while self.opened.in_flight() > 0 {
@@ -230,6 +230,8 @@ impl Smoother {
             }
         }
         (self.opened, self.engine, self.chosen_because) = self.opener.open(params, self.grid)?;
+        // Only now: if opening fails, the next frame tries again.
+        self.undecided = None;
         if self.is_prepared {
             self.opened.prepare_in_flight();
         }

@@ -1,4 +1,4 @@
-//! Compares two clouds or depth images: distances, holes, fields.
+//! Comparison of two clouds or depth images: distances, holes, fields.
 
 use glam::DVec3;
 use planish_core::internal::NeighbourSearch;
@@ -7,7 +7,7 @@ use planish_io::{Contents, RgbImage};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// How two inputs are compared.
+/// The way in which points of two inputs are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {
@@ -21,39 +21,39 @@ pub enum Matching {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Comparison {
-    /// How points were matched.
+    /// The way in which points were matched.
     pub matching: Matching,
     /// The unit of all distances: `m`, or `raw` for depth images whose unit is unknown.
     pub unit: &'static str,
-    /// Points that are no holes, in each input.
+    /// Number of points that are not holes, in each input.
     pub valid: [usize; 2],
-    /// Pixels that are holes in one input only: valid in the first, and in the second. 0 for nearest points.
+    /// Number of pixels that are valid in the first input only, and in the second only; 0 for nearest points.
     pub only_in: [usize; 2],
-    /// From each point of the first input to its match.
+    /// Distances from each point of the first input to its match.
     pub distances: Distances,
-    /// From each point of the second input to the nearest of the first, for nearest points.
+    /// Distances from each point of the second input to the nearest point of the first; only for nearest points.
     pub back: Option<Distances>,
     /// Fields missing in one input, or with different values.
     pub fields: Vec<FieldDifference>,
 }
 
-/// Statistics of distances; NaN (null in JSON) without any.
+/// Statistics of distances; NaN (null in JSON) without distances.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Distances {
     /// Number of matched points.
     pub count: usize,
-    /// Number of them that do not differ at all.
+    /// Number of matched points with a distance of 0.
     pub equal: usize,
     /// Mean.
     pub mean: f64,
     /// Root of the mean square.
     pub rms: f64,
-    /// Half of the points are closer.
+    /// Median.
     pub median: f64,
-    /// 95 % of the points are closer.
+    /// 95th percentile.
     pub p95: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
 }
 
@@ -61,11 +61,11 @@ pub struct Distances {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FieldDifference {
-    /// Its name.
+    /// Name of the field.
     pub name: String,
     /// Whether the first and the second input have it.
     pub is_in: [bool; 2],
-    /// Number of points whose values differ, and the largest difference; for points matched by index.
+    /// Number of points whose values differ, and the largest difference; only for points matched by index.
     pub differing: Option<(usize, f64)>,
 }
 
@@ -82,7 +82,7 @@ impl Comparison {
 /// otherwise or on request. Raw depth is compared in raw units.
 ///
 /// # Errors
-/// If one is a depth image and the other is not, depth images differ in shape, or a cloud has too many points.
+/// If only one is a depth image, depth images differ in shape or unit, or a cloud has too many points.
 pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, Error> {
     if let (Some(a), Some(b)) = (depths(a), depths(b)) {
         check_shapes(&a, &b)?;
@@ -164,7 +164,7 @@ pub fn difference_map(a: &Contents, b: &Contents, full_scale: f64) -> Option<Rgb
     Some(RgbImage { width, height, rgb: distances.iter().flat_map(colour).collect() })
 }
 
-/// Black, blue, green, yellow, red.
+/// Returns the colour of a share, 0 to 1: black, blue, green, yellow, red.
 fn heat(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] =
         [[0.0, 0.0, 0.0], [30.0, 60.0, 200.0], [30.0, 170.0, 90.0], [245.0, 200.0, 40.0], [215.0, 30.0, 30.0]];

@@ -5,19 +5,19 @@ use planish_io::TriangleMesh;
 
 use crate::render::normals_of;
 
-/// A mesh, and how it was made.
+/// A mesh of a frame, and a report of how it was made.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct FrameMesh {
     /// The mesh.
     pub mesh: TriangleMesh,
-    /// Floating pixels that became holes, with `remove_floating`.
+    /// Number of floating pixels that became holes, with `remove_floating`.
     pub floating: usize,
-    /// What the session reported.
+    /// Events of the session.
     pub events: Vec<SessionEvent>,
 }
 
-/// Smooths a frame and connects its pixels ([`TriangleMesh::of`]); `raw` connects the points as they are.
+/// Smooths a frame and connects its pixels ([`TriangleMesh::of`]); with `raw`, connects the measured points instead.
 ///
 /// # Errors
 /// If the settings are not allowed or do not fit the frame, or the engine fails.

@@ -32,7 +32,7 @@ pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
 pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     let text = text.trim_start_matches('\u{feff}');
     // The YAML parser's time grows with the square of the depth.
-    if text.split(['{', '[']).count() > MOST_BRACKETS {
+    if text.matches(['{', '[']).count() > MOST_BRACKETS {
         return Err(FormatError::Malformed(format!("settings: more than {MOST_BRACKETS} brackets")));
     }
     // JSON is not always YAML: tabs may indent it.

@@ -90,9 +90,12 @@ impl State {
         result.map_err(to_py)?;
         out.store_status(status.iter().copied());
         self.status = status;
-        // The Python side raises warnings for them.
-        let events = self.session.take_events();
-        Ok(events.iter().filter(|event| event.is_fault()).map(ToString::to_string).collect())
+        Ok(self.take_faults())
+    }
+
+    /// Returns the session's faults up to now, for which the Python side issues warnings.
+    fn take_faults(&mut self) -> Vec<String> {
+        self.session.take_events().iter().filter(|event| event.is_fault()).map(ToString::to_string).collect()
     }
 
     /// Returns an error if frames are in flight.
@@ -212,7 +215,7 @@ impl PySmoother {
         Ok((state.session.in_flight(), state.session.max_in_flight()))
     }
 
-    /// Smooths frames of one kind, each into its arrays, as many at once as the engine allows.
+    /// Smooths frames of one kind, each into its arrays, as many at once as the engine allows. Returns warnings.
     fn smooth_batch(
         &self,
         py: Python<'_>,
@@ -220,7 +223,7 @@ impl PySmoother {
         is_depth: bool,
         camera: Option<PyRef<'_, PyCamera>>,
         outs: Vec<Bound<'_, PyDict>>,
-    ) -> PyResult<()> {
+    ) -> PyResult<Vec<String>> {
         if arrays.len() != outs.len() {
             return Err(PyValueError::new_err("one output per frame is expected"));
         }
@@ -228,6 +231,7 @@ impl PySmoother {
         let mut state = self.lock()?;
         state.session.set_camera_pose(None).map_err(to_py)?;
         state.check_idle()?;
+        let mut warnings = Vec::new();
         for (arrays, outs) in arrays.chunks(FRAMES_AT_ONCE).zip(outs.chunks(FRAMES_AT_ONCE)) {
             py.check_signals()?;
             let inputs = arrays.iter().map(|array| Input::new(array, is_depth)).collect::<PyResult<Vec<_>>>()?;
@@ -236,7 +240,7 @@ impl PySmoother {
             let mut buffers = outs.iter().map(Buffers::new).collect::<PyResult<Vec<_>>>()?;
             let outputs = buffers.first().map_or(Outputs::POINTS, Buffers::outputs);
             let mut slices = buffers.iter_mut().map(Buffers::slices).collect::<PyResult<Vec<_>>>()?;
-            let Some(&first) = frames.first() else { return Ok(()) };
+            let Some(&first) = frames.first() else { return Ok(warnings) };
             state.session.set_outputs(outputs);
             state.session.prepare(first).map_err(to_py)?;
             let is_pipelined = state.session.engine().is_some_and(|engine| engine.capabilities().pipelined);
@@ -244,7 +248,7 @@ impl PySmoother {
             if !is_pipelined || first.grid().is_none() {
                 for (frame, slices) in frames.iter().zip(&mut slices) {
                     py.check_signals()?;
-                    state.smooth(py, *frame, outputs, slices)?;
+                    warnings.extend(state.smooth(py, *frame, outputs, slices)?);
                 }
                 continue;
             }
@@ -254,8 +258,12 @@ impl PySmoother {
                 state.session.close();
             }
             result.map_err(to_py)?;
+            warnings.extend(state.take_faults());
         }
-        Ok(())
+        // Frames of a batch mostly have the same ones.
+        warnings.sort_unstable();
+        warnings.dedup();
+        Ok(warnings)
     }
 
     /// Returns the times in milliseconds of repeated direct calls to the library, into internal buffers, for comparison

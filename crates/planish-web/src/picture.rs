@@ -86,7 +86,7 @@ pub(crate) fn colours_of_general(
     match (kind, cloud.rgb(), normals) {
         (PictureKind::Colour, Some(rgb), _) => rgb,
         (PictureKind::Normals, _, Some(normals)) => normals.iter().map(normal_colour).collect(),
-        (PictureKind::Relief, _, Some(normals)) => {
+        (PictureKind::Relief | PictureKind::Colour, _, Some(normals)) => {
             // Lit from above, whichever side it shows.
             lit(&normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect())
         }

@@ -9,7 +9,7 @@ use planish::{Error, SensorPose, Session, Settings, Smoothed, SmootherOptions, T
 use super::report::OverTimeRow;
 use super::{Bench, Take, WARM_UP};
 
-/// Frames in flight.
+/// Number of frames in flight.
 const SLOTS: usize = 6;
 
 /// The compared configurations.
@@ -17,11 +17,11 @@ const SLOTS: usize = 6;
 enum Way {
     Off,
     Steady,
-    /// With the poses of a camera that moves.
+    /// Smoothing over time, with the poses of a moving camera.
     Poses,
-    /// Not over time, with standard errors.
+    /// No smoothing over time, with standard errors.
     Sigma,
-    /// Not over time, with standard errors and filled holes, which are filled on the CPU.
+    /// No smoothing over time, with standard errors, and with holes filled on the CPU.
     Filled,
 }
 
@@ -38,7 +38,7 @@ impl Way {
         }
     }
 
-    /// Returns whether results can be read in place.
+    /// Returns true if results can be read in place.
     fn is_in_place(self) -> bool {
         self != Self::Filled
     }
@@ -94,7 +94,7 @@ impl Bench<'_> {
         Ok(Session::new(settings)?.with_kept_window(true).with_options(options))
     }
 
-    /// Submits the frame, from another place than last time if the camera moves.
+    /// Submits the frame; a moving camera has another pose than last time.
     fn submit(&self, session: &mut Session, way: Way, buffer: Option<Smoothed>, number: &mut u32) -> Result<()> {
         *number += 1;
         if way == Way::Poses {

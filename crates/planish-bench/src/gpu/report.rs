@@ -1,4 +1,4 @@
-//! What `bench gpu` reports.
+//! The report of `bench gpu`.
 
 use serde::Serialize;
 
@@ -48,7 +48,7 @@ pub(super) struct ThroughputRow {
     pub(super) frames_per_second: f64,
 }
 
-/// Rates in frames/s with six in flight; `None` where results cannot be read in place.
+/// Rates in frames/s with six frames in flight; `None` if results cannot be read in place.
 #[derive(Serialize)]
 pub(super) struct OverTimeRow {
     pub(super) way: &'static str,
@@ -65,9 +65,9 @@ pub(super) struct FleetRow {
     pub(super) what: &'static str,
     pub(super) devices: usize,
     pub(super) frames_per_second: f64,
-    /// Over the first of them alone.
+    /// Ratio of the rate to that of the first device alone.
     pub(super) times: f64,
-    /// Frames that each device computed.
+    /// Number of frames that each device computed.
     pub(super) shares: Vec<u64>,
 }
 

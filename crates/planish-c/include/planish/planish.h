@@ -36,16 +36,16 @@
 // Depth in metres; values that are not finite or not positive are holes.
 #define PLANISH_DEPTH_F32 2
 
-// Interleaved points of float in metres; a point that is not finite is a hole.
+// Interleaved points of float in metres; points that are not finite are holes.
 #define PLANISH_POINTS_F32 3
 
-// Interleaved points of double.
+// Interleaved points of double in metres; points that are not finite are holes.
 #define PLANISH_POINTS_F64 4
 
-// Points as three arrays of float: x, y and z.
+// Points as three arrays of float: x, y and z in metres; points that are not finite are holes.
 #define PLANISH_PLANES_F32 5
 
-// Points as three arrays of double.
+// Points as three arrays of double: x, y and z in metres; points that are not finite are holes.
 #define PLANISH_PLANES_F64 6
 
 // The smoothed points.
@@ -75,7 +75,7 @@
 // Standard error of each point along its ray, in metres.
 #define PLANISH_SIGMA 256
 
-// No measurement came in, none goes out.
+// A hole in the input, which stays a hole.
 #define PLANISH_STATUS_HOLE 0
 
 // Too few neighbours on a grid: the output is a hole.
@@ -84,19 +84,19 @@
 // The neighbours are on a line: the point is unchanged.
 #define PLANISH_STATUS_DEGENERATE 2
 
-// On a plane.
+// The point is on the fitted plane.
 #define PLANISH_STATUS_PLANE 3
 
-// On a polynomial of degree 2.
+// The point is on the fitted polynomial of degree 2.
 #define PLANISH_STATUS_POLYNOMIAL2 4
 
-// On a polynomial of degree 3.
+// The point is on the fitted polynomial of degree 3.
 #define PLANISH_STATUS_POLYNOMIAL3 5
 
 // Too few neighbours in a cloud without a grid: the point is unchanged.
 #define PLANISH_STATUS_ISOLATED 6
 
-// Kept from the frame before.
+// The point is kept from the previous frame.
 #define PLANISH_STATUS_CARRIED 7
 
 // A filled hole: nothing was measured here.
@@ -108,42 +108,42 @@ typedef struct planish_cuda planish_cuda;
 // A result that the library owns.
 typedef struct planish_result planish_result;
 
-// An engine that is kept open for frames of any shape, and its settings.
+// An engine that stays open for frames of any shape, and its settings.
 typedef struct planish_session planish_session;
 
-// The result of a function: 0, or an error code.
+// The return value of a function: 0, or an error code.
 typedef int32_t planish_code;
 
 // A pinhole camera.
 typedef struct planish_camera {
   // sizeof(planish_camera).
   size_t size;
-  // Pixels of its images.
+  // Width of the images in pixels.
   size_t width;
-  // Rows of its images.
+  // Height of the images in pixels.
   size_t height;
-  // Focal length in pixels.
+  // Horizontal focal length in pixels.
   double fx;
-  // Focal length in pixels.
+  // Vertical focal length in pixels.
   double fy;
-  // Principal point in pixels from the centre of the first one.
+  // Horizontal position of the principal point in pixels from the centre of the first pixel.
   double cx;
-  // Principal point in pixels.
+  // Vertical position of the principal point in pixels from the centre of the first pixel.
   double cy;
-  // Depth units in a metre; 0 means 1000, for millimetres.
+  // Depth units per metre; 0 means 1000 (millimetres).
   double depth_units_per_metre;
-  // The name of the lens distortion in ROS, OpenCV or Kalibr, such as "plumb_bob" or "equidistant"; null for
-  // OpenCV's.
+  // The name of the distortion model in ROS, OpenCV or Kalibr, such as "plumb_bob" or "equidistant"; null means
+  // OpenCV's model.
   const char *distortion_model;
-  // The coefficients of the distortion; null for none.
+  // The distortion coefficients; null if there are none.
   const double *distortion;
-  // How many there are.
+  // The number of distortion coefficients.
   size_t distortion_count;
 } planish_camera;
 
 // The arrays of a result. Each has width * height values, or is null if it was not requested.
 typedef struct planish_view {
-  // Columns, or points.
+  // Number of columns, or of points without a grid.
   size_t width;
   // Rows; 1 for points without a grid.
   size_t height;
@@ -171,49 +171,52 @@ typedef struct planish_view {
 typedef struct planish_frame {
   // sizeof(planish_frame).
   size_t size;
-  // Its kind: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
+  // The kind of data: PLANISH_DEPTH_U16, PLANISH_DEPTH_F32, PLANISH_POINTS_F32, PLANISH_POINTS_F64,
   // PLANISH_PLANES_F32 or PLANISH_PLANES_F64.
   uint32_t kind;
-  // Columns, or the number of points without a grid.
+  // Number of columns, or of points without a grid.
   size_t width;
-  // Rows; 1 for points without a grid.
+  // Number of rows; 1 for points without a grid.
   size_t height;
   // The first depth value, or the first interleaved point.
   const void *data;
-  // Bytes from one row to the next; 0 if rows follow each other without a gap.
+  // Bytes from one row to the next; 0 if there are no gaps between rows.
   size_t row_stride;
-  // Bytes from one interleaved point to the next; 0 if they follow each other without a gap.
+  // Bytes from one interleaved point to the next; 0 if there are no gaps between points.
   size_t point_stride;
   // Bytes from the beginning of an interleaved point to its x, y and z; all 0 if they come first.
   size_t offsets[3];
-  // x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
+  // The arrays of x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
   const void *planes[3];
-  // The camera of a depth image. Points on a grid may have one: then depth can be had of them.
+  // The camera of a depth image. Optional for points on a grid, whose depth outputs need it.
   const struct planish_camera *camera;
-  // The sensor pose in the frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null if unknown;
-  // ignored for depth images.
+  // The sensor pose in the coordinate frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null
+  // if unknown; ignored for depth images.
   const double *pose;
-  // x, y, z of an origin near the points, to which results are relative; null for (0, 0, 0). Georeferenced points
-  // need one.
+  // x, y, z of an origin near the points in metres; results are relative to it. Null means (0, 0, 0).
+  // Georeferenced points need an origin.
   const double *origin_m;
-  // Colours of a depth image, red, green and blue of each pixel without gaps; null for none.
+  // Colours of a depth image: red, green and blue of each pixel, without gaps. Null if there are none.
   const uint8_t *rgb;
 } planish_frame;
 
-// The caller's buffers, each null if the result is not wanted. Holes are NaN, in integers 0.
+// The caller's buffers, each null if its result is not wanted. Holes are NaN in float buffers and 0 in integer
+// buffers.
 typedef struct planish_output {
   // sizeof(planish_output).
   size_t size;
-  // Items that every buffer has room for: the pixels or points of the result (planish_output_shape).
+  // Number of items in every buffer. Must equal the number of pixels or points of the result
+  // (planish_output_shape).
   size_t count;
   // x, y and z of the smoothed points in metres.
   float *points;
-  // Bytes from one point to the next, a multiple of 4; 0 if they follow each other without a gap. Bytes between
-  // points are left unchanged.
+  // Bytes from one point to the next, a multiple of 4; 0 if there are no gaps. Bytes between points are left
+  // unchanged.
   size_t points_stride;
   // Unit normals towards the sensor.
   float *normals;
-  // Bytes from one normal to the next, as of points. Points and normals may be members of the same structs.
+  // Bytes from one normal to the next, with the same rules as points_stride. Points and normals may be members of
+  // the same structs.
   size_t normals_stride;
   // Surface variation l0/(l0+l1+l2), 0 to 1/3.
   float *curvature;
@@ -234,28 +237,28 @@ typedef struct planish_output {
 // Success.
 #define PLANISH_OK 0
 
-// A pointer is null that must not be.
+// A required pointer is null.
 #define PLANISH_NULL 1
 
-// Sizes, strides or buffers contradict each other, or a frame cannot be smoothed as it is.
+// Sizes, strides or buffers contradict each other, or a frame cannot be smoothed.
 #define PLANISH_ARGUMENT 2
 
 // A setting is unknown, out of range, or contradicts another one.
 #define PLANISH_SETTING 3
 
-// The engine cannot be opened, or failed.
+// The engine cannot be opened, or it failed.
 #define PLANISH_ENGINE 4
 
 // Another thread is using the session.
 #define PLANISH_BUSY 5
 
-// The session or result was freed, or was never one.
+// The handle is not a session or result, or was freed.
 #define PLANISH_HANDLE 6
 
 // planish_session_stop ended the call.
 #define PLANISH_STOPPED 7
 
-// A fault of planish. Free the session, and report it.
+// An internal error of planish. Free the session, and report the error.
 #define PLANISH_INTERNAL 8
 
 #ifdef __cplusplus
@@ -263,9 +266,9 @@ extern "C" {
 #endif // __cplusplus
 
 // Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
-// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature and
-// depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device, by default the current one.
-// Needs NVRTC, CUDA's compiler, which is loaded at run time.
+// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
+// and depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device; the default is the
+// current one. Needs NVRTC, CUDA's compiler, which is loaded at run time.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
                               uint32_t kind,
@@ -282,7 +285,8 @@ planish_code planish_cuda_smooth(struct planish_cuda *cuda,
                                  void *stream);
 
 // Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-// flight. Images that are handed over before the first result is received are smoothed together, in less time for each.
+// flight. Images that are handed over before the first result is received are smoothed together, in less time for
+// each.
 planish_code planish_cuda_submit(struct planish_cuda *cuda, const void *depth, size_t row_stride, void *stream);
 
 // Smooths the images that were handed over, and copies the oldest result; `received` is false if none is in flight.
@@ -294,27 +298,28 @@ planish_code planish_cuda_channels(const struct planish_cuda *cuda, size_t *chan
 // Waits for the stream, then frees the smoother. Null is allowed.
 planish_code planish_cuda_free(struct planish_cuda *cuda);
 
-// Returns the text of the last error of a function called on this thread, in UTF-8; empty if there was none. It is
-// valid until the next error on this thread.
+// Returns the message of this thread's last error in UTF-8; it is empty if there was none. The pointer is valid
+// until the next error on this thread.
 const char *planish_last_error(void);
 
 // Returns the version of the library, such as "0.1.0".
 const char *planish_version(void);
 
-// Returns the arrays of a result, which end with it.
+// Writes the arrays of a result to `view`. They are valid until the result is freed.
 planish_code planish_result_get(const struct planish_result *result, struct planish_view *view);
 
 // Frees a result. Null is allowed.
 planish_code planish_result_free(struct planish_result *result);
 
-// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as
-// {"preset": "strong"}, or null for the default.
+// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
+// "strong"}, or null for the default.
 planish_code planish_session_new(const char *settings, struct planish_session **session);
 
-// Frees a session. Null is allowed. A call in another thread continues until it is done; stop it first.
+// Frees a session. Null is allowed. A call that is running on another thread continues; call planish_session_stop
+// first to end it.
 planish_code planish_session_free(struct planish_session *session);
 
-// Sets a setting by its name and value as text, such as "sensor" and "d435"; an empty value is the default.
+// Sets a setting from text, such as "sensor" to "d435". An empty value restores the default.
 planish_code planish_session_set(struct planish_session *session, const char *name, const char *value);
 
 // Sets a setting that is a number, such as "radius_m".
@@ -323,34 +328,38 @@ planish_code planish_session_set_number(struct planish_session *session, const c
 // Sets a setting that is true or false, such as "remove_isolated".
 planish_code planish_session_set_bool(struct planish_session *session, const char *name, bool value);
 
-// Writes the settings as JSON, ended by a zero and cut off after `capacity` bytes; `length` is its whole length.
+// Writes the settings as JSON with a terminating zero, truncated to `capacity` bytes. `length` receives the length
+// of the whole text in bytes, without the zero.
 planish_code planish_session_settings(const struct planish_session *session,
                                       char *buffer,
                                       size_t capacity,
                                       size_t *length);
 
-// Writes the name of the engine that is open, such as "cpu" or "gpu: NVIDIA H100"; empty before the first frame.
+// Writes the name of the open engine, such as "cpu" or "gpu: NVIDIA H100"; it is empty before the first frame.
+// `capacity` and `length` are as in planish_session_settings.
 planish_code planish_session_engine(const struct planish_session *session,
                                     char *buffer,
                                     size_t capacity,
                                     size_t *length);
 
-// Takes the next thing that the session decided or found without being asked, as a sentence: a GPU that was lost, a
-// camera that does not fit. Without one, `length` is 0. An event longer than the buffer is kept.
+// Takes the next event, a sentence about something that the session decided or detected by itself, such as a lost
+// GPU or a camera that does not fit. `length` becomes 0 if there is no event. An event that is longer than the
+// buffer is truncated and remains the next one.
 planish_code planish_next_event(struct planish_session *session, char *buffer, size_t capacity, size_t *length);
 
-// Stops the cloud that another thread is smoothing with this session; its call returns PLANISH_STOPPED. Frames on a
-// grid take too little time to be stopped.
+// Stops another thread's smoothing of an unorganized cloud with this session; its call returns PLANISH_STOPPED.
+// Frames on a grid take too little time to be stopped.
 planish_code planish_session_stop(const struct planish_session *session);
 
 // Starts a new video: earlier frames have no effect on the next one.
 planish_code planish_session_restart_video(struct planish_session *session);
 
-// Tells where the camera of the next frame of a video is in the world: x, y, z in metres, then a quaternion w, x, y,
-// z. Null means that it is not known.
+// Sets the pose of the camera in the world for the next frame of a video: x, y, z in metres, then a quaternion w, x,
+// y, z. Null means that the pose is unknown.
 planish_code planish_session_set_camera_pose(struct planish_session *session, const double *pose);
 
-// Returns the columns and rows of the result for a frame of this size; they differ with the setting decimate.
+// Writes the number of columns and rows of the result for a frame of this size. Only the setting decimate makes them
+// smaller than the frame's.
 planish_code planish_output_shape(const struct planish_session *session,
                                   size_t width,
                                   size_t height,
@@ -369,14 +378,15 @@ planish_code planish_smooth_new(struct planish_session *session,
                                 uint32_t outputs,
                                 struct planish_result **result);
 
-// Hands a frame over; its result is received later, in the same order. The frame is copied, or smoothed at once. A GPU
-// works on several frames at a time.
+// Submits a frame, whose result planish_receive returns; results come in the order of submission. The frame is
+// copied, or smoothed during this call. A GPU works on several frames at a time. `outputs` is as in
+// planish_smooth_new.
 planish_code planish_submit(struct planish_session *session, const struct planish_frame *frame, uint32_t outputs);
 
-// Waits for the oldest frame in flight, and writes its result. `received` is false if none is in flight.
+// Waits for the oldest frame in flight and writes its result. `received` becomes false if no frame is in flight.
 planish_code planish_receive(struct planish_session *session, const struct planish_output *output, bool *received);
 
-// Returns how many frames are in flight, and how many may be.
+// Writes the number of frames in flight and their maximum number.
 planish_code planish_in_flight(const struct planish_session *session, size_t *in_flight, size_t *most);
 
 #ifdef __cplusplus

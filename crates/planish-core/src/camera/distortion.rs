@@ -21,14 +21,14 @@ pub enum Distortion {
         /// Tangential coefficients p1, p2.
         tangential: [f64; 2],
     },
-    /// Kannala-Brandt: k1 to k4. With zeros it is an ideal equidistant fisheye.
+    /// Kannala-Brandt with k1 to k4; all are zero for an ideal equidistant fisheye.
     Equidistant([f64; 4]),
 }
 
 /// Maximum number of Newton steps to find a pixel's ray; starting from the distorted position, wide lenses need about
 /// ten.
 const MAX_STEPS: usize = 50;
-/// Directions between the centre and a ray that are checked for a fold.
+/// Number of steps from the centre to a ray at which the image is checked for a fold.
 const FOLD_SAMPLES: u32 = 24;
 /// Maximum residual of a ray, in focal lengths: a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
@@ -37,10 +37,10 @@ const WIDEST: f64 = 1.5;
 
 /// Names of lenses without distortion.
 const PINHOLE: [&str; 4] = ["none", "pinhole", "simple_pinhole", "rectified"];
-/// Names that programs give the models with OpenCV's coefficients.
+/// Names of the models with OpenCV's coefficients in other programs.
 const RATIONAL: [&str; 8] =
     ["", "opencv", "full_opencv", "plumb_bob", "rational_polynomial", "radtan", "radial-tangential", "brown_conrady"];
-/// Names that programs give the model of Kannala and Brandt.
+/// Names of the model of Kannala and Brandt in other programs.
 const EQUIDISTANT: [&str; 8] = [
     "equidistant",
     "equi",
@@ -53,14 +53,14 @@ const EQUIDISTANT: [&str; 8] = [
 ];
 
 impl Distortion {
-    /// A pinhole camera, or an image that was rectified.
+    /// No distortion: a pinhole camera, or a rectified image.
     pub const NONE: Self = Self::Rational { radial: [0.0; 6], tangential: [0.0; 2] };
 
-    /// Returns the coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, and then k3, and then k4, k5, k6. 0, 4,
-    /// 5 or 8 of them.
+    /// Creates a distortion from coefficients in the order of OpenCV and ROS: k1, k2, p1, p2, k3, k4, k5, k6. `None`
+    /// unless there are 0, 4, 5 or 8 of them; further coefficients must be 0.
     pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
         let mut all = [0.0; 8];
-        // OpenCV's longer vectors add thin prism and tilt terms; as zeros they mean nothing.
+        // OpenCV's longer vectors add thin prism and tilt terms, which have no effect if they are 0.
         let (used, rest) = coefficients.split_at(coefficients.len().min(8));
         if !matches!(used.len(), 0 | 4 | 5 | 8) || rest.iter().any(|c| *c != 0.0) {
             return None;
@@ -70,11 +70,11 @@ impl Distortion {
         Some(Self::Rational { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] })
     }
 
-    /// Returns the distortion of a model by its name in ROS, OpenCV, Kalibr, COLMAP, librealsense or ORB-SLAM, in any
-    /// case. An empty name is OpenCV's model.
+    /// Returns the distortion of a model by its case-insensitive name in ROS, OpenCV, Kalibr, COLMAP, librealsense or
+    /// ORB-SLAM. An empty name is OpenCV's model.
     ///
     /// # Errors
-    /// If the model is unknown or has another number of coefficients.
+    /// If the model is unknown, or the number of coefficients does not fit the model.
     pub fn of_model(model: &str, coefficients: &[f64]) -> Result<Self, FormatError> {
         let lower_case = model.to_ascii_lowercase();
         let name = lower_case.strip_prefix("distortion.").unwrap_or(&lower_case);
@@ -87,7 +87,7 @@ impl Distortion {
             return Ok(Self::NONE);
         }
         if EQUIDISTANT.contains(&name) {
-            // librealsense has a fifth, which is 0.
+            // librealsense has a fifth coefficient, which is 0.
             let four = coefficients.split_first_chunk::<4>().filter(|(_, rest)| rest.iter().all(|k| *k == 0.0));
             let four = four.map(|(four, _)| Self::Equidistant(*four));
             return four.ok_or_else(|| wrong_count("the 4 of a fisheye (k1 k2 k3 k4)"));
@@ -116,7 +116,7 @@ impl Distortion {
         }
     }
 
-    /// Returns the coefficients in the order of OpenCV and ROS: 5, 8, or 4 of a fisheye.
+    /// Returns the coefficients in the order of OpenCV and ROS: 5 or 8, or 4 for a fisheye.
     pub fn coefficients(&self) -> Vec<f64> {
         match *self {
             Self::Rational { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] } => {
@@ -133,7 +133,7 @@ impl Distortion {
     }
 
     pub(super) fn validate(&self) -> Result<(), FrameError> {
-        // Without a list of them: frames are checked one by one, and nothing is allocated.
+        // Every frame is checked, so the check allocates no list of the coefficients.
         let are_finite = match self {
             Self::Rational { radial, tangential } => radial.iter().chain(tangential).all(|c| c.is_finite()),
             Self::Equidistant(all) => all.iter().all(|c| c.is_finite()),
@@ -145,7 +145,7 @@ impl Distortion {
         Err(FrameError::BadCamera(ParamError { field: "distortion", value, allowed: "finite coefficients" }))
     }
 
-    /// Projects the direction (x, y, 1) and returns its position.
+    /// Returns the position at which the direction (x, y, 1) is seen, in focal lengths from the principal point.
     pub(super) fn distort(&self, x: f64, y: f64) -> [f64; 2] {
         match self {
             Self::Rational { radial, tangential } => rational(radial, tangential, [x, y]).0,
@@ -216,7 +216,8 @@ fn undistort_rational(radial: &[f64; 6], tangential: &[f64; 2], seen: [f64; 2]) 
     None
 }
 
-/// Returns how far from the principal point an angle from the axis is seen, and the derivative.
+/// Returns the distance from the principal point at which an angle from the axis is seen, in focal lengths, and its
+/// derivative.
 fn equidistant([k1, k2, k3, k4]: &[f64; 4], angle: f64) -> (f64, f64) {
     let a2 = angle * angle;
     let seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))));
@@ -226,7 +227,7 @@ fn equidistant([k1, k2, k3, k4]: &[f64; 4], angle: f64) -> (f64, f64) {
 /// Returns the angle that is seen at a distance from the principal point; `None` beyond [`WIDEST`] and where the image
 /// folds over itself.
 fn angle_seen_at(k: &[f64; 4], radius: f64) -> Option<f64> {
-    // The image grows up to the fold, or up to the widest angle: there is one angle, which bisection finds.
+    // Up to the fold or the widest angle, the radius grows with the angle, so one angle fits, which bisection finds.
     let grows = |i: &u32| equidistant(k, WIDEST * f64::from(*i) / f64::from(FOLD_SAMPLES)).1 > 0.0;
     let growing = (1..=FOLD_SAMPLES).take_while(grows).last().unwrap_or(0);
     let mut bounds = [0.0, WIDEST * f64::from(growing) / f64::from(FOLD_SAMPLES)];

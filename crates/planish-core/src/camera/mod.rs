@@ -16,7 +16,7 @@ pub(crate) use distortion::solve;
 pub use rays::Rays;
 pub(crate) use rays::{RowRays, RowRaysY};
 
-/// The largest raw depth value; sensors use it for "saturated". It is a hole, as 0 is.
+/// The largest raw depth value, which sensors use for saturated pixels. It is a hole, like 0.
 pub const SATURATED_DEPTH: u16 = u16::MAX;
 
 /// Intrinsics of a depth camera, its lens distortion, and the unit of its depth values.
@@ -42,14 +42,15 @@ pub struct Camera {
     pub cx: f64,
     /// Principal point in pixels, y.
     pub cy: f64,
-    /// Depth units in a metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM data sets.
+    /// Number of depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM data sets.
     pub depth_units_per_metre: f64,
-    /// Lens distortion; none for images that were rectified.
+    /// Lens distortion; [`Distortion::NONE`] for rectified images.
     pub distortion: Distortion,
 }
 
 impl Camera {
-    /// A pinhole camera: (width, height), [fx, fy] and [cx, cy] in pixels, depth in millimetres.
+    /// Creates a pinhole camera from `(width, height)`, `[fx, fy]` and `[cx, cy]` in pixels, with depth in
+    /// millimetres.
     pub const fn new(shape: (usize, usize), [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> Self {
         let (width, height) = shape;
         Self { width, height, fx, fy, cx, cy, depth_units_per_metre: 1000.0, distortion: Distortion::NONE }
@@ -75,8 +76,8 @@ impl Camera {
         Self { width, height, ..self }
     }
 
-    /// Refuses intrinsics that describe no camera, among them all with which a depth value would become a point that is
-    /// not finite in f32.
+    /// Refuses invalid intrinsics, including all for which a depth value could become a point that is not finite in
+    /// f32.
     pub fn validate(&self) -> Result<(), FrameError> {
         validate_shape(self.width, self.height)?;
         let within = |field, value: f64, range: std::ops::RangeInclusive<f64>, allowed| {
@@ -96,8 +97,8 @@ impl Camera {
         self.distortion.validate()
     }
 
-    /// Estimates the share of pixels, 0 to 1, that are holes because the lens model maps no ray to them: it folds, or
-    /// reaches beyond 86 degrees from the axis. Looks at a thousand pixels.
+    /// Estimates the share of pixels, 0 to 1, that are holes because the lens model maps no ray to them: the image
+    /// folds over itself, or the ray is more than 86 degrees from the axis. Samples 1024 pixels.
     pub fn lost_to_lens(&self) -> f32 {
         const COLUMNS: usize = 32;
         let Self { width, height, fx, fy, cx, cy, distortion, .. } = *self;
@@ -119,21 +120,22 @@ impl Camera {
         Err(FrameError::CameraShapeMismatch { frame_width, frame_height, width, height })
     }
 
-    /// Metres in one raw depth unit, as every engine multiplies by it.
+    /// Returns the number of metres per raw depth unit, the factor that every engine uses.
     pub fn metres_per_unit(&self) -> f32 {
         (1.0 / self.depth_units_per_metre) as f32
     }
 
-    /// Finds the camera of organized points in its frame, from their pixels; `None` if they are few, or fit no camera
-    /// without distortion.
+    /// Finds the camera of organized points in its frame, from their pixels. `None` if the sample has fewer than 100
+    /// points, or if they do not fit a camera without distortion.
     pub(crate) fn of_points((width, height): (usize, usize), points: &crate::xyz::Xyz) -> Option<Self> {
-        /// Pixels that a sample is taken of, and the fewest of it that are points.
+        /// Maximum number of sampled pixels.
         const SAMPLE: usize = 4096;
+        /// Minimum number of points in the sample.
         const LEAST: usize = 100;
-        /// Largest root mean square of the distances from the pixels' centres.
+        /// Maximum root mean square distance from the pixels' centres along x, and along y, in pixels.
         const MOST_OFF_PX: f64 = 0.1;
         let step = (width * height).div_ceil(SAMPLE).max(1);
-        // Not one column only.
+        // Avoids a sample of a single column.
         let step = step + usize::from(step.is_multiple_of(width));
         let sample = || (0..width * height).step_by(step);
         let sample = || sample().filter(|&i| points.is_finite(i) && points.get(i)[2] > 0.0);
@@ -153,8 +155,8 @@ impl Camera {
         Some(Self::new((width, height), [fx, fy], [cx, cy])).filter(|camera| camera.validate().is_ok())
     }
 
-    /// Returns the camera of a cropped and binned image: a region of (columns, rows) pixels at `offset_px`, of which
-    /// blocks of `block_px` became one pixel.
+    /// Returns the camera of a cropped and binned image: a region of (columns, rows) pixels at `offset_px`, whose
+    /// blocks of `block_px` pixels became one pixel each.
     pub fn of_region(self, offset_px: [usize; 2], (columns, rows): (usize, usize), block_px: [usize; 2]) -> Self {
         // Pixel centres are at whole numbers, and a block is centred between its pixels.
         let centre = |c: f64, offset: usize, block: usize| (c - offset as f64 + 0.5) / block as f64 - 0.5;

@@ -1,12 +1,12 @@
-//! The rays of a camera's pixels: X/Z and Y/Z, made once for a camera.
+//! The rays of a camera's pixels: X/Z and Y/Z, computed once per camera.
 
 use super::Camera;
 
-/// The factors of deprojection, kept while the camera stays the same.
+/// The factors of deprojection, computed again only if the camera changes.
 #[derive(Debug, Clone, Default)]
 pub struct Rays {
     camera: Option<Camera>,
-    /// X/Z of each column, or with lens distortion of each pixel.
+    /// X/Z of each column, or of each pixel with lens distortion. NaN for pixels outside the lens.
     pub x: Vec<f32>,
     /// Y/Z of each row, or of each pixel with lens distortion. NaN for pixels outside the lens.
     pub y: Vec<f32>,
@@ -63,7 +63,7 @@ impl Rays {
         RowRays { x: &self.x[pixels.clone()], y: RowRaysY::Each(&self.y[pixels]) }
     }
 
-    /// [X/Z, Y/Z] of a pixel.
+    /// Returns `[X/Z, Y/Z]` of a pixel.
     pub fn at(&self, u: usize, v: usize) -> [f32; 2] {
         self.row(v).at(u)
     }

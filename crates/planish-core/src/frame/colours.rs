@@ -9,12 +9,13 @@ pub(crate) enum Colours<'a> {
     Bytes(&'a [u8]),
     /// PCL's packed field, 0xAARRGGBB.
     Packed(&'a AttributeValues),
-    /// Red, green and blue apart.
+    /// Red, green and blue in separate channels.
     Channels([&'a [u8]; 3]),
 }
 
 impl<'a> Colours<'a> {
-    /// Returns the colours of a cloud, if it has any as bytes.
+    /// Returns the colours of a cloud: a packed field `rgb` or `rgba`, or byte fields `red`, `green` and `blue`.
+    /// `None` without such fields.
     pub(crate) fn of_cloud(cloud: &'a PointCloud) -> Option<Self> {
         let field = |name: &str| cloud.attribute(name).filter(|field| field.count == 1).map(|field| &field.values);
         let is_packed = |values: &&AttributeValues| {
@@ -28,7 +29,7 @@ impl<'a> Colours<'a> {
         packed.or_else(|| Some(Self::Channels([channel("red")?, channel("green")?, channel("blue")?])))
     }
 
-    /// Returns the colour of a pixel; black outside.
+    /// Returns the colour of pixel `i`; black if `i` is out of range.
     pub(crate) fn at(self, i: usize) -> [u8; 3] {
         let of_bits = |bits: Option<u32>| {
             let [_, r, g, b] = bits.unwrap_or(0).to_be_bytes();

@@ -10,10 +10,10 @@ use crate::cloud::OrganizedCloud;
 use crate::error::FrameError;
 use crate::xyz::Xyz;
 
-/// Rows that one task deprojects.
+/// Number of rows that one task deprojects.
 const ROWS_OF_A_TASK: usize = 16;
 
-/// Depth as sensors and middleware deliver it: raw 16-bit values or metres, row by row, perhaps with a stride.
+/// A borrowed depth image with its camera: raw 16-bit values or metres, row by row, optionally with a row stride.
 ///
 /// ```
 /// use planish::{Camera, DepthView};
@@ -28,7 +28,7 @@ const ROWS_OF_A_TASK: usize = 16;
 pub struct DepthView<'a> {
     camera: &'a Camera,
     samples: DepthSamples<'a>,
-    /// Values from one row to the next.
+    /// Distance between the starts of consecutive rows, in values.
     row_stride: usize,
     colours: Option<Colours<'a>>,
 }
@@ -43,7 +43,7 @@ pub(crate) enum DepthSamples<'a> {
 }
 
 impl<'a> DepthView<'a> {
-    /// Raw values in the camera's units, row by row; 0 and 65535 are holes.
+    /// Takes raw values in the camera's units, row by row; 0 and 65535 are holes.
     pub fn new(raw: &'a [u16], camera: &'a Camera) -> Result<Self, FrameError> {
         let view = Self { camera, samples: DepthSamples::U16(raw), row_stride: camera.width, colours: None };
         view.check_exact(raw.len())
@@ -55,12 +55,12 @@ impl<'a> DepthView<'a> {
         view.check_exact(depth_m.len())
     }
 
-    /// Takes raw units with rows that begin every `row_stride` values; the first `width` values of each are used.
+    /// Takes raw values whose rows begin `row_stride` values apart; the first `width` values of each row are used.
     pub fn with_row_stride(raw: &'a [u16], row_stride: usize, camera: &'a Camera) -> Result<Self, FrameError> {
         Self { camera, samples: DepthSamples::U16(raw), row_stride, colours: None }.check(raw.len())
     }
 
-    /// [`DepthView::from_metres`] with rows that begin `row_stride` values after each other.
+    /// Same as [`DepthView::from_metres`], with rows that begin `row_stride` values apart.
     pub fn from_metres_with_row_stride(
         depth_m: &'a [f32],
         row_stride: usize,
@@ -75,7 +75,7 @@ impl<'a> DepthView<'a> {
         Ok(self)
     }
 
-    /// Without a stride the buffer ends with the image.
+    /// Checks the view, and that the buffer ends with the image.
     fn check_exact(self, len: usize) -> Result<Self, FrameError> {
         let (width, height) = self.shape();
         let view = self.check(len)?;
@@ -106,17 +106,17 @@ impl<'a> DepthView<'a> {
         self.colours
     }
 
-    /// Returns its camera.
+    /// Returns the camera.
     pub fn camera(&self) -> &'a Camera {
         self.camera
     }
 
-    /// Width and height in pixels.
+    /// Returns the width and height in pixels.
     pub fn shape(&self) -> (usize, usize) {
         (self.camera.width, self.camera.height)
     }
 
-    /// Depth of a pixel in metres; NaN for a hole.
+    /// Returns the depth of a pixel in metres; NaN for a hole.
     pub fn depth_m(&self, u: usize, v: usize) -> f32 {
         let at = v * self.row_stride + u;
         match self.samples {
@@ -145,7 +145,7 @@ impl<'a> DepthView<'a> {
         Ok(cloud.with_camera(*self.camera))
     }
 
-    /// Returns the points of all pixels, with the rays of the image's camera; NaN for holes.
+    /// Returns the points of all pixels, computed with the rays of the image's camera; NaN for holes.
     pub fn deproject_with(&self, rays: &Rays) -> Xyz {
         let (width, height) = self.shape();
         let mut points = Xyz::filled(width * height, 0.0);
@@ -181,7 +181,7 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// All samples, if its rows follow each other without a gap.
+    /// Returns all samples; `None` if there are gaps between the rows.
     #[cfg(any(test, feature = "gpu", feature = "webgpu"))]
     pub(crate) fn contiguous(&self) -> Option<DepthSamples<'a>> {
         let pixels = self.camera.width * self.camera.height;

@@ -12,24 +12,28 @@ use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
 use crate::pose::RigidTransform;
 
-/// Angles whose spread is at most this count as equal: lenses and scanners vary by a factor of 1.6.
+/// Spread below which the angles between neighbours count as equal: those of lenses and scanners vary by a factor of
+/// 1.6.
 const SMALL_SPREAD: f64 = 0.5;
-/// Maximum distance of an assumed sensor at the origin of coordinates, in extents of the cloud.
+/// Maximum distance from a cloud's centre at which the origin of coordinates may be its sensor, in extents of the
+/// cloud.
 const MAX_EXTENTS: f64 = 1000.0;
 /// Maximum sensor distance assumed for an unorganized cloud; larger coordinates are taken to be map coordinates.
 const MAX_ORIGIN_M: f64 = 20_000.0;
-/// Maximum distance of that origin to the side of the cloud, in extents.
+/// Maximum distance from a cloud's centre at which an origin that is not clearly on one side of the cloud's plane may
+/// be its sensor, in extents of the cloud.
 const BESIDE_EXTENTS: f64 = 5.0;
-/// Limits that exclude an origin on the surface: there, the 60th of the sampled points around it is about 3.2 times as
-/// far away as the 6th, and so on.
+/// Range of the distance ratios that places the origin on the surface. There, the 60th nearest of the sampled points
+/// is about 3.2 times as far away as the 6th, and likewise for the other [`NEAR_NEIGHBOURS`].
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
-/// Each is compared with ten times as many, up to a quarter of the sample.
+/// Ranks n of nearest points: the distance of the 10n-th is compared with that of the n-th, up to a quarter of the
+/// sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
-/// Maximum number of points by which unorganized clouds are judged.
+/// Maximum number of sampled points of an unorganized cloud.
 const GENERAL_SAMPLE: usize = 4096;
 
 impl FrameGeometry {
-    /// Finds the geometry of a frame; ranges only if the engine needs them.
+    /// Finds the geometry of a frame. The pitch of an unknown camera is estimated only if the engine needs ranges.
     pub(crate) fn of(frame: Frame<'_>, needs_range: bool, scratch: &mut GeometryScratch) -> Self {
         match frame {
             Frame::Depth(depth) => {
@@ -43,7 +47,7 @@ impl FrameGeometry {
 
     /// Finds the geometry of points without a grid.
     fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
-        // For a part, the whole cloud has decided it.
+        // A part of a cloud has the sensor that was assumed for the whole cloud.
         let assumed = points.extent_m().is_none().then(|| assumed_transform(points, scratch)).flatten();
         let transform = assumed.unwrap_or_else(|| points.transform());
         Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
@@ -108,8 +112,8 @@ impl FrameGeometry {
     }
 }
 
-/// Returns the assumed pose of the sensor of an unorganized cloud that states none, if the sensor cannot have been at
-/// the origin.
+/// Returns the assumed sensor pose of an unorganized cloud; `None` if the cloud states a pose, or if the sensor may
+/// have been at the origin.
 pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Option<RigidTransform> {
     if !points.pose().is_identity() {
         return None;
@@ -125,7 +129,8 @@ pub(super) fn assumed_transform(points: &PointsView<'_>, scratch: &mut GeometryS
     assumed_sensor(sample, points.origin_transform().translation)
 }
 
-/// Decides by a sample of the points; `origin` is the origin of coordinates.
+/// Returns the assumed sensor pose for a sample of the points; `None` if the sensor may have been at `origin`, the
+/// origin of coordinates.
 fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransform> {
     let is_on_surface = is_on_surface(sample, origin);
     let extent = Extent::of(sample)?;
@@ -136,21 +141,22 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Returns true if a position is surrounded by points on a surface: their number grows with the square of the distance,
-/// whereas a sensor has all points at some distance.
+/// Returns true if a place is on the surface of the sampled points: the number of points within a distance of the
+/// place grows with the square of that distance. Around a sensor, the nearest points are some distance away.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
-    // Zeros mean no data.
+    // Zeros encode missing data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
     let mut squares: Vec<f64> = squares.collect();
     squares.sort_by(f64::total_cmp);
     let ratio = |near: usize| squares[10 * near - 1] / squares[near - 1];
     let (low, high) = (SURFACE_RATIOS[0].powi(2), SURFACE_RATIOS[1].powi(2));
-    // Strays near a sensor reach up to one of these numbers, and no further.
+    // Stray points near a sensor may imitate a surface at one of these ranks, but not at all of them.
     let reached = NEAR_NEIGHBOURS.into_iter().filter(|near| 40 * near <= squares.len());
     squares.len() >= 40 * NEAR_NEIGHBOURS[0] && reached.map(ratio).all(|ratio| (low..high).contains(&ratio))
 }
 
-/// Returns the sampling step for an unorganized cloud: it is judged by every point whose index is a multiple of this.
+/// Returns the sampling step n for an unorganized cloud: the sample consists of the points whose index is a multiple
+/// of n.
 pub fn sampling_step(points: usize) -> usize {
     points.div_ceil(GENERAL_SAMPLE).max(1)
 }
@@ -162,13 +168,13 @@ pub fn assumed_sensor_of_sample(sample: &[[f64; 3]]) -> Option<[f64; 3]> {
 }
 
 impl PointsView<'_> {
-    /// How ranges are measured in this frame, and how far apart its pixels are (docs/method.md, section 11).
+    /// Returns how ranges are measured in this frame, and the pitch of its pixels (docs/method.md, section 11).
     pub fn range_rule(&self) -> RangeRule {
         self.geometry(&mut GeometryScratch::default()).rule
     }
 
-    /// Returns the position of the sensor among the points, and whether they are in its own frame, where z is depth;
-    /// `None` if it is unknown (docs/method.md, section 11).
+    /// Returns the sensor's position in the frame of the points, and whether this frame is the sensor's own, where z
+    /// is depth. `None` if the position is unknown (docs/method.md, section 11).
     pub fn seen_from(&self) -> Option<(DVec3, bool)> {
         let geometry = self.geometry(&mut GeometryScratch::default());
         let is_depth = geometry.cloud_from_sensor.is_none() && matches!(geometry.rule, RangeRule::Depth { .. });
@@ -176,8 +182,9 @@ impl PointsView<'_> {
         is_known.then(|| (geometry.sensor_position(), is_depth))
     }
 
-    /// Returns the assumed position of the sensor in the frame of the file, if an unorganized cloud does not state one
-    /// and it cannot have been the origin; otherwise `None` (docs/method.md, section 11). Normals face it.
+    /// Returns the assumed sensor position of an unorganized cloud in the frame of the file; normals face it. `None`
+    /// for organized points, if the cloud states a pose, or if the sensor may have been at the origin
+    /// (docs/method.md, section 11).
     pub fn assumed_sensor_m(&self) -> Option<[f64; 3]> {
         let is_general = self.grid().is_none();
         let assumed = is_general.then(|| assumed_transform(self, &mut GeometryScratch::default())).flatten();
@@ -194,7 +201,7 @@ impl PointsView<'_> {
         FrameGeometry::of_points(self, true, scratch)
     }
 
-    /// Point `i` in the sensor's frame.
+    /// Returns point `i` in the sensor's frame.
     pub(crate) fn point_in_sensor(&self, i: usize, geometry: &FrameGeometry) -> DVec3 {
         match geometry.cloud_from_sensor {
             None => self.point(i),
@@ -204,8 +211,8 @@ impl PointsView<'_> {
 }
 
 impl OrganizedCloud {
-    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres (1/fx of a camera): from the
-    /// camera if it is known, otherwise from the points. `None` if unknown.
+    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres (1/fx of a camera). It comes
+    /// from the camera if known, otherwise from the points. `None` if unknown.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }
@@ -241,7 +248,7 @@ mod tests {
         (geometry.rule, geometry.sensor_position())
     }
 
-    /// A robot's base frame: x forward, y left, z up.
+    /// The pose of a camera in a robot's base frame: x forward, y left, z up.
     const BASE_POSE: [f64; 7] = [0.1, 0.0, 0.6, 0.5, -0.5, 0.5, -0.5];
 
     #[test]

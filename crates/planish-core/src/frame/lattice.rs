@@ -1,4 +1,5 @@
-//! The grid of pixels that a frame lost when it was saved as an unorganized cloud (docs/method.md, section 11).
+//! Reconstruction of the pixel grid that a frame lost when it was saved as an unorganized cloud (docs/method.md,
+//! section 11).
 
 use std::ops::Range;
 
@@ -8,44 +9,44 @@ use super::PointsView;
 use crate::pose::{RigidTransform, SensorPose};
 use crate::xyz::Xyz;
 
-/// Number of points in the sample that is tested before all points are.
+/// Number of points in the sample that is tested before all points.
 const SAMPLE: usize = 4096;
-/// Multiples of it spread evenly over the unit interval.
+/// Fractional part of the golden ratio, whose multiples modulo 1 are spread evenly over the unit interval.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
-/// A lattice has at least this many columns and rows,
+/// Minimum number of columns, and of rows, of a lattice.
 const LEAST_LINES: usize = 16;
-/// and at most this many.
+/// Maximum number of columns, and of rows, of a lattice.
 const MOST_LINES: usize = 8192;
-/// The gaps between its lines are at least this many times as wide as those within a line.
+/// Minimum ratio of the gaps between lines to the gaps within a line.
 const LEAST_CONTRAST: f64 = 8.0;
-/// Points are this close to their line on average (RMS), in spacings of lines,
+/// Maximum RMS distance of values from their lines, in line spacings.
 const CLOSE: f64 = 0.05;
-/// and never farther away than this.
+/// Maximum distance of a value from its line, and of a line from a multiple of the spacing, in line spacings.
 const NEAR: f64 = 0.3;
-/// At least this share of the pixels has a point,
+/// Minimum share of the pixels that have a point.
 const LEAST_FILLED: f64 = 0.1;
-/// and at least this share of those around a point, on average: otherwise windows have too few samples.
+/// Minimum mean share of the pixels around a point that have a point. With fewer, windows have too few samples.
 const LEAST_FILLED_AROUND: f64 = 0.6;
-/// Pixels to either side of a point that are around it.
+/// Distance in pixels, to either side, up to which pixels are around a point.
 const AROUND: usize = 2;
-/// Sensors of frames see surfaces at median ranges from here
+/// Minimum median depth of a frame in metres; with a smaller one, the unit is not the metre.
 const NEAREST_M: f64 = 0.1;
-/// to there; other numbers are no metres.
+/// Maximum median depth of a frame in metres; with a larger one, the unit is not the metre.
 const FARTHEST_M: f64 = 20.0;
 
-/// A grid that was found again: the points of a cloud on its pixels.
+/// A reconstructed grid: the points of a cloud on the pixels of a frame.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Lattice {
     width: usize,
     height: usize,
     /// The pixel of each point; `None` for holes.
     pixels: Vec<Option<u32>>,
-    /// The points, relative to the cloud's origin; NaN where a pixel has none.
+    /// The points, relative to the cloud's origin; NaN for pixels without a point.
     positions: Xyz,
     pose: SensorPose,
     /// The camera's pose relative to the cloud's origin.
     transform: RigidTransform,
-    /// Depth of a point in the middle of all.
+    /// Median depth of the sampled points, in the unit of the cloud.
     middle_m: f64,
 }
 
@@ -58,12 +59,12 @@ struct Lines {
 }
 
 impl Lattice {
-    /// Finds the pixel grid of an unorganized cloud: each point is on the ray of another pixel. The camera has no
-    /// distortion and looks along z or, as in OpenGL, along -z. `None` if there is no such grid.
+    /// Finds the pixel grid of an unorganized cloud in which every point is on the ray of a different pixel. The
+    /// camera has no distortion and looks along z or, as in OpenGL, along -z. `None` if the cloud has no such grid.
     pub(crate) fn of(points: &PointsView<'_>) -> Option<Self> {
         let transform = points.transform();
         let seen = |i: usize| Some(transform.to_sensor(points.point(i))).filter(|p| p.is_finite());
-        // In steps that are no multiple of a row.
+        // Steps of the golden ratio do not align with rows.
         let sampled = |k: usize| ((k as f64 * GOLDEN).fract() * points.len() as f64) as usize;
         let sample: Vec<DVec3> = (0..SAMPLE.min(points.len())).map(sampled).filter_map(seen).collect();
         let is_in_front = sample.iter().all(|p| p.z > 0.0);
@@ -100,7 +101,7 @@ impl Lattice {
         for (i, place) in pixels.iter_mut().enumerate() {
             let Some(p) = seen(i) else { continue };
             let at = pixel(p)?;
-            // Two points of one ray are of no single frame.
+            // Two points on one ray do not come from a single frame.
             if positions.is_finite(at as usize) {
                 return None;
             }
@@ -123,7 +124,7 @@ impl Lattice {
         Some(Self { width, height, pixels, positions, pose, transform, middle_m })
     }
 
-    /// Width and height of the grid.
+    /// Returns the width and height of the grid.
     pub(crate) fn shape(&self) -> (usize, usize) {
         (self.width, self.height)
     }
@@ -133,7 +134,7 @@ impl Lattice {
         self.pixels[i].map(|pixel| pixel as usize)
     }
 
-    /// Returns true if these are the points that it was found for.
+    /// Returns true if the grid was found for these points.
     pub(crate) fn is_of(&self, points: &PointsView<'_>) -> bool {
         let is_same = |i: usize| match self.pixel(i) {
             Some(pixel) => self.positions.get(pixel) == points.point(i).to_array().map(|value| value as f32),
@@ -143,7 +144,7 @@ impl Lattice {
         is_same_camera && self.pixels.len() == points.len() && (0..points.len()).all(is_same)
     }
 
-    /// Returns true if coordinates have the size that metres have in frames.
+    /// Returns true if the median depth is plausible for a frame in metres.
     pub(crate) fn may_be_in_metres(&self) -> bool {
         (NEAREST_M..=FARTHEST_M).contains(&self.middle_m)
     }
@@ -154,12 +155,12 @@ impl Lattice {
     }
 }
 
-/// Returns the numbers of lines around one.
+/// Returns the numbers of the lines around `line`.
 fn near(line: usize, lines: usize) -> Range<usize> {
     line.saturating_sub(AROUND)..(line + AROUND + 1).min(lines)
 }
 
-/// Returns the pose of a sensor that looks against z, with y up.
+/// Returns the pose of a sensor that looks along -z, with y up.
 fn half_turn() -> SensorPose {
     let orientation = DQuat::from_rotation_x(std::f64::consts::PI);
     SensorPose::from_viewpoint([0.0, 0.0, 0.0, orientation.w, orientation.x, orientation.y, orientation.z])
@@ -196,7 +197,7 @@ impl Lines {
         (square.sqrt() <= CLOSE && from_line.iter().all(|off| off.abs() <= NEAR)).then_some(lines)
     }
 
-    /// Fits lines of these numbers, the first of which is 0, by least squares.
+    /// Fits evenly spaced lines to `places` by least squares. `numbers` are the numbers of the lines; the first is 0.
     fn through(numbers: &[f64], places: &[f64]) -> Option<Self> {
         let last = numbers.last().copied().filter(|&last| last < MOST_LINES as f64)?;
         let n = numbers.len() as f64;
@@ -245,7 +246,7 @@ mod tests {
     use super::*;
     use crate::neighbours::tests::Random;
 
-    /// Points of a wavy surface seen through the pixels of a camera, some of which see nothing, in any order.
+    /// Returns points of a wavy surface seen by a camera with holes, in random order, rounded to `digits` decimals.
     fn seen(width: usize, height: usize, holes: f32, digits: i32) -> Vec<[f32; 3]> {
         let mut random = Random(7);
         let mut points = Vec::new();

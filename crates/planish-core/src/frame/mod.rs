@@ -33,11 +33,11 @@ pub struct DepthImage {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// Raw depth values, width * height of them.
+    /// The `width * height` raw depth values.
     pub raw: Vec<u16>,
 }
 
-/// A depth image with its camera. [`DepthView`] is the same without a copy.
+/// An owned depth image with its camera. [`DepthView`] is the borrowed equivalent.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct DepthFrame {
@@ -45,21 +45,21 @@ pub struct DepthFrame {
     pub camera: Camera,
     /// Raw depth values, row by row. 0 and 65535 are holes.
     pub raw: Vec<u16>,
-    /// Colour registered to the depth image, 3 bytes (red, green, blue) a pixel.
+    /// Colour registered to the depth image, 3 bytes (red, green, blue) per pixel.
     pub rgb: Option<Vec<u8>>,
     /// Time of capture in seconds of the source's clock.
     pub timestamp_s: Option<f64>,
 }
 
 impl DepthFrame {
-    /// Puts raw depth values and their camera together; refuses a camera of another shape.
+    /// Combines raw depth values with their camera; refuses values that do not match the camera's shape.
     pub fn new(camera: Camera, raw: Vec<u16>) -> Result<Self, FrameError> {
         let frame = Self { camera, raw, rgb: None, timestamp_s: None };
         frame.validate()?;
         Ok(frame)
     }
 
-    /// Combines depth values and a camera that are known to fit; [`validate`](Self::validate) checks it.
+    /// Combines depth values with a camera without a check; see [`validate`](Self::validate).
     #[doc(hidden)]
     pub fn unchecked(camera: Camera, raw: Vec<u16>) -> Self {
         Self { camera, raw, rgb: None, timestamp_s: None }
@@ -76,12 +76,12 @@ impl DepthFrame {
         Self { rgb: Some(rgb), ..self }
     }
 
-    /// Sets the time stamp in seconds of the source's clock.
+    /// Sets the timestamp in seconds of the source's clock.
     pub fn with_timestamp_s(self, timestamp_s: f64) -> Self {
         Self { timestamp_s: Some(timestamp_s), ..self }
     }
 
-    /// Refuses buffers whose lengths do not follow from the camera.
+    /// Refuses an invalid camera, and buffers whose lengths do not match the camera's shape.
     pub fn validate(&self) -> Result<(), FrameError> {
         DepthView::new(&self.raw, &self.camera)?;
         let expected = 3 * self.raw.len();
@@ -93,8 +93,8 @@ impl DepthFrame {
         }
     }
 
-    /// Returns the organized cloud of this frame (docs/method.md, section 1), with colour as PCL's packed `rgb` if
-    /// there is any.
+    /// Returns the organized cloud of this frame (docs/method.md, section 1). Colour, if any, becomes PCL's packed
+    /// field `rgb`.
     pub fn deproject(&self) -> Result<OrganizedCloud, FrameError> {
         self.validate()?;
         let mut cloud = DepthView::new(&self.raw, &self.camera)?.deproject()?;
@@ -102,7 +102,7 @@ impl DepthFrame {
         Ok(cloud)
     }
 
-    /// Returns its colour in PCL's packed form.
+    /// Returns the colour as PCL's packed field `rgb`; `None` without colour.
     pub fn packed_rgb(&self) -> Option<Attribute> {
         let packed = self.rgb.as_ref()?.chunks_exact(3).map(|c| u32::from_be_bytes([0, c[0], c[1], c[2]]));
         let values = packed.map(f32::from_bits).collect::<Vec<_>>().into();
@@ -120,7 +120,7 @@ pub enum Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Width and height in pixels; `None` for an unorganized cloud.
+    /// Returns the width and height in pixels; `None` for an unorganized cloud.
     pub fn grid(&self) -> Option<(usize, usize)> {
         match self {
             Self::Depth(depth) => Some(depth.shape()),
@@ -128,7 +128,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Width and height of results; for an unorganized cloud, the number of points and 1.
+    /// Returns the width and height of the results: the number of points and 1 for an unorganized cloud.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(depth) => depth.shape(),
@@ -144,7 +144,7 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Returns the colours of its pixels, if it has any.
+    /// Returns the colours of the pixels; `None` without colour.
     pub(crate) fn colours(&self) -> Option<Colours<'a>> {
         match self {
             Self::Depth(depth) => depth.colours(),
@@ -214,7 +214,7 @@ impl<'a> IntoFrame<'a> for &'a PointCloud {
     }
 }
 
-/// Refuses a buffer that is shorter than its shape and stride need.
+/// Refuses a row stride below the width, and a buffer that is too short for the shape and stride.
 fn check_rows(what: &str, len: usize, (width, height): (usize, usize), row_stride: usize) -> Result<(), FrameError> {
     validate_shape(width, height)?;
     if row_stride < width {

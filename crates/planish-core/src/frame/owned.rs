@@ -8,7 +8,7 @@ use crate::error::FrameError;
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a few hundred bytes beside the megabytes of a frame")]
 pub enum OwnedFrame {
-    /// A depth image with its camera, time stamp and optional colour.
+    /// A depth image with its camera, timestamp and optional colour.
     Depth(DepthFrame),
     /// An organized cloud.
     Cloud {
@@ -20,7 +20,7 @@ pub enum OwnedFrame {
 }
 
 impl OwnedFrame {
-    /// Width and height in pixels.
+    /// Returns the width and height in pixels.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(depth) => (depth.camera.width, depth.camera.height),

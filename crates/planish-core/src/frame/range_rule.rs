@@ -5,40 +5,42 @@ use glam::DVec3;
 use crate::params::Project;
 use crate::pose::RigidTransform;
 
-/// How ranges are measured in a frame, and how far apart its pixels are.
+/// The rule by which ranges are measured in a frame, with the pitch of its pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum RangeRule {
-    /// The grid is a camera's: the range is the depth along its axis.
+    /// The rule for a camera's grid: the range is the depth along the camera's axis.
     Depth {
-        /// 1/fx: metres between neighbouring pixels at a depth of 1 m. `None` if no two neighbours are valid.
+        /// Distance between neighbouring pixels at a depth of 1 m, in metres: 1/fx. `None` without a grid, or if no
+        /// two neighbours are valid.
         pitch_at_1m: Option<f64>,
     },
-    /// The grid is another sensor's: the range is the distance from it.
+    /// The rule for the grid of another sensor: the range is the distance from the sensor.
     Distance {
-        /// Metres between neighbouring pixels at a distance of 1 m, of rows or columns, whichever are farther apart.
+        /// Distance between neighbouring pixels at a range of 1 m, in metres: along rows or along columns, whichever
+        /// is larger.
         pitch_at_1m: f64,
     },
-    /// The sensor position is unknown: every point has the range at which pixels of a Kinect v1 are as far apart as
-    /// these points.
+    /// The rule for an unknown sensor position: every point has the range at which the pixels of a Kinect v1 are as
+    /// far apart as these points, at most 5 m.
     Constant {
-        /// Metres between neighbouring points.
+        /// Distance between neighbouring points in metres.
         spacing_m: f64,
     },
 }
 
 /// The focal length of a Kinect v1 in pixels, assumed if none is known.
 const KINECT_FOCAL_LENGTH_PX: f64 = 525.0;
-/// Maximum range for sensor models if the range is unknown.
+/// Maximum range assumed for sensor models if the range is unknown, in metres.
 const MAX_ASSUMED_RANGE_M: f64 = 5.0;
 
 impl RangeRule {
-    /// Metres between neighbouring pixels at a range of 1 m; a Kinect v1's if unknown.
+    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres; a Kinect v1's if unknown.
     pub fn pitch_at_1m(&self) -> f64 {
         self.known_pitch_at_1m().unwrap_or(1.0 / KINECT_FOCAL_LENGTH_PX)
     }
 
-    /// Returns the pitch, or `None` if it would be a guess.
+    /// Returns the pixel pitch at a range of 1 m, in metres; `None` if unknown.
     pub(crate) fn known_pitch_at_1m(&self) -> Option<f64> {
         match *self {
             Self::Depth { pitch_at_1m } => pitch_at_1m,
@@ -51,7 +53,7 @@ impl RangeRule {
 /// The geometry of a frame that an engine needs in addition to its samples.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrameGeometry {
-    /// `None` if the cloud's frame is the sensor's.
+    /// Transform from the sensor's frame to the cloud's; `None` if they are the same frame.
     pub(crate) cloud_from_sensor: Option<RigidTransform>,
     pub(crate) rule: RangeRule,
 }
@@ -71,7 +73,7 @@ impl FrameGeometry {
         self.cloud_from_sensor.map_or(DVec3::Z, |transform| transform.rotation.z_axis)
     }
 
-    /// Returns true if points move along their rays (docs/method.md, section 7): if requested, and if the sensor
+    /// Returns true if points move along their rays (docs/method.md, section 7): `project` requests it and the sensor
     /// position is known.
     pub(crate) fn is_on_rays(&self, project: Project) -> bool {
         project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
@@ -88,7 +90,7 @@ impl FrameGeometry {
     }
 }
 
-/// Returns the range for sensor models if it is unknown.
+/// Returns the range in metres that sensor models use for points of unknown range with this spacing.
 pub(crate) fn assumed_range_m(spacing_m: f64) -> f64 {
     (KINECT_FOCAL_LENGTH_PX * spacing_m).min(MAX_ASSUMED_RANGE_M)
 }

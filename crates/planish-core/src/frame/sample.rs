@@ -7,25 +7,26 @@ use super::PointsView;
 use super::range_rule::FrameGeometry;
 use crate::pose::RigidTransform;
 
-/// Rows that are looked at.
+/// Maximum number of sampled rows.
 const SAMPLED_ROWS: usize = 16;
-/// Columns that are looked at.
+/// Maximum number of sampled columns.
 const SAMPLED_COLUMNS: usize = 24;
-/// Rows that are looked at to tell whether the grid is a camera's.
+/// Maximum number of sampled rows in the test for a camera's grid.
 const LAW_ROWS: usize = 12;
-/// Spacing is measured between pixels this far apart: the distance is larger, the noise is not.
+/// Distance in pixels between the points whose spacing is measured. Distant points have a larger spacing with the
+/// same noise.
 pub(super) const LAG_PX: usize = 4;
-/// X/z along a column may vary by this share of its extent over the image: lenses distort by less, turned cameras by
-/// more.
+/// Maximum variation of X/z along a column, or of Y/z along a row, relative to its extent over the image. Lenses
+/// distort by less, rotated cameras by more.
 const RAY_LAW_TOLERANCE: f64 = 0.1;
-/// Share of points behind the sensor from which on a grid cannot be a camera's.
+/// Maximum share of points behind the sensor in a camera's grid.
 const MAX_BEHIND: f64 = 0.01;
-/// Share of pixel corners with the opposite orientation from which on a grid cannot be a camera's.
+/// Maximum share of pixel corners with the opposite orientation in the grid of a sensor.
 pub(super) const MAX_TURNED: f64 = 0.1;
-/// One spread is clearly less than another if it is below this share of it.
+/// Ratio of two spreads below which the first is clearly smaller.
 pub(super) const CLEARLY_LESS: f64 = 0.7;
 
-/// Room for samples of a frame, kept from frame to frame.
+/// Buffers for the samples of a frame, reused from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct GeometryScratch {
     pub(super) pitches: Vec<f64>,
@@ -40,13 +41,13 @@ pub(crate) struct GeometryScratch {
 /// Two neighbours on the grid.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct NeighbourPair {
-    /// Between points of neighbouring pixels.
+    /// Distance between the points in metres, divided by their distance on the grid in pixels.
     pub(super) spacing_m: f64,
-    /// Between their directions from the sensor.
+    /// Sine of the angle between their directions from the sensor, divided by their distance on the grid in pixels.
     pub(super) angle: f64,
 }
 
-/// Points of a cloud that are looked at.
+/// A sample of the points of a grid, under an assumed geometry.
 #[derive(Clone, Copy)]
 pub(super) struct Sample<'a, 'p> {
     pub(super) points: &'a PointsView<'p>,
@@ -56,14 +57,15 @@ pub(super) struct Sample<'a, 'p> {
 }
 
 impl Sample<'_, '_> {
-    /// Returns a point in the sensor's frame; `None` for a hole, and for zeros, which some writers use for holes.
+    /// Returns a point in the sensor's frame; `None` for a hole, and for zeros, which some writers use as holes.
     fn point(&self, i: usize) -> Option<DVec3> {
         let point = self.points.point_in_sensor(i, &self.geometry);
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
-    /// Returns true if the camera was at the origin of coordinates rather than at the stated pose. PCL's grabbers state
-    /// the camera's rotation but write points in its frame; other programs do so with its position.
+    /// Returns true if the camera was at the origin of coordinates (`self`) rather than at the stated pose
+    /// (`stated`). PCL's grabbers state the camera's rotation but write points in the camera's frame; other programs
+    /// do the same with its position.
     pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
         if stated.points.pose().position_m == [0.0; 3] {
             return true;
@@ -84,8 +86,8 @@ impl Sample<'_, '_> {
         (0..self.height).step_by(self.height.div_ceil(LAW_ROWS))
     }
 
-    /// Returns true if the points lie as a camera's do, before the sensor: X/z is the same along columns and Y/z along
-    /// rows, and columns go to the right where rows go down.
+    /// Returns true if the grid may be a camera's: the points are in front of the sensor, X/z is constant along
+    /// columns and Y/z along rows, and columns go to the right if rows go down.
     pub(super) fn is_of_a_camera(&self, scratch: &mut GeometryScratch) -> bool {
         let columns = || (0..self.width).step_by(self.width.div_ceil(SAMPLED_COLUMNS));
         let points = self.law_rows().flat_map(|row| columns().map(move |column| row * self.width + column));
@@ -102,8 +104,8 @@ impl Sample<'_, '_> {
             && self.is_constant(self.law_rows(), |row, column| (column, row), |p| p.y / p.z, columns(), scratch)
     }
 
-    /// Returns the number of pixel corners with a camera's orientation, and with the opposite one: the sign of the
-    /// determinant of three neighbouring rays, for any surface and noise.
+    /// Returns the number of pixel corners with a camera's orientation, and with the opposite orientation. The
+    /// orientation is the sign of the determinant of three neighbouring rays; it does not depend on surface or noise.
     pub(super) fn turns(&self) -> [u32; 2] {
         let mut turns = [0, 0];
         for row in self.law_rows().filter(|row| row + 1 < self.height) {
@@ -118,7 +120,8 @@ impl Sample<'_, '_> {
         turns
     }
 
-    /// Returns true if a tangent is the same along lines of pixels: all but a tenth of its extent over the lines.
+    /// Returns true if a tangent is constant along lines of pixels: its median spread within a line is at most
+    /// [`RAY_LAW_TOLERANCE`] of its extent over the lines.
     fn is_constant<L: Iterator<Item = usize>, P: Iterator<Item = usize> + Clone>(
         &self,
         lines: L,
@@ -137,7 +140,7 @@ impl Sample<'_, '_> {
                 self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
             }));
             tangents.sort_by(f64::total_cmp);
-            // A stray value at either end does not come from the camera.
+            // The extremes may be stray values.
             let cut = if tangents.len() >= 5 { 1 } else { 0 };
             if let [first, .., last] = tangents[cut..tangents.len() - cut] {
                 spreads.push(last - first);
@@ -149,8 +152,9 @@ impl Sample<'_, '_> {
         quantile(spreads, 0.5).is_none_or(|spread| spread <= RAY_LAW_TOLERANCE * extent)
     }
 
-    /// 1/fx of a camera: in a pinhole image X/Z grows by exactly that from a pixel to its right neighbour, whatever the
-    /// surface; the median of that difference over a sample of the rows.
+    /// Returns 1/fx of a camera: the median difference of X/Z between a pixel and its right neighbour over the
+    /// sampled rows. In a pinhole image, this difference is 1/fx for any surface. `None` without two valid
+    /// neighbours.
     pub(super) fn camera_pitch(&self, scratch: &mut GeometryScratch) -> Option<f64> {
         let pitches = &mut scratch.pitches;
         pitches.clear();
@@ -171,7 +175,7 @@ impl Sample<'_, '_> {
         quantile(pitches, 0.5)
     }
 
-    /// Collects pairs of points this many columns and rows apart, in the sampled rows.
+    /// Collects the pairs of points in the sampled rows that are `columns` and `rows` apart.
     pub(super) fn neighbours(&self, pairs: &mut Vec<NeighbourPair>, [columns, rows]: [usize; 2]) {
         pairs.clear();
         let lag = columns + rows;
@@ -209,14 +213,15 @@ pub(super) struct Extent {
     pub(super) centre: DVec3,
     /// Root mean square of the distance from the centre.
     pub(super) radius_m: f64,
-    /// Normal of the plane through the sampled points, upwards.
+    /// Normal of the plane through the sampled points, pointing upwards (+z).
     normal: DVec3,
 }
 
-/// Points farther from the middle than this many median distances are strays, or encode missing data.
+/// Maximum distance of a point from the middle of the cloud, in median distances. Points farther away are strays, or
+/// encode missing data.
 const MAX_MEDIAN_DISTANCES: f64 = 5.0;
-/// The origin is clearly on one side of a cloud if its distance from the cloud's plane exceeds this share of its
-/// distance from the middle.
+/// Ratio of the origin's distance from a cloud's plane to its distance from the cloud's centre above which the origin
+/// is clearly on one side of the cloud.
 const CLEARLY_BESIDE: f64 = 0.2;
 
 impl Extent {
@@ -228,7 +233,8 @@ impl Extent {
         Self::of(points)
     }
 
-    /// Computes the extent of some finite points, after removing stray ones.
+    /// Removes stray points and computes the extent of the others. The points must be finite. `None` without points,
+    /// or for a radius of 0.
     pub(super) fn of(points: &mut Vec<DVec3>) -> Option<Self> {
         let median_of = |points: &mut [DVec3], value: &dyn Fn(&DVec3) -> f64| {
             let middle = points.len() / 2;
@@ -259,8 +265,8 @@ impl Extent {
         to_place.dot(self.normal).abs() > CLEARLY_BESIDE * to_place.length()
     }
 
-    /// Places a sensor that looks along the cloud's normal: from the side of the origin if that is clear, otherwise
-    /// from above, and near enough that f32 keeps the coordinates.
+    /// Returns an assumed sensor pose 4 radii from the centre along the cloud's normal. It is on the origin's side if
+    /// the origin is clearly on one side, otherwise above. The distance is small enough for coordinates in f32.
     pub(super) fn sensor_beside(&self, origin: Option<DVec3>) -> RigidTransform {
         let to_origin = origin.map_or(DVec3::ZERO, |origin| origin - self.centre);
         let is_outside = to_origin.length() > self.radius_m;
@@ -270,7 +276,7 @@ impl Extent {
     }
 }
 
-/// ln of the ratio of the quantiles at 80 and 20 %.
+/// Returns ln of the ratio of the 80 % and 20 % quantiles; 0 without values.
 pub(super) fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values);
@@ -280,7 +286,7 @@ pub(super) fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) 
     }
 }
 
-/// Returns the value at a share of all values in order; `None` of none.
+/// Returns the quantile of the values at `share`, 0 to 1; `None` without values.
 pub(super) fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let at = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)

@@ -3,15 +3,15 @@
 use super::fit::{Edges, Fit, check, fit_setters};
 use crate::error::ParamError;
 
-/// About how many neighbours points of unorganized clouds have by default.
+/// Default number of neighbours of a point in an unorganized cloud.
 const NEIGHBOURS: u32 = 40;
 
 /// The radius of a neighbourhood in unorganized clouds (docs/method.md, sections 3 and 8).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum CloudRadius {
-    /// The radius within which evenly spread points would have this many neighbours, by the density around each point;
-    /// at most one and a half times the mean radius of its neighbours.
+    /// The radius within which evenly spread points would have this number of neighbours, by the density around each
+    /// point; at most one and a half times the mean radius of the point's neighbours.
     Neighbours {
         /// The number of neighbours, 6 to 1000.
         count: u32,
@@ -27,17 +27,17 @@ pub enum CloudRadius {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudParams {
-    /// How the surface is fitted.
+    /// Parameters of the fitted surface.
     pub fit: Fit,
-    /// The gate: points further away than this from a point are no neighbours.
+    /// The gate: points farther away than this are not neighbours.
     pub radius: CloudRadius,
-    /// Whether isolated points become holes: points with fewer than three neighbours, or a quarter of
-    /// [`CloudRadius::Neighbours`]. Otherwise they are unchanged.
+    /// Whether isolated points become holes instead of staying unchanged. A point is isolated if it has fewer than
+    /// three neighbours, or fewer than a quarter of [`CloudRadius::Neighbours`].
     pub remove_isolated: bool,
 }
 
 impl Default for CloudParams {
-    /// Degree 2, edges rounded, and about 40 neighbours by the density around each point.
+    /// Returns degree 2, rounded edges, and about 40 neighbours by the density around each point.
     fn default() -> Self {
         Self {
             fit: Fit { degree: 2, ..Fit::PAPER },

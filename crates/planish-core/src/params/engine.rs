@@ -1,4 +1,4 @@
-//! The parameters in the form that engines use: with resolved windows, and equal for both kinds of input.
+//! The parameters in the form that engines use: with a resolved window, and of one type for both kinds of input.
 
 use super::cloud::{CloudParams, CloudRadius};
 use super::fit::{Edges, Fit, Project};
@@ -32,7 +32,7 @@ pub(crate) struct EngineParams {
 }
 
 impl From<FrameParams> for EngineParams {
-    /// With the window's nominal size.
+    /// Converts frame parameters with the window's nominal size.
     fn from(params: FrameParams) -> Self {
         let WindowSize { half_width: window, stride } = params.window.nominal();
         let Fit { degree, bandwidth_m, ridge, edges } = params.fit;
@@ -112,19 +112,19 @@ impl EngineParams {
         self.sample_offset(self.window as usize)
     }
 
-    /// Returns the distance in cells to the planes that tell surfaces apart: a little more than the reach of a window,
-    /// so one of them is clear of an edge that the point itself is near to.
+    /// Returns the distance in cells to the planes that distinguish surfaces. It slightly exceeds the reach of a
+    /// window, so that one of the planes is clear of an edge close to the point.
     pub(crate) fn edge_shift(&self) -> usize {
         (13 * self.reach() + 6 * self.cell_px()) / 12
     }
 
-    /// Returns the half-width of the averaged blocks in pixels: blocks are as wide as the stride, or one pixel wider if
-    /// it is even.
+    /// Returns the half-width of the averaged blocks in pixels. Blocks are as wide as the stride, or one pixel wider
+    /// if the stride is even.
     pub(crate) fn block_half_px(&self) -> usize {
         self.stride as usize / 2
     }
 
-    /// Returns true if there is anything to average.
+    /// Returns true if samples are means of more than one pixel.
     pub(crate) fn averages_blocks(&self) -> bool {
         self.average_blocks && self.block_half_px() > 0
     }
@@ -136,7 +136,8 @@ impl EngineParams {
         side * side
     }
 
-    /// With fewer neighbours a point of an unorganized cloud is isolated (docs/method.md, section 8).
+    /// Returns the number of neighbours below which a point of an unorganized cloud is isolated (docs/method.md,
+    /// section 8).
     pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
         let Radius::Neighbours { count } = self.radius else { return 3 };
         let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);

@@ -1,4 +1,4 @@
-//! Parameters of the fit, shared by frames and clouds, and ranges of values.
+//! Parameters of the fit, shared by frames and clouds, and checks of ranges.
 
 use crate::error::ParamError;
 
@@ -6,11 +6,11 @@ use crate::error::ParamError;
 pub(super) const RIDGE: f32 = 2.5e-2;
 /// The ridge of [`Strength::LIGHT`](super::Strength::LIGHT).
 pub(super) const LIGHT_RIDGE: f32 = 1e-2;
-/// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: it leaves the plain
-/// polynomial as it is.
+/// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: small enough to leave
+/// the plain polynomial unchanged.
 pub(super) const SMALL_RIDGE: f32 = 1e-3;
 
-/// How the surface is fitted over the neighbours of a point, in frames and in clouds.
+/// Parameters of the surface that is fitted to the neighbours of a point, in frames and in clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Fit {
@@ -21,7 +21,7 @@ pub struct Fit {
     /// Ridge lambda of the polynomial fit (docs/method.md, section 6), 1e-3 to 100: damps slopes, curvatures and third
     /// derivatives. Small values keep the whole polynomial, large ones leave the plane.
     pub ridge: f32,
-    /// Whether creases and steps are kept.
+    /// Handling of creases and steps.
     pub edges: Edges,
 }
 
@@ -61,7 +61,7 @@ macro_rules! fit_setters {
             self
         }
 
-        /// Sets whether edges are kept.
+        /// Sets the handling of edges.
         pub const fn with_edges(mut self, edges: Edges) -> Self {
             self.fit.edges = edges;
             self
@@ -70,7 +70,7 @@ macro_rules! fit_setters {
 }
 pub(super) use fit_setters;
 
-/// How creases and steps are treated (docs/method.md, section 10).
+/// Handling of creases and steps (docs/method.md, section 10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Edges {
@@ -83,7 +83,7 @@ pub enum Edges {
 }
 
 impl Edges {
-    /// All choices by their names in settings.
+    /// All choices with their names in settings.
     pub const NAMED: [(&'static str, Self); 2] = [("off", Self::Off), ("robust", Self::Robust)];
 
     /// Returns the name in settings.
@@ -95,19 +95,19 @@ impl Edges {
     }
 }
 
-/// Along which line a point is moved onto the fitted surface (docs/method.md, section 7).
+/// Direction in which a point is moved onto the fitted surface (docs/method.md, section 7).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Project {
     /// Along the measuring ray, the direction of depth noise: points stay on the rays of their pixels. If the sensor
     /// position is unknown, along the normal.
     Ray,
-    /// Along the normal of its plane.
+    /// Along the normal of the point's plane.
     Normal,
 }
 
 impl Project {
-    /// All choices by their names in settings.
+    /// All choices with their names in settings.
     pub const NAMED: [(&'static str, Self); 2] = [("ray", Self::Ray), ("normal", Self::Normal)];
 }
 

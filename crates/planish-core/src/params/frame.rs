@@ -7,9 +7,9 @@ use crate::error::ParamError;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::sensor::SensorModel;
 
-/// The range at which sensors' noise is compared, in metres.
+/// Range at which the noise of sensors is compared, in metres.
 const TUNED_RANGE_M: f64 = 1.5;
-/// Noise below this at 1 m needs no wide windows: rounding to millimetres is as large.
+/// Noise at 1 m below which a sensor needs no wide windows, in metres: rounding to millimetres is as large.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
 /// The radius of a neighbourhood in frames (docs/method.md, section 3).
@@ -39,24 +39,24 @@ pub enum FrameRadius {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct FrameParams {
-    /// How the surface is fitted.
+    /// Parameters of the fitted surface.
     pub fit: Fit,
     /// The window of samples around each pixel.
     pub window: Window,
-    /// Whether every sample is the mean of its block of pixels, as wide as the stride or one pixel wider if that is
-    /// even, so that every pixel of the window contributes.
+    /// Whether every sample is the mean of a block of pixels, so that every pixel of the window contributes. Blocks
+    /// are as wide as the stride, or one pixel wider if the stride is even.
     pub average_blocks: bool,
-    /// The gate: samples further away than this from the point are no neighbours.
+    /// The gate: samples farther away than this from the point are not neighbours.
     pub radius: FrameRadius,
-    /// Whether points move along their rays or along normals.
+    /// Direction in which points move: along their rays or along normals.
     pub project: Project,
     /// Sensor noise model used by [`FrameRadius::Sensor`], [`Edges::Robust`] and block averaging.
     pub sensor: SensorModel,
 }
 
 impl Default for FrameParams {
-    /// [`FrameParams::for_sensor`] of a Kinect v1 and [`Strength::DEFAULT`]: on correlated Kinect noise this leaves a
-    /// fifth of the error, and less than half of what [`FrameParams::paper`] leaves.
+    /// Returns [`FrameParams::for_sensor`] for a Kinect v1 and [`Strength::DEFAULT`]. On correlated Kinect noise, a
+    /// fifth of the error remains, less than half of what [`FrameParams::paper`] leaves.
     fn default() -> Self {
         Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
     }
@@ -124,12 +124,12 @@ impl FrameParams {
         self.with_radius(FrameRadius::Fixed { radius_m })
     }
 
-    /// Sets whether points move along their rays or along normals.
+    /// Sets the direction in which points move: along their rays or along normals.
     pub const fn with_project(self, project: Project) -> Self {
         Self { project, ..self }
     }
 
-    /// Sets the sensor noise model, and nothing that [`for_sensor`](Self::for_sensor) derives from it.
+    /// Sets the sensor noise model without the values that [`for_sensor`](Self::for_sensor) derives from it.
     pub const fn with_sensor(self, sensor: SensorModel) -> Self {
         Self { sensor, ..self }
     }

@@ -1,4 +1,4 @@
-//! The parameters of either kind of input.
+//! The parameters of both kinds of input.
 
 use super::cloud::CloudParams;
 use super::frame::FrameParams;
@@ -7,9 +7,9 @@ use crate::error::ParamError;
 /// The parameters of a frame on a grid, or of an unorganized cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Params {
-    /// For frames on a grid.
+    /// Parameters for frames on a grid.
     Frame(FrameParams),
-    /// For unorganized clouds.
+    /// Parameters for unorganized clouds.
     Cloud(CloudParams),
 }
 

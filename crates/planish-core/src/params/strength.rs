@@ -19,7 +19,7 @@ use crate::error::ParamError;
 pub struct Strength(f32);
 
 impl Strength {
-    /// 0: windows of 15x15 pixels of a Kinect v1, for small things.
+    /// 0: windows of 15x15 pixels for a Kinect v1, for small objects.
     pub const LIGHT: Self = Self(0.0);
     /// 0.5: windows of 25x25 pixels.
     pub const DEFAULT: Self = Self(0.5);
@@ -40,23 +40,24 @@ impl Strength {
         self.0
     }
 
-    /// Returns the window for a sensor whose noise is this multiple of a Kinect v1's: the nearest of light, default and
-    /// strong.
+    /// Returns the window for a sensor whose noise is `noise` times a Kinect v1's, in four steps: light, a stride in
+    /// between, default and strong.
     pub(super) fn noisy_window(self, noise: f64) -> WindowSize {
         let (half_width, kinect_stride) = if self.0 < 0.75 { (2, 3.0 + 4.0 * self.0.min(0.5)) } else { (3, 4.0) };
-        // Light and default differ by two pixels of stride; the stride between them is a third step.
+        // Light and default differ by two pixels of stride; the stride between them is another step.
         let stride = f64::from(kinect_stride).round() * noise.cbrt();
         WindowSize { half_width, stride: (stride.round() as u32).clamp(1, 8) }
     }
 
-    /// Returns the window for a sensor without noise: half widths of 2, 5 and 7 pixels at 0, 0.5 and 1, and the whole
-    /// numbers between.
+    /// Returns the window for a sensor without noise: half widths of 2, 5 and 7 pixels at 0, 0.5 and 1, and whole
+    /// numbers in between.
     pub(super) fn exact_window(self) -> WindowSize {
         let half_px = if self.0 < 0.5 { 2.0 + 6.0 * self.0 } else { 3.0 + 4.0 * self.0 };
         WindowSize { half_width: half_px.round() as u32, stride: 1 }
     }
 
-    /// Returns the ridge for a sensor with noise: light's grows to the default's, which stays.
+    /// Returns the ridge for a sensor with noise. It grows from light's to the default's at 0.5, and is constant from
+    /// there.
     pub(super) fn noisy_ridge(self) -> f32 {
         LIGHT_RIDGE * (RIDGE / LIGHT_RIDGE).powf((2.0 * self.0).min(1.0))
     }

@@ -1,23 +1,23 @@
-//! Windows of pixels, and how they follow a frame's resolution.
+//! Windows of pixels, and their adaptation to a frame's resolution.
 
 use std::ops::RangeInclusive;
 
 use super::fit::check;
 use crate::error::ParamError;
 
-/// The focal length that strides are chosen for: a Kinect v1's, in pixels.
+/// Focal length in pixels for which strides are chosen: a Kinect v1's.
 const TUNED_FOCAL_LENGTH_PX: f64 = 525.0;
-/// Added before a stride is cut to a whole number: it is rounded up from 0.4 on, so that halves, of half the
-/// resolution, do not depend on an estimate's last digits.
+/// Offset added to a stride before truncation. Fractions from 0.4 are rounded up, so that halves, which occur at half
+/// the resolution, do not depend on an estimate's last digits.
 const ROUNDING: f64 = 0.6;
-/// The share of its reach in pixels that a window keeps on coarse pixels, as far as windows go.
+/// Minimum reach of a window on coarse pixels as a share of its nominal reach, both in pixels; limited by [`WIDEST`].
 const LEAST_REACH: f64 = 0.5;
-/// The widest window that is allowed.
+/// Maximum half-width of a window in samples.
 const WIDEST: u32 = 7;
-/// The strides that are allowed.
+/// Allowed strides in pixels.
 const STRIDES: RangeInclusive<u32> = 1..=8;
 
-/// The samples of a pixel: a square of (2k+1)² of them.
+/// The size of a window: a square of (2k+1)² samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WindowSize {
     /// Half width k in samples, 1 to 7.
@@ -44,11 +44,11 @@ impl WindowSize {
         check("stride", self.stride, STRIDES, "1 to 8")
     }
 
-    /// Returns the size for a pixel pitch in metres at 1 m. Strides are tuned for a Kinect v1, whose pixels span 1/525
-    /// of the range. Coarser pixels shorten the stride in proportion, down to 1, so that a window covers a similar area
-    /// of the scene. (At 160x120 the default's windows would otherwise reach over whole objects and mix them.) If that
-    /// leaves less than half of the reach in pixels, windows get wider, since noise is averaged over pixels. Finer
-    /// pixels change nothing.
+    /// Returns the size for a pixel pitch in metres at 1 m. Strides are tuned for a Kinect v1, whose pixels span
+    /// 1/525 of the range. Coarser pixels shorten the stride in proportion, down to 1, so that a window covers a
+    /// similar area of the scene. (Otherwise the default windows would reach over whole objects at 160x120, and mix
+    /// them.) If the window then keeps less than half of its reach in pixels, it gets wider, since noise is averaged
+    /// over pixels. Finer pixels do not change the size.
     fn at_pitch(self, pitch_at_1m: f64) -> Self {
         if !STRIDES.contains(&self.stride) {
             return self;
@@ -66,10 +66,10 @@ impl WindowSize {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Window {
-    /// Follows the resolution of the frames: this size for pixels as fine as a Kinect v1's or finer, shorter strides
-    /// for coarser ones. A smoother decides by its first frame with a known resolution.
+    /// A size that follows the resolution of the frames: this size for pixels at least as fine as a Kinect v1's,
+    /// shorter strides for coarser pixels. A smoother decides by its first frame with a known resolution.
     Auto(WindowSize),
-    /// This size for every frame.
+    /// The same size for every frame.
     Fixed(WindowSize),
 }
 
@@ -81,12 +81,12 @@ impl Window {
         }
     }
 
-    /// Returns whether the size follows the resolution.
+    /// Returns true if the size follows the resolution.
     pub const fn is_auto(self) -> bool {
         matches!(self, Self::Auto(_))
     }
 
-    /// Returns the size for pixels of this pitch, in metres at 1 m.
+    /// Returns the size for pixels with this pitch, in metres at 1 m.
     pub(crate) fn at_pitch(self, pitch_at_1m: f64) -> WindowSize {
         match self {
             Self::Auto(size) => size.at_pitch(pitch_at_1m),

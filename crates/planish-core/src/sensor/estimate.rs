@@ -1,27 +1,29 @@
-//! A sensor model from one frame of the sensor.
+//! Estimation of a sensor model from one frame of the sensor.
 
 use super::{NOISE_IN_STEPS, SensorModel};
 use crate::cloud::OrganizedCloud;
 use crate::frame::{Frame, PointsView, RangeRule};
 
-/// Pixels between the three depths of a second difference: far enough that noise is hardly correlated, near enough that
-/// most surfaces are straight.
+/// Distance in pixels between the three depths of a second difference: far enough that noise is hardly correlated,
+/// near enough that most surfaces are straight.
 const LAG_PX: usize = 4;
-/// Second differences beyond this quantile are attributed to edges.
+/// Quantile of the second differences above which they are attributed to edges.
 const STRAIGHT_SHARE: f64 = 0.75;
-/// The mean of the others, of independent normal noise, is this many of its deviations: 0.515 sqrt(6). (Their median
-/// would jump from one whole depth step to the next.)
+/// Mean of the second differences below [`STRAIGHT_SHARE`] for independent normal noise, in standard deviations of
+/// the noise: 0.515 sqrt(6). (Their median would jump from one whole depth step to the next.)
 const MEAN_DEVIATIONS: f64 = 1.262;
 /// Minimum number of second differences in a frame, and in an interval of its ranges.
 const MIN_SAMPLES: usize = 1000;
-/// Ranges are cut into intervals by this ratio.
+/// Ratio of the bounds of an interval of ranges.
 const INTERVAL_RATIO: f64 = 1.25;
-/// A polynomial of two coefficients needs ranges that differ by this factor, and one of three by its square.
+/// Minimum ratio of the farthest to the nearest range for a polynomial other than c2 z² alone; squared for three
+/// coefficients.
 const RATIO_PER_COEFFICIENT: f64 = 1.8;
-/// How much better, in squared relative residuals, a polynomial of one coefficient more must fit to be taken.
+/// Maximum ratio of the squared relative residuals at which a polynomial with more coefficients is preferred.
 const WORTHWHILE: f64 = 0.5;
-/// More noise, or larger steps, than this at 1 m are no sensor's.
+/// Maximum of each coefficient of a sensor's noise, in metres at 1 m.
 const MAX_SIGMA_M: f64 = 0.1;
+/// Maximum of each coefficient of a sensor's depth step, in metres at 1 m.
 const MAX_STEP_M: f64 = 0.2;
 
 /// Measurements in one interval of ranges.
@@ -32,8 +34,9 @@ struct Interval {
 }
 
 impl SensorModel {
-    /// Estimates the model from a frame: the step from the gaps between the ranges that occur, the noise from how much
-    /// ranges in a row deviate from a straight line. `None` where too little is seen, or ranges are unknown.
+    /// Estimates the model from a frame: the step from the gaps between distinct ranges, the noise from the
+    /// deviations of ranges in a row from a straight line. `None` if the frame has too few ranges, or they are
+    /// unknown.
     ///
     /// Both are robust means over intervals of the range. The number of coefficients depends on the spread of ranges: a
     /// single surface at 1 m cannot show how noise grows with range, and gets the z² law. In a scene of foliage,
@@ -42,8 +45,7 @@ impl SensorModel {
         Self::estimate_from(Frame::Points(PointsView::from_organized(cloud).ok()?))
     }
 
-    /// Estimates the model from a view of a frame, as [`estimate`](Self::estimate) does; nothing is copied but the
-    /// ranges.
+    /// Same as [`estimate`](Self::estimate), for a view of a frame; only the ranges are copied.
     pub fn estimate_from(frame: Frame<'_>) -> Option<Self> {
         let (width, _) = frame.grid()?;
         let ranges = match frame {
@@ -88,7 +90,7 @@ impl SensorModel {
     }
 }
 
-/// The one of two polynomials that is larger at the median range.
+/// Returns the polynomial that is larger at the median range of the samples.
 fn larger(a: [f64; 3], b: [f64; 3], samples: &[(f64, f64)]) -> [f64; 3] {
     let range_m = median(&mut samples.iter().map(|&(range_m, _)| range_m).collect::<Vec<_>>());
     let at = |[c0, c1, c2]: [f64; 3]| c0 + range_m * (c1 + range_m * c2);
@@ -104,7 +106,7 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     }
     let measure = |samples: &[(f64, f64)]| {
         let range_m = median(&mut samples.iter().map(|&(range_m, _)| range_m).collect::<Vec<_>>());
-        // As a share of the square, so that ranges within the interval weigh alike.
+        // Relative to the squared range, so that ranges within the interval weigh alike.
         let shares = samples.iter().map(|&(range_m, value_m)| value_m / (range_m * range_m));
         let share = typical(&mut shares.collect::<Vec<_>>());
         Interval { range_m, value_m: share * range_m * range_m, weight: (samples.len() as f64).sqrt() }
@@ -114,8 +116,8 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     if found.is_empty() && !samples.is_empty() { vec![measure(samples)] } else { found }
 }
 
-/// Returns the polynomial with the fewest coefficients that fits the intervals, none below zero: c2 alone, then with
-/// c0, then all.
+/// Returns the polynomial with the fewest coefficients that fits the intervals, none of them negative. It tries c2
+/// alone, c1 alone, c0 alone, pairs, and all three.
 fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     let nearest = intervals.iter().map(|i| i.range_m).fold(f64::INFINITY, f64::min);
     let farthest = intervals.iter().map(|i| i.range_m).fold(0.0, f64::max);
@@ -123,7 +125,7 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     for powers in [&[2][..], &[1], &[0], &[0, 2], &[0, 1], &[1, 2], &[0, 1, 2]] {
         let needs = RATIO_PER_COEFFICIENT.powi(powers.len() as i32 - 1);
         let spread_suffices = farthest >= needs * nearest && intervals.len() > powers.len();
-        // Without spread the law of triangulation is taken.
+        // Without enough spread, the law of triangulation is used.
         if powers != [2] && !(spread_suffices && farthest >= RATIO_PER_COEFFICIENT * nearest) {
             continue;
         }
@@ -139,8 +141,8 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     Some(coefficients.map(|c| c.min(max_at_1m)))
 }
 
-/// Least squares of relative residuals over the monomials z^powers; `None` if a coefficient is negative or
-/// undetermined.
+/// Fits the monomials z^powers by least squares of relative residuals. Returns the coefficients and the residual;
+/// `None` if a coefficient is negative or undetermined.
 fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f64)> {
     let n = powers.len();
     let mut matrix = vec![vec![0.0; n + 1]; n];
@@ -150,7 +152,7 @@ fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f6
         .map(|i| (powers.iter().map(|&power| i.range_m.powi(power) / i.value_m).collect(), i.weight))
         .collect();
     if scaled.is_empty() {
-        // Every value is zero: so is the polynomial.
+        // All values are zero, so the polynomial is zero.
         return Some(([0.0; 3], 0.0));
     }
     for (terms, weight) in &scaled {
@@ -187,7 +189,7 @@ fn least_squares(intervals: &[Interval], powers: &[i32]) -> Option<([f64; 3], f6
     Some((coefficients, residual))
 }
 
-/// Returns the mean of all but the largest.
+/// Returns the mean of the values up to the quantile [`STRAIGHT_SHARE`].
 fn lower_mean(values: &mut [f64]) -> f64 {
     let count = ((values.len() as f64 * STRAIGHT_SHARE) as usize).clamp(1, values.len());
     let (lower, last, _) = values.select_nth_unstable_by(count - 1, f64::total_cmp);

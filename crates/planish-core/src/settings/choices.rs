@@ -1,12 +1,12 @@
-//! Values of settings that have names.
+//! Named values of settings.
 
 use crate::sensor::SensorModel;
 
-/// A named setting of all parameters; single values override it.
+/// A named set of all parameters; individual settings override it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Preset {
-    /// [`crate::Strength::LIGHT`], for small things.
+    /// [`crate::Strength::LIGHT`], for small objects.
     Light,
     /// [`crate::Strength::DEFAULT`], recommended.
     #[default]
@@ -18,7 +18,7 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All presets by their names.
+    /// All presets with their names.
     pub const NAMED: [(&'static str, Self); 4] =
         [("light", Self::Light), ("default", Self::Default), ("strong", Self::Strong), ("paper", Self::Paper)];
 }
@@ -29,7 +29,7 @@ impl Preset {
 pub enum SensorChoice {
     /// Estimated from the first frame.
     Auto,
-    /// This one.
+    /// A known sensor model.
     Known(SensorModel),
 }
 
@@ -37,13 +37,13 @@ pub enum SensorChoice {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum RadiusChoice {
-    /// Growing with distance as the sensor's noise does; for frames on a grid.
+    /// A radius that grows with distance like the sensor's noise; for frames on a grid.
     Sensor,
     /// One radius for every point, in metres.
     Metres(f32),
 }
 
-/// Whether the grid of a frame that lost it is rebuilt.
+/// Reconstruction of the pixel grid that a frame lost as an unorganized cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum GridChoice {
@@ -55,15 +55,15 @@ pub enum GridChoice {
 }
 
 impl GridChoice {
-    /// All choices by their names.
+    /// All choices with their names.
     pub const NAMED: [(&'static str, Self); 2] = [("auto", Self::Auto), ("off", Self::Off)];
 }
 
-/// Whether the frames of a video are smoothed over time.
+/// Smoothing over time of the frames of a video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum TemporalChoice {
-    /// Every frame on its own.
+    /// No smoothing over time: each frame on its own.
     #[default]
     Off,
     /// [`crate::TemporalParams::STEADY`]: for a camera at rest.
@@ -71,6 +71,6 @@ pub enum TemporalChoice {
 }
 
 impl TemporalChoice {
-    /// All choices by their names.
+    /// All choices with their names.
     pub const NAMED: [(&'static str, Self); 2] = [("off", Self::Off), ("steady", Self::Steady)];
 }

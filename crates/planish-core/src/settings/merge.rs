@@ -1,13 +1,13 @@
-//! Settings over settings: options over a file.
+//! Merging of settings, such as options over those of a file.
 
 use super::{Settings, TemporalChoice};
 use crate::engines::Engine;
 use crate::threads::ONE_THREAD;
 
 impl Settings {
-    /// Overrides settings with everything that `over` sets. Contradicted settings are dropped: a strength under a
-    /// preset, neighbours under a radius, an adapter under an engine other than the GPU, an engine and an adapter under
-    /// devices, and the reverse.
+    /// Overrides these settings with everything that `over` sets, and drops settings that contradict `over`. Mutually
+    /// exclusive are strength and preset, neighbours and radius, and devices and an engine or adapter. An engine
+    /// other than the GPU drops the adapter, and `temporal=off` drops `track`.
     ///
     /// ```
     /// let mut settings: planish::Settings = "strength=0.3 engine=gpu adapter=0".parse()?;
@@ -32,7 +32,7 @@ impl Settings {
         if over.engine.is_some_and(|engine| engine != Engine::Gpu) {
             self.adapter = None;
         }
-        // Every field is named, so none is forgotten when one is added.
+        // Every field is named, so the compiler reports a field that is missing here.
         let Self {
             preset,
             strength,

@@ -1,8 +1,8 @@
-//! A user's choices as data. Here presets, sensors and overrides become parameters.
+//! The user's settings as data, and their resolution into parameters.
 //!
-//! The command, Python, the ROS node, the browser and the experiments fill in a [`Settings`] and nothing else; the same
-//! JSON or YAML works in each. [`Settings::set`] is the only way in for values by name, so a field has one spelling,
-//! one range and one error everywhere.
+//! Every front end (command line, Python, ROS node, browser, experiments) only fills in a [`Settings`], so the same
+//! JSON or YAML works in each. Values by name are set only through [`Settings::set`], so a field has the same name,
+//! range and error everywhere.
 
 mod choices;
 mod merge;
@@ -32,7 +32,7 @@ pub use choices::{GridChoice, Preset, RadiusChoice, SensorChoice, TemporalChoice
 pub use value::SettingValue;
 use value::quoted;
 
-/// A user's choices. A field that is `None` takes the value of the preset.
+/// The user's settings. A field that is `None` takes the value of the preset.
 ///
 /// ```
 /// use planish::{Camera, DepthFrame, IntoFrame, Params, Settings};
@@ -51,23 +51,23 @@ use value::quoted;
 pub struct Settings {
     /// A named setting, which the other fields override.
     pub preset: Option<Preset>,
-    /// How much to smooth, 0 (light) to 1 (strong), instead of a preset.
+    /// Strength of smoothing, 0 (light) to 1 (strong), instead of a preset.
     pub strength: Option<f32>,
     /// The sensor that took the frames [default: Kinect v1].
     pub sensor: Option<SensorChoice>,
     /// Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or
     /// number of neighbours].
     pub edges: Option<Edges>,
-    /// Whether pixels that float between two surfaces become holes first [default: no].
+    /// Whether pixels that float between two surfaces become holes before smoothing [default: no].
     pub remove_floating: Option<bool>,
-    /// Pixels of a frame that are nearer become holes first, in metres.
+    /// Minimum range of a frame's pixels in metres; nearer pixels become holes before smoothing.
     pub min_range_m: Option<f32>,
-    /// Pixels of a frame that are farther become holes first, in metres.
+    /// Maximum range of a frame's pixels in metres; farther pixels become holes before smoothing.
     pub max_range_m: Option<f32>,
-    /// Side of the blocks of pixels that become one pixel each before smoothing, 2 to 8.
+    /// Side in pixels of the blocks that become one pixel each before smoothing, 2 to 8.
     pub decimate: Option<u32>,
-    /// Holes up to this many pixels wide are filled with the surface around them, and flagged, 1 to 64 [default: none].
-    /// Frames of a camera only.
+    /// Maximum width in pixels of holes that are filled with the surface around them, and flagged, 1 to 64 [default:
+    /// none]. Frames of a camera only.
     pub fill: Option<u32>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
     pub remove_isolated: Option<bool>,
@@ -79,23 +79,24 @@ pub struct Settings {
     pub average_blocks: Option<bool>,
     /// The radius of a neighbourhood.
     pub radius: Option<RadiusChoice>,
-    /// For unorganized clouds, instead of a radius: neighbours of a point, 6 to 1000 [default: chosen by the cloud's
-    /// noise and shape].
+    /// Number of neighbours of a point in an unorganized cloud, 6 to 1000, instead of a radius [default: chosen by
+    /// the cloud's noise and shape].
     pub neighbours: Option<u32>,
-    /// For unorganized clouds: 2 adds a first pass with 20 neighbours, which helps where the noise exceeds half the
-    /// spacing of the points [default: chosen from the noise; 1 with a given radius or number of neighbours].
+    /// Number of passes over an unorganized cloud, 1 or 2. The first of two passes has 20 neighbours, which helps if
+    /// the noise exceeds half the spacing of the points [default: chosen from the noise; 1 with a given radius or
+    /// number of neighbours].
     pub passes: Option<u32>,
-    /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto].
+    /// Reconstruction of the pixel grid that a frame lost as an unorganized cloud [default: auto].
     pub grid: Option<GridChoice>,
-    /// For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, up to 1.5
-    /// standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
+    /// Whether the points of an unorganized cloud move along the smoothed surface until they are evenly spaced, by up
+    /// to 1.5 standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
     /// WebAssembly. Normals and curvature are not computed again.
     pub even: Option<bool>,
     /// Smoothing over time for the video of one camera, in the order in which a session gets the frames [default: off].
     /// The camera is stationary, or its motion is tracked or given. Not for unorganized clouds, rigs or WebAssembly.
     pub temporal: Option<TemporalChoice>,
-    /// With smoothing over time, which it switches on: whether the motion of the camera is estimated from frame to
-    /// frame and compensated [default: no]. Needs the camera's intrinsics, given or shown by organized points.
+    /// Whether the motion of the camera is estimated from frame to frame and compensated [default: no]. Enables
+    /// smoothing over time. Needs the camera's intrinsics, which are given or follow from organized points.
     pub track: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -103,13 +104,14 @@ pub struct Settings {
     pub bandwidth_m: Option<f32>,
     /// Ridge of the fit, 1e-3 to 100.
     pub ridge: Option<f32>,
-    /// Along which line points move; frames only.
+    /// Direction in which points move; frames only.
     pub project: Option<Project>,
     /// The engine [default: auto].
     pub engine: Option<Engine>,
     /// The GPU by index or part of its name; needs the engine gpu [default: the first real GPU].
     pub adapter: Option<String>,
-    /// Several devices, separated by commas: `all`, or indices or parts of names of GPUs, and `cpu`.
+    /// Several devices, as a comma-separated list of `all` (every real GPU), `cpu`, and GPUs by index or part of
+    /// their name.
     pub devices: Option<String>,
     /// Threads of the CPU engines [default: one per core].
     pub threads: Option<usize>,
@@ -123,9 +125,9 @@ pub struct Settings {
 pub struct Resolved {
     /// The parameters.
     pub params: Params,
-    /// The sensor whose noise the steps before smoothing need, if there are any ([`Settings::preparation`]).
+    /// The sensor whose noise the steps before smoothing use ([`Settings::preparation`]); `None` without such steps.
     pub preparation_sensor: Option<SensorModel>,
-    /// The parameters of a first pass over an unorganized cloud, if there is one.
+    /// The parameters of the first of two passes over an unorganized cloud; `None` for a single pass.
     pub first_pass: Option<CloudParams>,
     /// The estimate for an unorganized cloud, if it decides the number of neighbours.
     pub cloud_estimate: Option<CloudEstimate>,
@@ -133,7 +135,7 @@ pub struct Resolved {
     pub unused: Vec<&'static str>,
 }
 
-/// The settings whose values are one of some names.
+/// Allowed values of the field `sensor`.
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
 const OUTPUTS: &str = if ONE_THREAD {
@@ -153,7 +155,7 @@ const FIELDS: &str = if ONE_THREAD {
 };
 
 impl Settings {
-    /// The names of all fields, as [`set`](Self::set) and files take them.
+    /// The names of all fields in [`set`](Self::set) and in files.
     pub const NAMES: [&'static str; 29] = [
         "preset",
         "strength",
@@ -186,11 +188,11 @@ impl Settings {
         "outputs",
     ];
 
-    /// Sets the field of a name; `radius` and `bandwidth` are accepted for `radius_m` and `bandwidth_m`. A value of
+    /// Sets a field by its name; `radius` and `bandwidth` are accepted for `radius_m` and `bandwidth_m`. A value of
     /// [`SettingValue::None`] clears the field.
     ///
     /// # Errors
-    /// If the name is unknown or the value invalid. Ranges of single numbers are checked here too.
+    /// If the name is unknown, or the value is invalid or outside its range.
     pub fn set(&mut self, name: &str, value: impl Into<SettingValue>) -> Result<(), ParamError> {
         let value = value.into();
         match name {
@@ -306,26 +308,27 @@ impl Settings {
         }
     }
 
-    /// Returns whether the number of neighbours in an unorganized cloud is left to planish.
+    /// Returns true if planish chooses the number of neighbours in unorganized clouds.
     pub fn chooses_neighbours(&self) -> bool {
         self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
     }
 
-    /// Returns whether the grid of a frame that lost it is rebuilt: not with `grid=off`, a radius, a number of
-    /// neighbours or passes, or the paper preset, nor where points are to be removed or spaced evenly.
+    /// Returns true if the pixel grid that a frame lost as an unorganized cloud is reconstructed. It is not
+    /// reconstructed with `grid=off`, a radius, a number of neighbours or passes, the paper preset or `fill`, or if
+    /// points are to be removed or spaced evenly.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
         let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly() || self.fill.is_some();
         self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
     }
 
-    /// Returns whether the points of unorganized clouds are spaced evenly.
+    /// Returns true if the points of unorganized clouds are spaced evenly.
     pub fn spaces_evenly(&self) -> bool {
         // WebAssembly leaves it out, and `validate` refuses it there.
         self.even == Some(true) && !ONE_THREAD
     }
 
-    /// Returns whether a sensor is to be estimated from a frame.
+    /// Returns true if the sensor is estimated from a frame.
     pub fn estimates_sensor(&self) -> bool {
         self.sensor == Some(SensorChoice::Auto)
     }
@@ -340,7 +343,8 @@ impl Settings {
         }
     }
 
-    /// Returns whether results may have values that were not measured in their frame: filled, or carried over time.
+    /// Returns true if results may have values that were not measured in their frame, because they are filled or
+    /// carried over time.
     pub fn flags_origins(&self) -> bool {
         !ONE_THREAD && (self.fill.is_some() || self.temporal_params().is_some())
     }
@@ -359,12 +363,12 @@ impl Settings {
         self.engine.unwrap_or_default()
     }
 
-    /// Returns how a smoother is opened with these settings.
+    /// Returns the options of a smoother with these settings.
     pub fn options(&self) -> SmootherOptions {
         self.override_options(SmootherOptions::default())
     }
 
-    /// Returns options with these settings in place of theirs.
+    /// Returns `options`, overridden by these settings.
     pub fn override_options(&self, options: SmootherOptions) -> SmootherOptions {
         let gpu = match &self.adapter {
             Some(adapter) => GpuOptions { adapter: Some(adapter.clone()), ..options.gpu.clone() },
@@ -379,10 +383,10 @@ impl Settings {
         }
     }
 
-    /// Returns the devices that frames are dealt to; none for the one of the engine.
+    /// Returns the devices that share the frames; empty for the single device of the engine.
     ///
     /// # Errors
-    /// If a device is not there, or named twice.
+    /// If settings contradict each other, or a device is missing or named twice.
     pub fn devices(&self) -> Result<Vec<FleetDevice>, crate::Error> {
         self.validate()?;
         match &self.devices {
@@ -399,8 +403,8 @@ impl Settings {
 impl FromStr for Settings {
     type Err = ParamError;
 
-    /// Reads `name=value` pairs separated by spaces, commas or line ends, as in `preset=strong edges=off`. Lists are
-    /// separated by `+`: `outputs=points+normals`.
+    /// Reads `name=value` pairs separated by spaces, commas or line ends, as in `preset=strong edges=off`. The items
+    /// of a list are separated by `+`: `outputs=points+normals`.
     fn from_str(text: &str) -> Result<Self, ParamError> {
         let mut settings = Self::default();
         for pair in text.split([' ', ',', '\n', '\t', '\r']).filter(|pair| !pair.is_empty()) {
@@ -428,7 +432,7 @@ fn sensor_of(value: SettingValue) -> Result<Option<SensorChoice>, ParamError> {
     }
 }
 
-/// YAML and ROS read the word `off` as a truth value.
+/// Reads the edge handling. YAML and ROS read the word `off` as a boolean.
 fn edges_of(value: &SettingValue) -> Result<Option<Edges>, ParamError> {
     match value {
         SettingValue::Bool(true) => Ok(Some(Edges::Robust)),

@@ -1,4 +1,4 @@
-//! Parameters of settings, for a frame, for a sensor, or for clouds.
+//! Resolution of settings into parameters, for a frame, for a sensor, or for clouds.
 
 use super::{Preset, RadiusChoice, Resolved, Settings};
 use crate::cpu::{CloudEstimate, Decided};
@@ -10,9 +10,9 @@ use crate::sensor::SensorModel;
 use crate::threads::{ONE_THREAD, Threads};
 
 impl Settings {
-    /// Returns the parameters for the kind of a frame: on a grid, or an unorganized cloud. A sensor is estimated from
-    /// the frame if the settings ask for it. The number of neighbours is estimated from the cloud if they do not give
-    /// it, and with it whether edges are kept and whether there is a first pass.
+    /// Resolves the settings for the kind of a frame: on a grid, or an unorganized cloud. The sensor is estimated
+    /// from the frame if requested. If the settings give no number of neighbours, it is estimated from the cloud,
+    /// together with the edge handling and the need for a first pass.
     ///
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
@@ -20,7 +20,7 @@ impl Settings {
         self.resolve_on(frame, self.threads)
     }
 
-    /// As [`resolve`](Self::resolve), with as many threads for an estimate.
+    /// Same as [`resolve`](Self::resolve), with this number of threads for the estimate.
     pub(crate) fn resolve_on(&self, frame: Frame<'_>, threads: Option<usize>) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
@@ -50,7 +50,7 @@ impl Settings {
         Ok(Resolved { params, preparation_sensor, first_pass: None, cloud_estimate: None, unused })
     }
 
-    /// Returns the parameters for frames of the sensor that is named, where no frame is at hand.
+    /// Returns the parameters for frames of the named sensor, without a frame.
     ///
     /// # Errors
     /// If settings contradict each other, or the sensor is to be estimated.
@@ -64,20 +64,20 @@ impl Settings {
         self.checked_frame_params(sensor)
     }
 
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, where no cloud is at
-    /// hand.
+    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, without a cloud to
+    /// estimate from.
     ///
     /// # Errors
-    /// If settings contradict each other, or ask for something that clouds do not have.
+    /// If settings contradict each other, or apply only to frames on a grid.
     pub fn cloud_params(&self) -> Result<CloudParams, ParamError> {
         self.cloud_params_by(None)
     }
 
-    /// Returns the parameters for a cloud that was estimated to be like this. Light has half as many neighbours as the
-    /// estimate says, strong twice as many.
+    /// Returns the parameters for a cloud with this estimate. Light takes half of the estimated number of neighbours,
+    /// strong twice the number.
     ///
     /// # Errors
-    /// As [`cloud_params`](Self::cloud_params).
+    /// Same as [`cloud_params`](Self::cloud_params).
     pub fn cloud_params_by(&self, estimate: Option<CloudEstimate>) -> Result<CloudParams, ParamError> {
         self.validate()?;
         self.check_for_clouds()?;
@@ -103,10 +103,10 @@ impl Settings {
         neighbours.map(|count| CloudParams::default().with_neighbours(count))
     }
 
-    /// Returns the parameters of a cloud with these settings instead of its preset's.
+    /// Returns `preset`, overridden by these settings.
     ///
     /// # Errors
-    /// As [`cloud_params`](Self::cloud_params).
+    /// Same as [`cloud_params`](Self::cloud_params).
     pub fn override_cloud(&self, preset: CloudParams) -> Result<CloudParams, ParamError> {
         self.cloud_params()?;
         Ok(self.overridden_cloud(preset))
@@ -167,7 +167,7 @@ impl Settings {
         Ok(params)
     }
 
-    /// The given strength, or the preset's; `None` for the paper's.
+    /// Returns the given strength, or the preset's; `None` for the paper preset.
     fn any_strength(&self) -> Result<Option<Strength>, ParamError> {
         Ok(match (self.given_strength()?, self.preset) {
             (Some(strength), _) => Some(strength),

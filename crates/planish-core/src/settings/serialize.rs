@@ -1,4 +1,4 @@
-//! Settings as JSON or YAML: an object of the fields that are given.
+//! Serialization of settings as JSON or YAML: an object of the given fields.
 
 use crate::threads::ONE_THREAD;
 use std::fmt;
@@ -90,7 +90,7 @@ impl<'de> Deserialize<'de> for Settings {
                 f.write_str("an object of settings, such as {\"preset\": \"strong\"}")
             }
 
-            /// Returns an empty file.
+            /// Returns the default settings for an empty file.
             fn visit_unit<E>(self) -> Result<Settings, E> {
                 Ok(Settings::default())
             }

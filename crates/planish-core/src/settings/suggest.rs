@@ -1,9 +1,9 @@
 //! Suggestions for misspelt names.
 
-/// Edits up to which a name counts as misspelt.
+/// Maximum number of edits between a misspelt name and the intended one.
 const MAX_EDITS: usize = 2;
 
-/// Returns the name that `given` is most likely meant to be, if one is close.
+/// Returns the name that `given` is most likely meant to be; `None` if no name is close.
 pub(super) fn closest<'a>(given: &str, names: &[&'a str]) -> Option<&'a str> {
     let by_distance = names.iter().map(|name| (edits(given, name), *name));
     by_distance.min().filter(|(edits, name)| *edits <= MAX_EDITS && 2 * edits < name.len()).map(|(_, name)| name)

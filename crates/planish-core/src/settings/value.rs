@@ -1,21 +1,21 @@
-//! Values of settings as front ends have them: options, keyword arguments, parameters of ROS, JSON.
+//! Values of settings as front ends receive them: options, keyword arguments, ROS parameters, JSON.
 
 use crate::error::ParamError;
 use crate::sensor::SensorModel;
 
-/// A value of a setting, of whatever type the front end has.
+/// A value of a setting, in the type that the front end provides.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SettingValue {
     /// Not given.
     None,
-    /// A truth value.
+    /// A boolean.
     Bool(bool),
     /// A number.
     Number(f64),
-    /// A text; numbers and truth values are read from it.
+    /// A string, from which numbers and booleans can be read.
     Text(String),
-    /// Several texts.
+    /// A list of strings.
     List(Vec<String>),
     /// An unnamed sensor.
     Sensor(SensorModel),
@@ -34,7 +34,7 @@ impl From<f64> for SettingValue {
 }
 
 impl From<f32> for SettingValue {
-    /// By its shortest decimal form, so that 0.03 stays 0.03.
+    /// Converts a number to its shortest decimal form, so that 0.03 stays 0.03.
     fn from(value: f32) -> Self {
         Self::Text(value.to_string())
     }
@@ -70,7 +70,7 @@ impl<T: Into<Self>> From<Option<T>> for SettingValue {
     }
 }
 
-/// Returns the beginning of a text for an error message.
+/// Returns the beginning of a text, for an error message.
 fn beginning(text: &str) -> String {
     const MOST_LETTERS: usize = 60;
     match text.char_indices().nth(MOST_LETTERS) {

@@ -6,19 +6,19 @@ use crate::temporal::TemporalParams;
 use crate::threads::ONE_THREAD;
 
 impl Settings {
-    /// Returns how the frames of a video are smoothed over time; `None` if they are not.
+    /// Returns the parameters of smoothing over time; `None` if it is off.
     pub fn temporal_params(&self) -> Option<TemporalParams> {
         // WebAssembly leaves it out, and `validate` refuses it there.
         let is_steady = self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera();
         (is_steady && !ONE_THREAD).then_some(TemporalParams::STEADY)
     }
 
-    /// Returns whether the motion of the camera is estimated from frame to frame.
+    /// Returns true if the motion of the camera is estimated from frame to frame.
     pub fn tracks_camera(&self) -> bool {
         self.track == Some(true)
     }
 
-    /// Rejects smoothing over time, for inputs other than frames of a camera in order.
+    /// Refuses smoothing over time, for inputs other than a camera's frames in order.
     ///
     /// # Errors
     /// If `temporal` is `steady`, or `track` is set.

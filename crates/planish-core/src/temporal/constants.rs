@@ -1,89 +1,102 @@
-//! The constants of the filter, for the CPU and for the GPU, whose shaders have them by the same names.
+//! The constants of the filter over time, on the CPU and in the GPU's shaders, which use the same names.
 
 // Pixels (rows.rs).
 
-/// Beyond this, the inverse of depth leaves f32.
+/// Depth in metres from which a value is a hole, since computations with its inverse would leave the range of f32.
 pub(crate) const MOST_DEPTH_M: f32 = 1e18;
-/// Noise below this share of a value is below what f32 resolves.
+/// Minimum noise relative to the value: about the resolution of f32.
 pub(crate) const LEAST_NOISE: f32 = 1e-6;
-/// Changes are limited to this many sigmas in means over 5x5 pixels, and over tiles.
+/// Limit of the changes in means over 5x5 pixels, in sigmas.
 pub(crate) const CLIP: f32 = 8.0;
+/// Limit of the changes in means over tiles, in sigmas.
 pub(crate) const CLIP_OF_TILE: f32 = 4.0;
-/// A pixel whose change exceeds this many deviations may show a new surface.
+/// Change above which a pixel may show a new surface, in deviations.
 pub(crate) const CANDIDATE: f32 = 4.0;
-/// Deviations are at least this when single pixels are compared, in sigmas.
+/// Minimum deviation in comparisons of single pixels, in sigmas.
 pub(crate) const LEAST_DEVIATION: f32 = 0.7;
-/// A supported candidate whose change exceeds this many deviations is a new surface at once. Real noise exceeds
-/// [`CANDIDATE`] now and then, for one frame.
+/// Change above which a supported candidate is a new surface at once, in deviations. Real noise occasionally exceeds
+/// [`CANDIDATE`] for one frame.
 pub(crate) const AT_ONCE: f32 = 5.0;
-/// Support in 3x3 pixels, itself included, that a candidate above [`AT_ONCE`] needs to be a new surface at once.
+/// Minimum support in 3x3 pixels, the candidate included, with which a candidate above [`AT_ONCE`] is a new surface
+/// at once.
 pub(crate) const SUPPORT: f32 = 3.0;
-/// Frames that a pixel must have for a single change to wait.
+/// Minimum number of averaged frames of a pixel whose candidate waits for the next frame.
 pub(crate) const FRAMES_TO_WAIT: f32 = 3.0;
-/// Deviations of the mean change, of its bias, and of the own change, that halve a pixel's frames.
+/// Mean change over 5x5 pixels that halves a pixel's frames, in deviations.
 pub(crate) const CHANGE: f32 = 2.5;
+/// Bias of the mean change that halves a pixel's frames, in deviations.
 pub(crate) const BIAS: f32 = 1.2;
+/// Change of a pixel itself that halves its frames, in deviations.
 pub(crate) const OWN_CHANGE: f32 = 6.0;
-/// Share by which the bias follows the mean change, of pixels and of tiles.
+/// Rate at which the bias of a pixel or tile approaches the mean change, as a share of the difference per frame.
 pub(crate) const LEAK: f32 = 0.25;
-/// Share by which the variance follows, of a pixel of the most frames and of a tile.
+/// Rate at which the variance of a tile, or of a pixel with the maximum number of frames, approaches the learnt
+/// value, as a share of the difference per frame.
 pub(crate) const LEARN: f32 = 1.0 / 16.0;
-/// Factor from the squared distance to the bias, limited to three deviations, to the variance that is learnt.
+/// Ratio of the learnt variance to the squared distance of a change from the bias, limited to three deviations.
 pub(crate) const LEARNT: f32 = 0.875;
+/// Minimum variance of a pixel.
 pub(crate) const LEAST_VARIANCE: f32 = 0.04;
+/// Maximum variance of a pixel.
 pub(crate) const MOST_VARIANCE: f32 = 2.25;
-/// Frames for which a hole's state is kept.
+/// Number of frames for which the state of a hole is kept.
 pub(crate) const MEMORY: f32 = 8.0;
 
 // The state of pixels (state.rs).
 
-/// Variance of the change of a pixel's surroundings before anything was learnt.
+/// Initial variance of the change of a pixel's surroundings.
 pub(crate) const FIRST_VARIANCE: f32 = 0.5;
-/// Steps of stored frames and biases.
+/// Steps per unit of stored frames and biases.
 pub(crate) const PER_UNIT: f32 = 2048.0;
-/// Steps of stored variances.
+/// Steps per unit of stored variances.
 pub(crate) const PER_VARIANCE: f32 = 16384.0;
-/// Largest magnitude of a bias, which is added to it when it is stored.
+/// Maximum magnitude of a bias. Biases are stored with this offset, so that they are not negative.
 pub(crate) const MOST_BIAS: f32 = 8.0;
-/// The bit of a pixel whose value in the last frame was carried over.
+/// Bit of a pixel whose value in the last frame was carried over.
 pub(crate) const CARRIED: u32 = 1 << 31;
+/// Mask of the low half of a word.
 pub(crate) const LOW: u32 = 0xffff;
 
 // Tiles (tiles.rs).
 
 /// Columns and rows of a tile in pixels.
 pub(crate) const TILE: usize = 16;
-/// Tiles with at most this many updated pixels are not tested; only the weight of the camera applies to them.
+/// Maximum number of updated pixels with which a tile is not tested; only the weight of the camera applies to it.
 pub(crate) const FEW: f32 = 64.0;
-/// Deviations of a tile's change, and of its bias, that halve its weight; doubled if the camera's motion is known.
+/// Change of a tile that halves its weight, in deviations; doubled if the camera's motion is known.
 pub(crate) const TILE_CHANGE: f32 = 3.0;
+/// Bias of a tile that halves its weight, in deviations; doubled if the camera's motion is known.
 pub(crate) const TILE_BIAS: f32 = 1.5;
-/// Median bias of all tiles over their median change that halves the weight of all pixels. Noise has about 0.35, a
-/// moving camera 0.5 to 1.
+/// Ratio of the median bias of all tiles to their median change that halves the weight of all pixels. Noise has about
+/// 0.35, a moving camera 0.5 to 1.
 pub(crate) const PERSISTENT: f32 = 0.55;
-/// Above this ratio, changes are not learnt as noise.
+/// Ratio of the median bias of all tiles to their median change above which changes are not learnt as noise.
 pub(crate) const PERSISTENT_NOISE: f32 = 0.5;
-/// Tiles this far apart have independent noise: windows are narrower.
+/// Distance between the tiles of a pair. Their noise is independent, since windows are narrower.
 pub(crate) const PAIR: usize = 3;
-/// Excess over 0.5 of the share of pairs of distant tiles that change alike, at which all weights halve. Noise has at
-/// most 0.05, a moving camera up to 0.4.
+/// Share of the pairs of tiles that change alike, in excess of 0.5, that halves all weights. Noise has at most 0.05,
+/// a moving camera up to 0.4.
 pub(crate) const AGREEING: f32 = 0.12;
-/// Changes are learnt as noise only up to this share of pairs that change alike.
+/// Share of the pairs of tiles that change alike above which changes are not learnt as noise.
 pub(crate) const AGREEING_NOISE: f32 = 0.58;
-/// Fewest tiles for which the two statistics of a moving camera are used.
+/// Minimum number of tiles for the two statistics of a moving camera, the ratio of the medians and the share of
+/// pairs.
 pub(crate) const LEAST_TILES: usize = 150;
-/// Median change in sigmas up to which they are not used: motion is too small to blur anything.
+/// Median change of the tiles in sigmas up to which the statistics of a moving camera are not used: the motion is too
+/// small to blur anything.
 pub(crate) const LEAST_CHANGE: f32 = 0.1;
+/// Initial variance of a tile.
 pub(crate) const FIRST_TILE_VARIANCE: f32 = 0.04;
+/// Minimum variance of a tile.
 pub(crate) const LEAST_TILE_VARIANCE: f32 = 0.0025;
 
 // A camera that moves (motion.rs).
 
-/// Sigmas by which pixels of one surface differ at most.
+/// Maximum difference between pixels of one surface, in sigmas.
 pub(crate) const SAME_SURFACE: f32 = 5.0;
 /// Allowance for the slope of a surface, relative to the value.
 pub(crate) const SLOPE: f32 = 0.004;
-/// Weight of the pixels of the same surface above which they count; otherwise the pixel is new.
+/// Sum of the bilinear weights of the pixels on the same surface up to which a looked-up pixel is unknown.
 pub(crate) const LEAST_WEIGHT: f32 = 0.2;
-/// Nearest depth in metres at which points are looked up.
+/// Minimum depth of a point that is looked up, in metres.
 pub(crate) const NEAREST_M: f32 = 0.05;

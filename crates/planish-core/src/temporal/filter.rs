@@ -13,15 +13,16 @@ use crate::camera::Rays;
 use crate::error::{FrameError, ParamError};
 use crate::sensor::SensorModel;
 
-/// Frames that a hole must have had for its value to be carried on, and calm pixels of 5x5 around it.
+/// Minimum number of averaged frames in a hole's last value for the hole to keep it.
 const FRAMES_TO_HOLD: f32 = 4.0;
+/// Minimum number of calm pixels, of the 5x5 around a hole, for the hole to keep its last value.
 const CALM_TO_HOLD: f32 = 13.0;
 
 /// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
 ///
-/// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Fewer frames count where the scene changes, so
-/// only objects hardly above their background leave short trails. Use one filter per stationary camera; a frame of
-/// another shape resets it. Smooth every frame in space first: the test for changes relies on it.
+/// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Fewer frames are averaged where the scene
+/// changes, so only objects just above their background leave short trails. Use one filter per stationary camera; a
+/// frame of another shape resets it. Smooth every frame in space first: the test for changes relies on it.
 ///
 /// ```
 /// use planish::{SensorModel, TemporalFilter, TemporalParams};
@@ -43,17 +44,17 @@ pub struct TemporalFilter {
     rule: Rule,
     level: Level,
     shape: (usize, usize),
-    /// Pixels of a row of planes: a multiple of a tile's.
+    /// Pixels per row of the planes, a multiple of [`TILE`].
     pitch: usize,
     state: State,
-    /// The state as a camera that has moved sees it.
+    /// The state in the view of a camera that has moved.
     moved: State,
     rays: Rays,
     tiles: Vec<Tile>,
     planes: Planes,
 }
 
-/// Which values of the last frame were carried over.
+/// The values of the last frame that were carried over.
 #[derive(Clone, Copy)]
 pub(crate) struct Carried<'a> {
     state: &'a State,
@@ -65,7 +66,7 @@ impl Carried<'_> {
     /// Returns the columns of a row whose values were carried over.
     pub(crate) fn columns(&self, row: usize) -> impl Iterator<Item = usize> {
         let (state, start) = (self.state, row * self.pitch);
-        // Few pixels are: whole tiles are tested first.
+        // Few pixels are carried over, so whole tiles are tested first.
         let tiles = (0..self.width).step_by(TILE).map(|from| from..(from + TILE).min(self.width));
         let some = tiles.filter(move |tile| state.has_carried(start + tile.start..start + tile.end));
         some.flatten().filter(move |column| state.is_carried(start + column))
@@ -77,15 +78,17 @@ impl Carried<'_> {
 struct Planes {
     depth_m: Vec<f32>,
     changes: Vec<f32>,
-    /// These have [`MARGIN`] rows of zeros on either side.
+    /// Sums of clipped changes over five columns, with [`MARGIN`] rows of zeros above and below.
     sums: Vec<f32>,
+    /// Numbers of changes in `sums`, with the same margins.
     counts: Vec<f32>,
+    /// Sums of candidates' signs over three columns, with the same margins.
     signs: Vec<f32>,
     calm: Vec<f32>,
     tiles: Vec<[f32; 2]>,
     /// A buffer for values of tiles.
     sorted: Vec<f32>,
-    /// One for each row of tiles.
+    /// Buffers of each row of tiles.
     buffers: Vec<RowBuffers>,
 }
 
@@ -107,7 +110,7 @@ impl TemporalFilter {
     /// positive, or not below 1e18, are holes, which become NaN. Uses the threads of the pool that it is called in.
     ///
     /// # Errors
-    /// If there are not `width` x `height` values.
+    /// If the number of values is not `width` x `height`.
     pub fn smooth(&mut self, width: usize, height: usize, depth_m: &mut [f32]) -> Result<(), FrameError> {
         self.smooth_moved_by(None, width, height, depth_m)
     }
@@ -116,7 +119,7 @@ impl TemporalFilter {
     /// first after a [`reset`](Self::reset), ignores the motion.
     ///
     /// # Errors
-    /// As [`smooth`](Self::smooth), for the camera's width and height; and if the camera or the motion is invalid.
+    /// If the number of values does not match the camera's shape, or the camera or the motion is invalid.
     pub fn smooth_moved(&mut self, motion: &CameraMotion, depth_m: &mut [f32]) -> Result<(), FrameError> {
         motion.camera.validate()?;
         self.smooth_moved_by(Some(motion), motion.camera.width, motion.camera.height, depth_m)
@@ -142,8 +145,8 @@ impl TemporalFilter {
         Ok(())
     }
 
-    /// Smooths the depth of the next frame, whose rows a function writes. The results stay in
-    /// [`rows_mut`](Self::rows_mut).
+    /// Smooths the depth of the next frame, whose rows `write_row` writes. [`rows_mut`](Self::rows_mut) returns the
+    /// results.
     pub(crate) fn smooth_rows(
         &mut self,
         motion: Option<&CameraMotion>,
@@ -169,7 +172,8 @@ impl TemporalFilter {
         Ok(())
     }
 
-    /// Returns the rows of the smoothed depth, each longer than the image is wide, to be overwritten; and the state.
+    /// Returns the rows of the smoothed depth, which may be overwritten, and the carried values. Rows are at least as
+    /// long as the image is wide.
     pub(crate) fn rows_mut(&mut self) -> (impl IndexedParallelIterator<Item = &mut [f32]>, Carried<'_>) {
         let Self { planes, state, shape, pitch, .. } = self;
         (planes.depth_m.par_chunks_mut(*pitch), Carried { state, width: shape.0, pitch: *pitch })
@@ -179,12 +183,12 @@ impl TemporalFilter {
         self.level
     }
 
-    /// Forgets all frames, as after a gap in time or a jump of the camera.
+    /// Forgets all frames. Call it after a gap in time or a jump of the camera.
     pub fn reset(&mut self) {
         self.shape = (0, 0);
     }
 
-    /// Returns how many frames pixel `i` of the last frame is the mean of, 1 to [`TemporalParams::frames`]; 0 for a
+    /// Returns the number of frames averaged in pixel `i` of the last frame, 1 to [`TemporalParams::frames`]; 0 for a
     /// hole.
     ///
     /// # Panics
@@ -208,7 +212,7 @@ impl TemporalFilter {
         i / width * self.pitch + i % width
     }
 
-    /// Starts again with frames of a shape.
+    /// Resets the filter for frames of another shape.
     fn start(&mut self, width: usize, height: usize) {
         self.shape = (width, height);
         self.pitch = width.next_multiple_of(TILE);
@@ -305,7 +309,7 @@ impl TemporalFilter {
         });
     }
 
-    /// Carries on the values of holes that were seen a short time ago, in calm surroundings.
+    /// Gives recently seen holes in calm surroundings their last values.
     fn hold(&mut self) {
         let Self { params, rule, shape: (width, height), pitch, state, planes, .. } = self;
         let (width, height, pitch) = (*width, *height, *pitch);

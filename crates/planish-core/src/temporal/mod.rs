@@ -1,5 +1,5 @@
-//! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth over the frames of
-//! a video, which gives way where the scene changes.
+//! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth over the frames
+//! of a video, whose old frames fade where the scene changes.
 
 pub(crate) mod constants;
 mod filter;
@@ -18,14 +18,14 @@ pub(crate) use track::{Surface, SurfaceRef, Tracker};
 /// The averaged quantity: inverse depth or depth, whichever has the more constant noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Domain {
-    /// Triangulating sensors.
+    /// Inverse depth, for triangulating sensors.
     InverseDepth,
-    /// Sensors of time of flight.
+    /// Depth, for time-of-flight sensors.
     Depth,
 }
 
 impl Domain {
-    /// By what dominates the noise at 2 m.
+    /// Returns the domain of a sensor, by the term that dominates its noise at 2 m.
     pub(crate) fn of(sensor: &crate::SensorModel) -> Self {
         let [c0, c1, c2] = sensor.sigma;
         if 4.0 * c2 > c0 + 2.0 * c1 { Self::InverseDepth } else { Self::Depth }

@@ -1,8 +1,8 @@
 //! Moves the state into the view of a camera that has moved (docs/method.md, equations 16.9 to 16.11).
 //!
-//! Each pixel of the current frame looks up where its point was in the frame before, and takes the mean of the four
-//! pixels there that are on the same surface. That mean is a point on a ray of the previous camera; its depth as the
-//! current one sees it is the new state. Holes look up by their remembered depth.
+//! Each pixel of the current frame looks up where its point was in the previous frame, and averages those of the four
+//! pixels there that are on the same surface. The mean is a point on a ray of the previous camera; its depth in the
+//! current view is the new state. Holes look up by their remembered depth.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
@@ -15,13 +15,14 @@ use crate::camera::{Camera, Rays, RowRays, RowRaysY};
 use crate::error::FrameError;
 use crate::pose::{RigidTransform, SensorPose};
 
-/// How a camera has moved between two frames.
+/// The motion of a camera between two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CameraMotion {
     /// The camera.
     pub camera: Camera,
-    /// Transform from the camera's frame now (x right, y down, z forward) to that at the frame before.
+    /// Transform from the camera's coordinates at the current frame (x right, y down, z forward) to those at the
+    /// previous frame.
     pub previous_from_current: SensorPose,
 }
 
@@ -41,22 +42,23 @@ impl CameraMotion {
     }
 }
 
-/// A motion in the numbers of the filter.
+/// A camera's motion and everything else that the lookup of a pixel needs.
 #[derive(Clone, Copy)]
 pub(super) struct Lookup<'a> {
     rule: Rule,
     level: Level,
     camera: &'a Camera,
     rays: &'a Rays,
-    /// previous_from_current.
+    /// Rotation of previous_from_current.
     rotation: Mat3,
+    /// Translation of previous_from_current in metres.
     translation: Vec3,
-    /// fx, fy, cx and cy.
+    /// fx, fy, cx and cy in pixels.
     intrinsics: [f32; 4],
     is_distorted: bool,
     width: usize,
     height: usize,
-    /// Pixels of a row of the state.
+    /// Pixels per row of the state.
     pitch: usize,
 }
 
@@ -68,7 +70,8 @@ impl<'a> Lookup<'a> {
         Self { rule, level, camera, rays, rotation, translation, intrinsics, is_distorted, width, height, pitch }
     }
 
-    /// Computes the state as the current camera sees it; `depth_m` is the current frame, row by row of `pitch`.
+    /// Computes the state in the view of the current camera. `depth_m` is the current frame, with rows of `pitch`
+    /// pixels.
     pub(super) fn move_state(&self, motion: &RigidTransform, depth_m: &[f32], before: &State, after: &mut State) {
         let (rotation, translation) = (motion.rotation.as_mat3(), motion.translation.as_vec3());
         let lookup = Self { rotation, translation, ..*self };
@@ -100,7 +103,7 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns column and row of a ray.
+    /// Returns the column and row at which a ray is seen.
     #[inline(always)]
     fn project(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         let [fx, fy, cx, cy] = self.intrinsics;
@@ -118,7 +121,7 @@ impl<'a> Lookup<'a> {
             }
             self.rule.domain.depth_m(here.mean)
         };
-        // The point as the camera saw it before.
+        // The point in the previous camera's frame.
         let seen = self.rotation * (Vec3::new(x, y, 1.0) * depth_m) + self.translation;
         if seen.z.is_nan() || seen.z < NEAREST_M {
             return Pixel::UNKNOWN;
@@ -162,7 +165,7 @@ impl<'a> Lookup<'a> {
         let nearest = corners[2 * usize::from(share_v >= 0.5) + usize::from(share_u >= 0.5)].1;
         let nearest = before.pixel(nearest);
         let found = Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest };
-        // Its point as the camera sees it now.
+        // The depth of its point in the current camera's frame.
         let forward = self.rotation.z_axis;
         let depth_m = self.rule.domain.depth_m(found.mean) * forward.dot(ray) - forward.dot(self.translation);
         if depth_m.is_nan() || depth_m < NEAREST_M {

@@ -2,7 +2,7 @@
 
 use crate::error::ParamError;
 
-/// How long frames are averaged, and whether holes are bridged.
+/// Parameters of smoothing over time: the number of averaged frames, and how long holes are bridged.
 ///
 /// ```
 /// use planish::TemporalParams;
@@ -16,7 +16,7 @@ use crate::error::ParamError;
 pub struct TemporalParams {
     /// Maximum number of frames averaged in a still pixel, 1 to 16.
     pub frames: f32,
-    /// Number of frames for which the value of a hole is carried on, 0 to 8. Carried values are flagged:
+    /// Maximum number of frames for which a hole keeps its last value, 0 to 8. Carried values are flagged:
     /// [`TemporalFilter::is_carried`](crate::TemporalFilter::is_carried).
     pub hold_frames: u32,
 }
@@ -30,7 +30,7 @@ impl TemporalParams {
         Self { frames, ..self }
     }
 
-    /// Sets for how many frames the value of a hole is carried on, 0 to 8.
+    /// Sets the maximum number of frames for which a hole keeps its last value, 0 to 8.
     pub const fn with_hold_frames(self, hold_frames: u32) -> Self {
         Self { hold_frames, ..self }
     }
@@ -38,7 +38,7 @@ impl TemporalParams {
     /// Refuses values outside their ranges.
     ///
     /// # Errors
-    /// Names the field and its range.
+    /// If a value is outside its range; names the field and the range.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(1.0..=16.0).contains(&self.frames) {
             let value = self.frames.to_string();
@@ -53,7 +53,7 @@ impl TemporalParams {
 }
 
 impl Default for TemporalParams {
-    /// [`TemporalParams::STEADY`].
+    /// Returns [`TemporalParams::STEADY`].
     fn default() -> Self {
         Self::STEADY
     }

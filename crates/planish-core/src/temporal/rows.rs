@@ -1,7 +1,8 @@
-//! The two passes of the filter over rows of pixels, a vector of them at a time.
+//! The two passes of the filter over rows of pixels, one vector of pixels at a time.
 //!
-//! The first pass measures how each pixel changed; the second takes the changes of the pixels around into account and
-//! updates the state. Planes have rows of `pitch` pixels, a multiple of [`TILE`], and two rows of zeros on either side.
+//! The first pass measures the change of each pixel. The second combines it with the changes of the surrounding
+//! pixels and updates the state. Planes have rows of `pitch` pixels, a multiple of [`TILE`]; those that the second
+//! pass sums over several rows also have [`MARGIN`] rows of zeros above and below.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -14,16 +15,16 @@ use super::state::Unpacked;
 use super::tiles::Tile;
 use crate::cpu::vector::{Mask, splat};
 
-/// Rows around a plane.
+/// Number of rows of zeros above and below a plane.
 pub(super) const MARGIN: usize = 2;
-/// Columns around a row; a multiple of every vector's lanes.
+/// Number of columns of zeros on each side of a row; a multiple of every vector's lanes.
 const SIDE: usize = 16;
-/// A calm neighbour of a hole differs by less than this many deviations.
+/// Mean change below which an updated pixel is calm, in deviations.
 const CALM: f32 = 3.0;
-/// Outweighs all calm pixels of 5x5.
+/// Value of a candidate in the plane of calm pixels; it outweighs all calm pixels of 5x5.
 pub(super) const NOT_CALM: f32 = -100.0;
 
-/// What both passes know.
+/// Parameters of both passes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rule {
     pub(super) domain: Domain,
@@ -38,12 +39,13 @@ pub(super) struct ChangeRow<'a> {
     pub(super) mean: &'a [f32],
     pub(super) frames_variance: &'a [u32],
     pub(super) bias_idle: &'a [u32],
-    /// The change of each pixel in sigmas; NaN without one.
+    /// The change of each pixel in sigmas; NaN for holes and unknown pixels.
     pub(super) changes: &'a mut [f32],
-    /// Sums over five columns of the clipped changes, and of their number; sums over three columns of the signs of
-    /// candidates.
+    /// Sums of the clipped changes over five columns.
     pub(super) sums: &'a mut [f32],
+    /// Numbers of changes over five columns.
     pub(super) counts: &'a mut [f32],
+    /// Sums of the signs of candidates over three columns.
     pub(super) signs: &'a mut [f32],
 }
 
@@ -54,24 +56,29 @@ pub(super) struct UpdateRow<'a> {
     pub(super) frames_variance: &'a mut [u32],
     pub(super) bias_idle: &'a mut [u32],
     pub(super) changes: &'a [f32],
-    /// The row in question and those around it.
+    /// Sums of the row, and of the two rows above and below it.
     pub(super) sums: [&'a [f32]; 5],
+    /// Counts of the same rows.
     pub(super) counts: [&'a [f32]; 5],
+    /// Signs of the row, and of the rows above and below it.
     pub(super) signs: [&'a [f32]; 3],
     pub(super) tiles: &'a [Tile],
-    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate; only if holes are bridged.
+    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate, 0 otherwise; `None` if holes are not bridged.
     pub(super) calm: Option<&'a mut [f32]>,
 }
 
 /// Buffers of the rows of a band of tiles.
 #[derive(Debug, Clone)]
 pub(super) struct RowBuffers {
-    /// These have zeros on both sides.
+    /// Clipped changes, with [`SIDE`] zeros on each side.
     clipped: Vec<f32>,
+    /// 1 for each pixel with a change, with [`SIDE`] zeros on each side.
     counted: Vec<f32>,
+    /// Signs of candidates, with [`SIDE`] zeros on each side.
     signs: Vec<f32>,
-    /// Sums over the rows of a band of the changes in each column, and their numbers.
+    /// Sums of the changes in each column over the rows of a band.
     column_sums: Vec<f32>,
+    /// Numbers of changes in each column over the rows of a band.
     column_counts: Vec<f32>,
 }
 
@@ -82,13 +89,13 @@ impl RowBuffers {
         Self { clipped, counted, signs, column_sums, column_counts }
     }
 
-    /// Begins a band.
+    /// Clears the column sums at the start of a band.
     pub(super) fn begin(&mut self) {
         self.column_sums.fill(0.0);
         self.column_counts.fill(0.0);
     }
 
-    /// Writes the sum of the changes of each tile of the band, and their number.
+    /// Writes the sum and the number of the changes of each tile of the band.
     pub(super) fn sum_tiles(&self, tiles: &mut [[f32; 2]]) {
         let columns = self.column_sums.chunks_exact(TILE).zip(self.column_counts.chunks_exact(TILE));
         for (tile, (sums, counts)) in tiles.iter_mut().zip(columns) {
@@ -140,7 +147,7 @@ impl Rule {
     }
 }
 
-/// Returns the deviation with which single pixels are compared.
+/// Returns the deviation for comparisons of single pixels.
 #[inline(always)]
 fn single_deviation<S: Simd>(simd: S, variance: S::f32s) -> S::f32s {
     variance.sqrt().max(splat(simd, LEAST_DEVIATION))
@@ -160,7 +167,7 @@ pub(super) fn measure_changes<S: Simd>(simd: S, rule: Rule, row: ChangeRow<'_>, 
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let RowBuffers { clipped, counted, signs, column_sums, column_counts } = buffers;
     let inner = SIDE..SIDE + pitch;
-    // Vectors in step, without checks of bounds.
+    // Iterates over the vectors in lockstep, without bounds checks.
     let inputs = row.depth_m.chunks_exact(lanes).zip(row.mean.chunks_exact(lanes));
     let inputs = inputs.zip(row.frames_variance.chunks_exact(lanes)).zip(row.bias_idle.chunks_exact(lanes));
     let outputs = row.changes.chunks_exact_mut(lanes).zip(clipped[inner.clone()].chunks_exact_mut(lanes));
@@ -194,7 +201,7 @@ pub(super) fn measure_changes<S: Simd>(simd: S, rule: Rule, row: ChangeRow<'_>, 
     sum_neighbours(simd, signs, row.signs, 1);
 }
 
-/// Sums the values up to one or two columns away.
+/// Sums the values up to `reach` columns away, 1 or 2.
 #[inline(always)]
 fn sum_neighbours<S: Simd>(simd: S, values: &[f32], sums: &mut [f32], reach: usize) {
     let (lanes, pitch) = (S::f32s::LEN, sums.len());
@@ -233,7 +240,7 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
     let lanes = S::f32s::LEN;
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let UpdateRow { depth_m, mean, frames_variance, bias_idle, changes, sums, counts, signs, tiles, mut calm } = row;
-    // Vectors in step, without checks of bounds.
+    // Iterates over the vectors in lockstep, without bounds checks.
     let [above, own, below] = signs.map(|row| row.chunks_exact(lanes));
     let around = five_rows(sums, lanes).zip(five_rows(counts, lanes)).zip(above.zip(own).zip(below));
     let state = mean.chunks_exact_mut(lanes).zip(frames_variance.chunks_exact_mut(lanes));

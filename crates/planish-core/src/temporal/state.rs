@@ -12,7 +12,7 @@ pub(super) struct State {
     pub(super) mean: Vec<f32>,
     /// Effective frames in the low half, variance in the high one.
     pub(super) frames_variance: Vec<u32>,
-    /// Bias in the low half; frames since the last update, and whether the value was carried, in the high one.
+    /// Bias in the low half; frames since the last update, and the bit [`CARRIED`], in the high half.
     pub(super) bias_idle: Vec<u32>,
 }
 
@@ -38,7 +38,7 @@ pub(super) struct Unpacked<S: Simd> {
 }
 
 impl State {
-    /// Forgets everything, and makes room for this many pixels.
+    /// Makes room for `len` pixels and sets all of them to unknown.
     pub(super) fn reset(&mut self, len: usize) {
         self.mean.clear();
         self.mean.resize(len, 0.0);
@@ -48,7 +48,7 @@ impl State {
         self.bias_idle.resize(len, (MOST_BIAS * PER_UNIT) as u32);
     }
 
-    /// Returns the effective frames of a pixel, 0 if the last frame has no value for it.
+    /// Returns the effective frames of a pixel; 0 if the pixel has no value in the last frame.
     pub(super) fn frames(&self, i: usize) -> f32 {
         let has_value = self.bias_idle[i] >> 16 == 0 || self.is_carried(i);
         if has_value { self.remembered_frames(i) } else { 0.0 }
@@ -66,12 +66,12 @@ impl State {
         }
     }
 
-    /// Returns the frames since the last update of a pixel.
+    /// Returns the number of frames since the last update of a pixel.
     pub(super) fn idle(&self, i: usize) -> u32 {
         (self.bias_idle[i] & !CARRIED) >> 16
     }
 
-    /// Returns true if the value of some of these pixels was carried.
+    /// Returns true if any of these pixels has a carried value.
     pub(super) fn has_carried(&self, pixels: std::ops::Range<usize>) -> bool {
         self.bias_idle[pixels].iter().fold(0, |all, word| all | word) & CARRIED != 0
     }
@@ -91,10 +91,10 @@ impl State {
 }
 
 impl Pixel {
-    /// A pixel that no frame has shown.
+    /// A pixel without a known value.
     pub(super) const UNKNOWN: Self = Self { mean: 0.0, frames: 0.0, variance: FIRST_VARIANCE, bias: 0.0, idle: 0 };
 
-    /// Returns mean, frames and variance, and bias and idle frames, as [`State`] stores them.
+    /// Returns the pixel in the packed form of [`State`]: mean, frames and variance, bias and idle frames.
     #[inline(always)]
     pub(super) fn packed(self) -> (f32, u32, u32) {
         let steps = |value: f32, per_unit: f32| (value * per_unit + 0.5) as u32;
@@ -119,7 +119,7 @@ impl<S: Simd> Unpacked<S> {
         }
     }
 
-    /// Stores everything; `carried` is [`CARRIED`] or 0.
+    /// Stores the pixels in the packed form of [`State`]; `carried` is [`CARRIED`] or 0 for each pixel.
     #[inline(always)]
     pub(super) fn store(
         &self,
@@ -138,7 +138,7 @@ impl<S: Simd> Unpacked<S> {
         (bias | (steps(self.idle, 1.0) << 16) | carried).store_slice(bias_idle);
     }
 
-    /// Returns the bit of carried values.
+    /// Returns the bit [`CARRIED`] in every lane.
     #[inline(always)]
     pub(super) fn carried_bit(simd: S) -> S::u32s {
         S::u32s::splat(simd, CARRIED)

@@ -1,4 +1,4 @@
-//! The test of whole tiles: what moves by less than the noise, but all together.
+//! The test of whole tiles, which detects common motion that is smaller than the noise.
 
 use super::constants::{
     AGREEING, AGREEING_NOISE, FEW, FIRST_TILE_VARIANCE, LEAK, LEARN, LEARNT, LEAST_CHANGE, LEAST_TILE_VARIANCE,
@@ -12,7 +12,7 @@ pub(super) struct Tile {
     change: f32,
     bias: f32,
     variance: f32,
-    /// Whether enough pixels were updated.
+    /// True if enough pixels were updated for a test.
     counts: bool,
     /// Weight of the past frames of the tile's pixels, 0 to 1.
     pub(super) weight: f32,
@@ -24,8 +24,8 @@ impl Default for Tile {
     }
 }
 
-/// Updates all tiles, `across` in a row, from the sums of the clipped changes of their pixels, and their numbers.
-/// `sorted` is a buffer.
+/// Updates all tiles, of which `across` form a row. `sums` are the sum of the clipped changes of each tile's pixels,
+/// and their number. `sorted` is a buffer.
 pub(super) fn update_tiles(
     tiles: &mut [Tile],
     across: usize,
@@ -37,8 +37,8 @@ pub(super) fn update_tiles(
         tile.counts = count > FEW;
         tile.change = if tile.counts { sum / count } else { 0.0 };
     }
-    // Noise differs from frame to frame and between distant tiles; a moving camera changes tiles the same way for some
-    // time, and distant ones alike.
+    // Noise differs from frame to frame and between distant tiles. A moving camera changes a tile in the same
+    // direction for some time, and distant tiles alike.
     let (persistence, agreement) = match median(tiles, |tile| tile.change, sorted) {
         Some(change) if !knows_motion && change > LEAST_CHANGE => {
             let next_bias = |tile: &Tile| tile.bias + LEAK * (tile.change - tile.bias);
@@ -88,7 +88,8 @@ impl Tile {
     }
 }
 
-/// Returns the median magnitude over the tiles that count; `None` if they are few.
+/// Returns the median magnitude over the tiles with enough updated pixels; `None` for fewer than [`LEAST_TILES`] of
+/// them.
 fn median(tiles: &[Tile], value: impl Fn(&Tile) -> f32, sorted: &mut Vec<f32>) -> Option<f32> {
     sorted.clear();
     sorted.extend(tiles.iter().filter(|tile| tile.counts).map(|tile| value(tile).abs()));

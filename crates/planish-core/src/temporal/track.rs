@@ -1,9 +1,9 @@
-//! Estimates how the camera has moved since the frame before: point-to-plane alignment by projection
+//! Estimates the motion of the camera since the previous frame: point-to-plane alignment by projection
 //! (docs/method.md, section 16, "Tracking").
 //!
-//! Points of the current frame are projected into the one before, whose points and normals there are a plane each.
-//! Gauss-Newton steps with robust weights minimise the distances, on every eighth pixel, then every fourth, then every
-//! second. Directions in which the scene does not hold the camera, such as along a wall, stay as predicted.
+//! Points of the current frame are projected into the previous frame, where the point and the normal of each pixel
+//! define a plane. Gauss-Newton steps with robust weights minimise the distances, on every eighth pixel, then every
+//! fourth, then every second. Directions that the scene does not determine, such as along a wall, stay as predicted.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{DMat3, DVec3, Mat3, Vec3};
@@ -15,25 +15,28 @@ use crate::pose::RigidTransform;
 use crate::sensor::SensorModel;
 use crate::xyz::Xyz;
 
-/// Distances between the pixels used, the most steps with each, and a step so small (radians and metres) that it ends
-/// them.
+/// Levels of the alignment: distance between the used pixels, maximum number of steps, and step size (radians and
+/// metres) below which the level ends.
 const LEVELS: [(usize, usize, f64); 3] = [(8, 8, 2e-4), (4, 5, 5e-5), (2, 3, 2e-5)];
-/// Rows of a level that are a task.
+/// Number of rows of a level per task.
 const TASK_ROWS: usize = 8;
-/// Largest difference of depth between matching points, relative to it.
+/// Maximum difference in depth between matching points, relative to the depth.
 const NEAR: f32 = 0.1;
-/// Least cosine between matching normals.
+/// Minimum cosine of the angle between matching normals.
 const ALIKE: f32 = 0.85;
-/// Least residual scale in sigmas, and the scales at which a residual's weight is a half.
+/// Minimum residual scale, in sigmas.
 const LEAST_SCALE: f64 = 0.3;
+/// Residual whose weight is one half, in residual scales.
 const CAUCHY: f64 = 2.0;
-/// Directions with less than this share of the largest information are not corrected.
+/// Minimum information of a corrected direction, relative to the largest.
 const LEAST_INFORMATION: f64 = 1e-3;
-/// Distance between the pixels that check the motion.
+/// Distance between the pixels that verify the motion.
 const CHECKED: usize = 4;
-/// Fewest matches, share of the points that must match, and largest residual scale in sigmas, of a trusted motion.
+/// Minimum number of matches of a trusted motion.
 const LEAST_MATCHES: usize = 25;
+/// Minimum share of the points that have a match under a trusted motion.
 const LEAST_MATCHED: f64 = 0.5;
+/// Maximum residual scale of a trusted motion, in sigmas.
 const MOST_SCALE: f64 = 3.0;
 
 /// Points and normals of a frame, in the frame of its camera.
@@ -43,7 +46,7 @@ pub(crate) struct Surface {
     pub(crate) normals: Xyz,
 }
 
-/// The same, borrowed.
+/// A borrowed [`Surface`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfaceRef<'a> {
     pub(crate) points: &'a Xyz,
@@ -56,11 +59,12 @@ impl Surface {
     }
 }
 
-/// How well a motion aligns two frames.
+/// The quality of the alignment of two frames by a motion.
 #[derive(Debug, Clone, Copy)]
 struct Alignment {
-    /// Points with a match, and points at all.
+    /// Number of points with a match.
     matched: usize,
+    /// Number of points.
     points: usize,
     /// Robust deviation of the residuals, in sigmas.
     scale: f64,
@@ -71,8 +75,9 @@ struct Alignment {
 struct Match {
     point: Vec3,
     normal: Vec3,
-    /// Distance from the plane in metres, and one sigma of it.
+    /// Signed distance from the plane in metres.
     residual_m: f32,
+    /// Standard deviation of the distance in metres.
     sigma_m: f32,
 }
 
@@ -94,9 +99,9 @@ impl Tracker {
         Self { camera, sensor, level: Level::new(), last: RigidTransform::IDENTITY }
     }
 
-    /// Estimates previous_from_current; `None` if no motion is certain.
+    /// Estimates previous_from_current; `None` if the alignment is not trusted.
     pub(crate) fn track(&mut self, previous: &Surface, current: SurfaceRef<'_>) -> Option<RigidTransform> {
-        // Whichever prediction is better: at rest, or moving on.
+        // Starts with the better prediction: no motion, or the last motion again.
         let (step, ..) = LEVELS[0];
         let score = |motion: &RigidTransform| {
             let (alignment, _) = self.align(previous, current, motion, step);
@@ -130,7 +135,7 @@ impl Tracker {
         self.camera
     }
 
-    /// Matches every `step`th pixel.
+    /// Matches every `step`th pixel in both directions and measures the alignment.
     fn align(
         &self,
         previous: &Surface,
@@ -155,7 +160,7 @@ impl Tracker {
         (Alignment { matched: matches.len(), points, scale }, matches)
     }
 
-    /// Matches every `step`th pixel of these rows; returns the number of points too.
+    /// Matches every `step`th pixel of these rows. Returns the number of points and the matches.
     #[inline(always)]
     fn find_rows<S: Simd>(
         &self,
@@ -206,18 +211,19 @@ impl Tracker {
     }
 }
 
-/// Returns the Gauss-Newton step of the matches, to be applied after the current estimate.
+/// Returns the Gauss-Newton step of the matches, to be applied after the current estimate; `None` for fewer than six
+/// matches, or if the step is not finite.
 fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> {
     if matches.len() < 6 {
         return None;
     }
-    // Turns about the middle of the points, and metres in units of their extent, make both kinds of motion comparable.
+    // Rotations about the points' centre, multiplied by their extent, are comparable with translations.
     let count = matches.len() as f64;
     let centre = matches.iter().map(|found| found.point.as_dvec3()).sum::<DVec3>() / count;
     let extent_m = (matches.iter().map(|found| found.point.as_dvec3().distance_squared(centre)).sum::<f64>() / count)
         .sqrt()
         .max(1e-3);
-    // Fixed parts, summed in order: the number of threads changes no bit.
+    // Parts of fixed size, summed in order, make the result independent of the number of threads.
     let parts: Vec<Sums> = matches
         .par_chunks(4096)
         .map(|matches| dispatch!(level, simd => partial_sums(simd, matches, scale, centre, extent_m)))
@@ -246,7 +252,8 @@ fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> 
     is_finite.then_some(RigidTransform { rotation, translation })
 }
 
-/// Returns the sums of the normal equations over some matches, with turns about a centre in units of an extent.
+/// Returns the sums of the normal equations over some matches, with rotations about `centre` multiplied by
+/// `extent_m`.
 #[inline(always)]
 fn partial_sums<S: Simd>(_: S, matches: &[Match], scale: f64, centre: DVec3, extent_m: f64) -> Sums {
     let mut sums = [0.0; 27];
@@ -274,7 +281,7 @@ fn partial_sums<S: Simd>(_: S, matches: &[Match], scale: f64, centre: DVec3, ext
 mod tests {
     use super::*;
 
-    /// A corner of three walls, or one wall, seen by a camera.
+    /// Returns the surface of planes, each a normal and a distance, as seen by a camera.
     fn surface(camera: &Camera, world_from_camera: &RigidTransform, planes: &[(DVec3, f64)]) -> Surface {
         let pixel = |i: usize| {
             let (u, v) = ((i % camera.width) as f64, (i / camera.width) as f64);

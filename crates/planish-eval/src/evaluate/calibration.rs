@@ -1,4 +1,4 @@
-//! Whether the stated standard errors are right: how many points are within one and two of them.
+//! Calibration of the stated standard errors: the shares of points within one and two of them.
 
 use planish_core::Xyz;
 use serde::Serialize;
@@ -10,7 +10,7 @@ use crate::simulate::Truth;
 /// The ranges of z in metres, away from steps.
 const RANGES_M: [(f64, f64); 4] = [(0.4, 0.9), (0.9, 1.5), (1.5, 2.5), (2.5, 5.0)];
 
-/// Counts points by their error in units of the stated standard error.
+/// Counts of points by their error in units of the stated standard error.
 #[derive(Debug, Clone, Default)]
 pub struct Calibration {
     ranges: [Counts; RANGES_M.len()],
@@ -21,15 +21,15 @@ pub struct Calibration {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CalibrationReport {
-    /// Nearest z in metres; NaN (null in JSON) for pixels within 3 of a step, at any range.
+    /// Nearest z in metres; NaN (null in JSON) for pixels within 3 pixels of a step, at any range.
     pub near_m: f64,
-    /// Farthest z in metres.
+    /// Farthest z in metres; NaN (null in JSON) within 3 pixels of a step.
     pub far_m: f64,
     /// Number of points.
     pub pixels: u64,
     /// Share within one standard error.
     pub within_one: f64,
-    /// Share within two.
+    /// Share within two standard errors.
     pub within_two: f64,
 }
 
@@ -45,7 +45,7 @@ impl Calibration {
         let near = edge_band(truth, EDGE_MARGIN_PX);
         for i in 0..points.len() {
             let (z_m, true_m) = (f64::from(points.z()[i]), f64::from(truth.points.z()[i]));
-            // False for NaN, a hole's.
+            // False for the NaN of a hole.
             if (z_m - true_m).abs() >= 0.0 && sigma_m[i] >= 0.0 {
                 let range = RANGES_M.iter().position(|&(near_m, far_m)| (near_m..far_m).contains(&true_m));
                 let counts = match (near[i], range) {

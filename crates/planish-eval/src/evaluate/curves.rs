@@ -8,38 +8,39 @@ use super::geometry::angle_deg;
 use crate::simulate::{Curve, Truth};
 use planish_core::Xyz;
 
-/// Pixels nearer to a step or another object are left out. The thinnest cylinder has few more.
+/// Distance from a step or another object within which pixels are left out, in pixels. The thinnest cylinder is
+/// hardly wider.
 const MARGIN_PX: usize = 2;
-/// So are surfaces at a steeper angle: there the sensor itself loses and shifts points.
+/// Minimum cosine of the angle of incidence. At steeper angles, the sensor itself loses and shifts points.
 const MIN_COSINE: f64 = 0.5;
-/// Surfaces of fewer pixels say little.
+/// Minimum number of pixels of a reported surface; fewer say little.
 const MIN_PIXELS: usize = 200;
 
 /// A curved surface of known radius at one range.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CurveReport {
-    /// `cylinder`, `sphere`, `torus`, `saddle`, or `board`: a flat one to compare with.
+    /// `cylinder`, `sphere`, `torus`, `saddle`, or, for comparison, the flat `board`.
     pub name: &'static str,
-    /// Its smallest radius of curvature in metres; infinite (null in JSON) for the board.
+    /// Smallest radius of curvature in metres; infinite (null in JSON) for the board.
     pub radius_m: f64,
     /// Distance of its centre from the camera along z, in metres.
     pub range_m: f64,
-    /// Pixels with a point.
+    /// Number of pixels with a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface along its normal, in millimetres.
     pub rmse_mm: f64,
-    /// Mean of that distance, positive towards the camera, in millimetres.
+    /// Mean signed distance to the true surface, positive towards the camera, in millimetres.
     pub bias_mm: f64,
     /// Mean angle between the normal and the true one, in degrees.
     pub normal_mean_deg: f64,
     /// Mean angle between the facets of adjacent pixels and the true surface, in degrees.
     pub facet_mean_deg: f64,
-    /// Angle that 95 % of the facets keep below.
+    /// 95th percentile of the angle between the facets and the true surface, in degrees.
     pub facet_95_deg: f64,
 }
 
-/// The errors on one of them.
+/// The errors on one curved surface.
 #[derive(Debug, Clone)]
 struct Errors {
     curve: Curve,
@@ -49,7 +50,7 @@ struct Errors {
     facets_deg: Vec<f32>,
 }
 
-/// The errors on all of them, over cases.
+/// The errors on all curved surfaces, over cases.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Curves(Vec<Errors>);
 

@@ -10,15 +10,16 @@ use super::{edge_band, flat_pixels};
 use crate::simulate::{DepthNoise, Gauge, Truth};
 use planish_core::Xyz;
 
-/// Only pixels further than this from every discontinuity count as flat, in pixels.
+/// Distance from every discontinuity beyond which a pixel counts as flat, in pixels.
 pub(super) const FLAT_MARGIN_PX: usize = 6;
-/// Pixels up to this far from a step form its band.
+/// Maximum distance from a step of the pixels in its band, in pixels.
 pub(super) const EDGE_MARGIN_PX: usize = 3;
-/// The faces of a crease are measured up to this many pixels from it, in pieces of this many rows.
+/// Maximum distance from a crease at which its faces are measured, in pixels.
 const CREASE_PX: usize = 6;
+/// Number of rows of a piece of a crease.
 const CREASE_ROWS: usize = 24;
 
-/// A facet that is off by more is a speck.
+/// Error above which a facet is a speck, in degrees.
 pub(super) const SPECK_DEG: f32 = 30.0;
 
 /// The ranges of z in metres.
@@ -34,24 +35,24 @@ pub struct RangeReport {
     pub near_m: f64,
     /// Farthest z in metres.
     pub far_m: f64,
-    /// Pixels with a point.
+    /// Number of pixels with a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface along its normal, in millimetres.
     pub rmse_mm: f64,
-    /// Mean of that distance, positive towards the camera, in millimetres.
+    /// Mean signed distance to the true surface, positive towards the camera, in millimetres.
     pub bias_mm: f64,
     /// Bias in depth steps of a Kinect v1.
     pub bias_steps: f64,
     /// Mean angle between the normal and the true one, in degrees.
     pub normal_mean_deg: f64,
-    /// Median of the same.
+    /// Median angle between the normal and the true one, in degrees.
     pub normal_median_deg: f64,
     /// Share of normals off by less than 10°.
     pub normal_under_10_deg: f64,
     /// Mean angle between the facets of adjacent pixels and the true surface, in degrees. A mesh or a shader makes it
     /// visible.
     pub facet_mean_deg: f64,
-    /// Angle that 95 % of the facets keep below.
+    /// 95th percentile of the angle between the facets and the true surface, in degrees.
     pub facet_95_deg: f64,
 }
 
@@ -63,7 +64,7 @@ pub struct AngleReport {
     pub from_deg: f64,
     /// Largest angle in degrees.
     pub to_deg: f64,
-    /// Pixels with a point.
+    /// Number of pixels with a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface along its normal, in depth steps of a Kinect v1 at that
     /// range.
@@ -84,23 +85,25 @@ pub struct Report {
     pub angles: Vec<AngleReport>,
     /// Share of the facets of flat surfaces from 0.5 to 2.5 m that are off by more than 30°: specks.
     pub speck_share: f64,
-    /// Median over flat pixels of the second difference of z along a row, over z², in 1e-3/m: lattices and gravel.
+    /// Median over flat pixels of the second difference of z along a row, divided by z², in 1e-3/m. It measures
+    /// lattices and gravel.
     pub lattice: f64,
-    /// Root mean square error of flat surfaces over z, in bins of 0.2 m: the middle of the bin in metres, millimetres.
+    /// Root mean square error of flat surfaces by z, in bins of 0.2 m: the middle of the bin in metres, and the error
+    /// in millimetres.
     pub over_z: Vec<(f64, f64)>,
-    /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
+    /// Mean distance to the nearest true surface within 3 pixels of a step, in millimetres.
     pub edge_mean_mm: f64,
-    /// Share of the points there that float between two surfaces: more than 1 cm and 4.6 standard deviations (three
-    /// depth steps of a Kinect v1) from either.
+    /// Share of the points within 3 pixels of a step that float between two surfaces: more than 1 cm and 4.6 standard
+    /// deviations (three depth steps of a Kinect v1) from either.
     pub flying_share: f64,
     /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in
     /// degrees.
     pub crease_deg: f64,
-    /// Mean error of the normals up to 6 pixels from that edge, in degrees.
+    /// Mean error of the normals up to 6 pixels from the 90° edge, in degrees.
     pub crease_normal_deg: f64,
-    /// Mean distance of a sphere's points from its centre over its radius, less 1.
+    /// Mean ratio of the distance of a sphere's points from its centre to its radius, minus 1.
     pub sphere_radius_bias: f64,
-    /// Mean distance of a cylinder's points from its axis over its radius, less 1.
+    /// Mean ratio of the distance of a cylinder's points from its axis to its radius, minus 1.
     pub cylinder_radius_bias: f64,
     /// Curved surfaces by shape, radius and range.
     pub curves: Vec<CurveReport>,
@@ -108,19 +111,21 @@ pub struct Report {
     pub lost_share: f64,
     /// Share of the measured pixels on a surface (not floating) that have no point.
     pub lost_true_share: f64,
-    /// Share of the measured pixels that float between two surfaces that have no point: the recall of their removal.
+    /// Share of the measured pixels floating between two surfaces that have no point: the recall of the removal of
+    /// floating pixels.
     pub floating_removed: f64,
-    /// Share of the lost pixels that floated: the precision of their removal.
+    /// Share of the lost pixels that floated: the precision of the removal of floating pixels.
     pub removed_floating: f64,
-    /// Pixels with a point that were not measured.
+    /// Number of pixels with a point that were not measured.
     pub invented: usize,
 }
 
-/// The bins of z for the curve.
+/// Width of the bins of [`Report::over_z`] in metres.
 const BIN_M: f64 = 0.2;
+/// Number of bins of [`Report::over_z`].
 const BINS: usize = 22;
 
-/// A mean, a mean of squares, a count.
+/// The sums for a mean and a mean of squares.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Sum {
     pub(super) count: usize,
@@ -171,7 +176,7 @@ pub(super) fn mean_deg(angles: &[f32]) -> f64 {
     angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
 }
 
-/// Returns the value that a share of the values lie below; NaN for none.
+/// Returns the value that `share` of the values are below; NaN without values.
 pub(super) fn quantile(values: &[f32], share: f64) -> f64 {
     let mut values = values.to_vec();
     let at = (values.len() as f64 * share) as usize;
@@ -297,8 +302,8 @@ impl Evaluation {
         self.add_crease(truth, gauge, points, normals);
     }
 
-    /// The angle between planes through the points on either side of the edge, piece by piece along it, and the normals
-    /// there.
+    /// Adds the angle between planes through the points on either side of the edge, piece by piece along it, and the
+    /// errors of the normals there.
     fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz, normals: &Xyz) {
         let (width, height) = (truth.camera.width, truth.camera.height);
         // The column at which a row passes from the left face to the right one.
@@ -397,8 +402,8 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
-/// Returns the unit normal of the triangle between pixel i and its right and lower neighbours, where all three are
-/// `usable` and have points; zero for one without an area, which counts as edge-on.
+/// Returns the unit normal of the triangle between pixel i and its right and lower neighbours; `None` unless all
+/// three are `usable` and have points. It is zero for a triangle without an area, which counts as edge-on.
 pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
     let [right, below] = [i + 1, i + width];
     if right % width == 0
@@ -408,11 +413,11 @@ pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Op
         return None;
     }
     let p = points.vector(i);
-    // A facet that faces away has flipped: it is not turned back.
+    // The normal of a flipped facet, which faces away, is not turned back.
     Some((points.vector(below) - p).cross(points.vector(right) - p).normalize_or_zero())
 }
 
-/// |z(u-1) - 2 z(u) + z(u+1)|/z² along a row, where all three pixels are flat and have points.
+/// Returns |z(u-1) - 2 z(u) + z(u+1)|/z² along a row; `None` unless all three pixels are flat and have points.
 fn second_difference(points: &Xyz, flat: &[bool], i: usize, width: usize) -> Option<f32> {
     let at_border = i.is_multiple_of(width) || (i + 1).is_multiple_of(width);
     if at_border || ![i - 1, i, i + 1].iter().all(|&j| flat[j] && points.is_finite(j)) {

@@ -1,4 +1,4 @@
-//! How well holes are filled: holes that are cut into frames, whose values are known, and the holes of the sensor.
+//! Quality of filled holes: holes cut into frames, whose values are known, and holes of the sensor.
 
 use std::f64::consts::PI;
 
@@ -10,16 +10,18 @@ use super::geometry::step_m;
 use crate::simulate::{NO_OBJECT, Random, Truth};
 use planish_core::DepthFrame;
 
-/// Holes that are cut into a frame of 640x480 pixels; others get as many per pixel.
+/// Number of holes cut into a frame of [`PIXELS`] pixels, and in proportion into other frames.
 const CUTS: usize = 250;
+/// Number of pixels of a frame with [`CUTS`] cut holes.
 const PIXELS: usize = 640 * 480;
-/// Cut holes are up to this many times as long as wide.
+/// Maximum ratio of length to width of a cut hole.
 const LONGEST: f64 = 3.0;
 const STREAM_CUTS: u64 = 7;
-/// A filled pixel further than this and three depth steps of a Kinect v1 from the truth is on the wrong surface.
+/// Distance from the truth above which a filled pixel is on a wrong surface, in metres, if it also exceeds three
+/// depth steps of a Kinect v1.
 const WRONG_M: f64 = 0.02;
 
-/// Cuts holes into a frame. Returns the pixels in them that were measured.
+/// Cuts holes into a frame. Returns a mask of their measured pixels.
 pub fn cut_holes(frame: &mut DepthFrame, width_px: u32, seed: u64) -> Vec<bool> {
     let mut cut = hole_mask((frame.camera.width, frame.camera.height), width_px, seed);
     for (cut, raw) in cut.iter_mut().zip(&mut frame.raw) {
@@ -29,7 +31,7 @@ pub fn cut_holes(frame: &mut DepthFrame, width_px: u32, seed: u64) -> Vec<bool> 
     cut
 }
 
-/// Returns the pixels of holes: ellipses up to `width_px` wide, anywhere.
+/// Returns a mask of holes at random places: ellipses up to `width_px` pixels wide.
 pub fn hole_mask((width, height): (usize, usize), width_px: u32, seed: u64) -> Vec<bool> {
     let mut random = Random::new(seed, STREAM_CUTS);
     let mut cut = vec![false; width * height];
@@ -49,13 +51,13 @@ pub fn hole_mask((width, height): (usize, usize), width_px: u32, seed: u64) -> V
     cut
 }
 
-/// Results in some holes.
+/// Results over a set of holes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct HoleReport {
-    /// Pixels of the holes whose truth is known.
+    /// Number of pixels of the holes.
     pub pixels: usize,
-    /// Share of them that were filled.
+    /// Share of the pixels that were filled.
     pub filled: f64,
     /// Root mean square of the errors in depth, in millimetres.
     pub rms_mm: f64,
@@ -63,11 +65,11 @@ pub struct HoleReport {
     pub median_mm: f64,
     /// Share of the filled pixels on a wrong surface: off by more than 2 cm and three depth steps of a Kinect v1.
     pub wrong: f64,
-    /// Share within one standard error, within two, and off by more than three; NaN if none is stated.
+    /// Share of the filled pixels within one standard error; NaN without standard errors.
     pub within_one: f64,
-    /// The same within two.
+    /// Share of the filled pixels within two standard errors; NaN without standard errors.
     pub within_two: f64,
-    /// Off by more than three.
+    /// Share of the filled pixels off by more than three standard errors; NaN without standard errors.
     pub over_three: f64,
 }
 
@@ -75,17 +77,19 @@ pub struct HoleReport {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FillReport {
-    /// In holes that were cut, away from steps.
+    /// Results in cut holes, away from steps.
     pub cut: HoleReport,
-    /// In holes that were cut, within 3 pixels of a step.
+    /// Results in cut holes, within 3 pixels of a step.
     pub cut_near_steps: HoleReport,
-    /// In holes of the sensor.
+    /// Results in holes of the sensor.
     pub own: HoleReport,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Errors {
     pixels: usize,
+    /// Filled pixels with a true surface.
+    on_surfaces: usize,
     squares: f64,
     errors_mm: Vec<f32>,
     wrong: usize,
@@ -100,7 +104,11 @@ impl Errors {
             return;
         }
         let off_m = f64::from(z_m - true_m).abs();
-        self.squares += if off_m.is_finite() { off_m * off_m } else { 0.0 };
+        // Where there is no surface, a filled pixel is wrong, but has no error in metres.
+        if off_m.is_finite() {
+            self.on_surfaces += 1;
+            self.squares += off_m * off_m;
+        }
         self.errors_mm.push(1e3 * off_m as f32);
         self.wrong += usize::from(off_m > WRONG_M.max(3.0 * step_m(true_m.into())));
         if let Some(sigma_m) = sigma_m {
@@ -117,7 +125,7 @@ impl Errors {
         HoleReport {
             pixels: self.pixels,
             filled: filled / self.pixels as f64,
-            rms_mm: 1e3 * (self.squares / filled).sqrt(),
+            rms_mm: 1e3 * (self.squares / self.on_surfaces as f64).sqrt(),
             median_mm: quantile(&self.errors_mm, 0.5),
             wrong: self.wrong as f64 / filled,
             within_one,

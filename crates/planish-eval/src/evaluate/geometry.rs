@@ -5,23 +5,24 @@ use glam::{DMat3, DVec3};
 use crate::simulate::{DepthNoise, NO_OBJECT, Truth};
 use planish_core::{DepthFrame, SensorModel};
 
-/// The true surface is searched this many pixels around a pixel.
+/// Reach in pixels of the search for the true surface around a pixel.
 const NEAREST_PX: usize = 4;
-/// A point floats if its distance from every surface exceeds both of these: metres, and standard deviations of the
-/// sensor. 4.6 deviations are three depth steps of a Kinect v1.
+/// Distance from every surface above which a point floats, in metres, if it also exceeds [`FLYING_DEVIATIONS`].
 const FLYING_M: f64 = 0.01;
+/// Distance from every surface above which a point floats, in standard deviations of the sensor, if it also exceeds
+/// [`FLYING_M`]: three depth steps of a Kinect v1.
 const FLYING_DEVIATIONS: f64 = 4.6;
 
 pub(super) fn angle_deg(a: DVec3, b: DVec3) -> f64 {
     a.dot(b).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// Returns the depth step of a Kinect v1.
+/// Returns the depth step of a Kinect v1 at depth `z`, in metres.
 pub(super) fn step_m(z: f64) -> f64 {
     SensorModel::KINECT_V1.step_m(z)
 }
 
-/// Returns true if the point of pixel i is on no surface.
+/// Returns true if point `p` of pixel i is not on any surface.
 pub(super) fn floats(truth: &Truth, noise: &DepthNoise, i: usize, p: DVec3) -> bool {
     // The search is slow, and most points are close to the truth.
     let limit_m = FLYING_M.max(FLYING_DEVIATIONS * noise.deviation_m(p.z));
@@ -56,8 +57,8 @@ pub(super) fn distance_to_surface(truth: &Truth, i: usize, p: DVec3) -> f64 {
     nearest.sqrt()
 }
 
-/// Fits a plane to points: its normal, towards the camera, their centroid on it, and their RMS distance from it. `None`
-/// for too few.
+/// Fits a plane to points. Returns its normal, towards the camera, the points' centroid, and their RMS distance from
+/// the plane; `None` for fewer than 12 points.
 pub(super) fn plane(points: Vec<DVec3>) -> Option<(DVec3, DVec3, f64)> {
     if points.len() < 12 {
         return None;

@@ -1,4 +1,4 @@
-//! Surface quality: against the ground truth of simulated frames, or without one.
+//! Surface quality, with the ground truth of simulated frames or without ground truth.
 //!
 //! [`Suite`] renders the frames, [`Evaluation`] computes the scores of a method on them. [`tile_planes`] needs no
 //! ground truth.
@@ -30,7 +30,7 @@ pub use video::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
 /// Errors over a set of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Errors {
-    /// How many pixels of the set have a point.
+    /// Number of pixels of the set that have a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface, along its normal, in metres.
     pub rms_m: f64,
@@ -38,7 +38,7 @@ pub struct Errors {
     pub mean_normal_deg: f64,
 }
 
-/// Compares points and normals with the truth over the pixels that `selected` is true for.
+/// Compares points and normals with the truth over the pixels for which `selected` returns true.
 ///
 /// The distance is measured to the tangent plane of the true surface at the pixel, so a shift along the surface is not
 /// an error. Pixels without a point are skipped; pixels without a normal are skipped only in the normal error.
@@ -116,7 +116,7 @@ fn within(camera: &Camera, marked: &[bool], margin_px: usize) -> Vec<bool> {
     (0..width * height).map(in_box).collect()
 }
 
-/// Normals of neighbouring pixels that differ by over 15° are a crease.
+/// Cosine of the angle between the normals of neighbouring pixels below which they form a crease: 15°.
 const CREASE_COSINE: f64 = 0.966;
 
 #[cfg(test)]

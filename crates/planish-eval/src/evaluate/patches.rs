@@ -9,14 +9,15 @@ use planish_core::{
     internal::{NeighbourSearch, symmetric_eigen},
 };
 
-/// Points of a patch.
+/// Number of points of a patch.
 const PATCH_POINTS: usize = 64;
-/// Patches that are measured, at most.
+/// Maximum number of patches.
 const MOST_PATCHES: usize = 10_000;
-/// Points whose variance across the patch is more than this share of their whole variance lie on no surface, or on
-/// several.
+/// Maximum variance across a patch as a share of its total variance. Beyond it, the points are not on a surface, or
+/// on several.
 const LARGEST_VARIATION: f64 = 0.1;
-/// Points whose second variance is below this share of the first lie on a line: a scanner's, whose normal is arbitrary.
+/// Minimum ratio of the second largest variance of a patch to the largest. Below it, the points are on a line, such
+/// as a scanner's, whose normal is arbitrary.
 const LEAST_WIDTH: f64 = 0.01;
 
 /// Planes fitted to patches of 64 points.
@@ -38,7 +39,7 @@ pub struct PatchReport {
 /// correspond to `measured` one to one.
 ///
 /// # Errors
-/// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search takes.
+/// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search supports.
 pub fn patch_planes(measured: &PointCloud, points: &Xyz, normals: Option<&Xyz>) -> Result<PatchReport, Error> {
     let all: Vec<DVec3> = (0..measured.len()).map(|i| measured.positions.vector(i)).collect();
     let search = NeighbourSearch::new(&all)?;
@@ -87,7 +88,7 @@ mod tests {
     use super::*;
     use crate::simulate::Random;
 
-    /// Two walls of a corner, with 2 mm of noise across the first.
+    /// Returns two walls of a corner, each with noise of standard deviation `noise_m` across it.
     fn corner(noise_m: f32) -> PointCloud {
         let mut random = Random::new(3, 0);
         let mut point = |i: usize| {

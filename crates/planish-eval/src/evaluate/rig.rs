@@ -1,5 +1,5 @@
-//! How good the surfaces of a rig are: where several cameras see them and where one does, whether they are doubled, and
-//! their edges.
+//! Quality of a rig's surfaces: where several cameras see them and where one camera does, doubled surfaces, and
+//! edges.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -10,32 +10,33 @@ use super::{edge_band, flat_pixels};
 use crate::simulate::{DepthNoise, DepthSimulator, NO_OBJECT, Pose, PoseErrors, RigScene, Truth};
 use planish_core::{Camera, DepthFrame, FrameError, Xyz};
 
-/// Surfaces are measured at these ranges from the camera that has them, in metres.
+/// Range of depth in which a camera's surfaces are measured, in metres.
 const RANGE_M: std::ops::Range<f32> = 0.5..1.5;
 
-/// A camera sees a point if its surface at that pixel is at most this far from it, in metres.
+/// Maximum distance along z between a point and a camera's surface at its pixel for the camera to see the point, in
+/// metres.
 const SEEN_WITHIN_M: f64 = 0.01;
 
-/// Doubled surfaces are measured by the mean distance between two cameras' points over blocks of this many pixels.
+/// Side in pixels of the blocks over which the distance between two cameras' surfaces is averaged.
 const BLOCK_PX: usize = 8;
-/// Minimum number of pixels of a block with points of both cameras.
+/// Minimum number of pixels of a block that have points of both cameras.
 const BLOCK_LEAST: usize = 32;
 
-/// Simulated rigs: cameras round a table.
+/// Simulated rigs of cameras around a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigSuite {
-    /// How many cameras.
+    /// Number of cameras.
     pub cameras: usize,
-    /// The camera of each.
+    /// Intrinsics of every camera.
     pub camera: Camera,
-    /// The noise of each, which is its own.
+    /// Noise of every camera, independent between cameras.
     pub noise: DepthNoise,
-    /// How far the stated poses are off.
+    /// Errors of the stated poses.
     pub errors: PoseErrors,
 }
 
 impl RigSuite {
-    /// Kinects of their full resolution, whose poses are right.
+    /// Creates rigs of full-resolution Kinects whose stated poses are exact.
     pub fn new(cameras: usize) -> Self {
         let (camera, noise) = (Camera::kinect_v1(), DepthNoise::default());
         Self { cameras, camera, noise, errors: PoseErrors::default() }
@@ -59,7 +60,7 @@ impl RigSuite {
 /// One moment of a simulated rig.
 #[derive(Debug, Clone)]
 pub struct RigCase {
-    /// Its cameras.
+    /// The cameras.
     pub cameras: Vec<RigCaseCamera>,
 }
 
@@ -69,9 +70,9 @@ pub struct RigCase {
 pub struct RigCaseCamera {
     /// The frame of a perfect camera.
     pub truth: Truth,
-    /// What the camera sees.
+    /// The simulated frame.
     pub frame: DepthFrame,
-    /// Where it stands.
+    /// The true pose.
     pub pose: Pose,
     /// The stated pose, with calibration errors.
     pub stated: Pose,
@@ -82,24 +83,24 @@ pub struct RigCaseCamera {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RigReport {
-    /// On flat surfaces seen by several cameras: root mean squared distance along the normal, in millimetres.
+    /// Root mean squared distance along the normal on flat surfaces seen by several cameras, in millimetres.
     pub overlap_rmse_mm: f64,
-    /// The same where one camera sees it.
+    /// Root mean squared distance along the normal on flat surfaces seen by one camera, in millimetres.
     pub single_rmse_mm: f64,
-    /// Mean angle between the facets of adjacent pixels and the true surface, where several cameras see it, in degrees.
+    /// Mean angle between the facets of adjacent pixels and a true surface seen by several cameras, in degrees.
     pub overlap_facet_deg: f64,
-    /// The same where one camera sees it.
+    /// Mean angle between the facets of adjacent pixels and a true surface seen by one camera, in degrees.
     pub single_facet_deg: f64,
-    /// How far the surfaces of two cameras are apart: root of the mean square, over blocks of 8x8 pixels, of the mean
-    /// distance, in millimetres.
+    /// Distance between the surfaces of two cameras: root mean square over blocks of 8x8 pixels of the mean distance,
+    /// in millimetres.
     pub ghosting_mm: f64,
-    /// Within 3 pixels of a step: mean distance to the nearest true surface, in millimetres.
+    /// Mean distance to the nearest true surface within 3 pixels of a step, in millimetres.
     pub edge_mean_mm: f64,
     /// Share of the measured pixels that have no point.
     pub lost_share: f64,
 }
 
-/// Accumulates the scores of a way over cases.
+/// Accumulates the scores of a method over cases.
 #[derive(Debug, Clone, Default)]
 pub struct RigEvaluation {
     overlap_m: Sum,
@@ -121,7 +122,7 @@ fn to_camera(pose: &Pose, point: DVec3) -> DVec3 {
 }
 
 impl RigEvaluation {
-    /// Adds a result: of each camera the points in its own frame, one for each pixel.
+    /// Adds a result: for each camera, one point per pixel in the camera's own frame.
     pub fn add(&mut self, case: &RigCase, results: &[Xyz]) {
         let flat: Vec<Vec<bool>> =
             case.cameras.iter().map(|camera| flat_pixels(&camera.truth, FLAT_MARGIN_PX)).collect();
@@ -158,7 +159,7 @@ impl RigEvaluation {
         }
     }
 
-    /// How far the surfaces of two cameras are apart, block by block of the first one's pixels.
+    /// Adds the distances between the surfaces of two cameras, over blocks of the first camera's pixels.
     fn add_apart(
         &mut self,
         case: &RigCase,
@@ -206,7 +207,7 @@ impl RigEvaluation {
     }
 }
 
-/// For each pixel of a camera, at which pixel each other camera sees and has measured its surface.
+/// Returns, for each pixel of camera `i`, the pixel at which each other camera sees and has measured its surface.
 fn seen_by(case: &RigCase, i: usize) -> Vec<Vec<Option<usize>>> {
     let camera = &case.cameras[i];
     let at = |p: usize, j: usize| -> Option<usize> {
@@ -257,7 +258,7 @@ mod tests {
         let mut evaluation = RigEvaluation::default();
         evaluation.add(&case, &truth(&case));
         let report = evaluation.report();
-        // 5 mm in any direction are some 3 mm along a normal, for two cameras out of three.
+        // 5 mm in any direction are about 3 mm along a normal, for two cameras out of three.
         assert!((1.0..8.0).contains(&report.ghosting_mm) && report.overlap_rmse_mm > 1.0, "{report:?}");
         assert_eq!(report.lost_share, 0.0);
     }

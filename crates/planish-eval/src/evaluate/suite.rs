@@ -37,11 +37,11 @@ pub struct Case {
     pub name: String,
     /// The frame of a perfect camera.
     pub truth: Truth,
-    /// What the camera sees.
+    /// The simulated frame.
     pub frame: DepthFrame,
     /// The noise of the frame.
     pub noise: DepthNoise,
-    /// What is measured.
+    /// The metrics of the frame.
     pub gauges: Gauges,
 }
 
@@ -68,7 +68,7 @@ impl Suite {
         scenes.into_iter().map(case).collect()
     }
 
-    /// Returns frames of a static camera before a table.
+    /// Returns frames of a static camera in front of a table, and their truth.
     pub fn still(&self, seed: u64, frames: u64) -> Result<(Truth, Vec<DepthFrame>), FrameError> {
         let (scene, pose) = Scene::tabletop(seed);
         let truth = scene.render(&self.camera, &pose);

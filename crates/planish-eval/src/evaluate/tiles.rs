@@ -1,4 +1,4 @@
-//! Measures that need no ground truth: how flat a surface is tile by tile, and where it is a plane.
+//! Measures without ground truth: the flatness of a surface in tiles, and the largest plane of a frame.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -8,7 +8,7 @@ use super::geometry::{angle_deg, plane};
 use crate::simulate::Random;
 use planish_core::{OrganizedCloud, SensorModel, Xyz};
 
-/// Side of a tile in pixels: 64 in each.
+/// Side of a tile in pixels; a tile has 64 pixels.
 const TILE_PX: usize = 8;
 
 /// Planes fitted to tiles of 64 pixels.
@@ -80,16 +80,17 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Number of candidate planes, and of points that each is scored on.
+/// Number of candidate planes.
 const TRIALS: usize = 400;
+/// Number of points on which each candidate plane is scored.
 const TRIED_POINTS: usize = 2000;
-/// How often the plane is refitted to its inliers.
+/// Number of times that the plane is refitted to its inliers.
 const REFITS: usize = 4;
-/// Inliers are within this many standard deviations of a Kinect v1's noise.
+/// Maximum distance of an inlier from the plane, in standard deviations of a Kinect v1's noise.
 const ON_PLANE_DEVIATIONS: f64 = 3.0;
 
-/// A pixel belongs to the plane only if its neighbours up to this far do, so that other objects crossing it are left
-/// out.
+/// Distance in pixels up to which all neighbours of a pixel must be inliers for it to belong to the plane. This
+/// leaves out other objects that cross the plane.
 const INNER_PX: usize = 2;
 
 /// A dominant plane of a frame.

@@ -1,4 +1,4 @@
-//! How steady and how prompt the depth of a video is, after smoothing in several ways.
+//! Steadiness and delay of the depth of a video, for several ways of smoothing it.
 
 use planish_core::{Camera, OrganizedCloud, SensorModel, Xyz};
 use serde::Serialize;
@@ -6,64 +6,66 @@ use serde::Serialize;
 use super::{flat_pixels, tile_planes};
 use crate::simulate::Truth;
 
-/// Frames before errors against the truth count: a filter over time needs some to settle.
+/// Number of frames after which errors against the truth count: a filter over time needs some to settle.
 const SETTLING_FRAMES: u64 = 8;
-/// Flatness is measured in one of this many frames.
+/// Distance in frames between the frames whose flatness is measured.
 const FLATNESS_EVERY: u64 = 10;
-/// Shortest time for which a pixel must be still to count, in frames.
+/// Minimum time for which a pixel must be still to count, in frames.
 const LEAST_STILL: u16 = 10;
-/// Share of the frames in which a pixel must be still to count.
+/// Minimum share of the frames in which a pixel must be still to count.
 const LEAST_SHARE_STILL: f64 = 2.0 / 3.0;
-/// Largest change of a still pixel between frames, in sigmas.
+/// Maximum change of a still pixel between frames, in sigmas.
 const STILL_SIGMAS: f64 = 8.0;
-/// A larger relative error is another surface.
+/// Relative error above which a pixel shows another surface.
 const SAME_SURFACE: f32 = 0.02;
-/// Larger relative errors are no noise.
+/// Relative error above which a pixel is an outlier.
 const OUTLIER: f32 = 0.05;
-/// Ends of the near range and start of the far range in metres.
+/// End of the near range in metres.
 const NEAR_M: f32 = 0.9;
+/// Start of the far range in metres.
 const FAR_M: f32 = 2.0;
-/// Changes of a moving surface per frame: at least, in metres, and at most, relative to its range.
+/// Minimum change of a moving surface per frame, in metres. The maximum is [`SAME_SURFACE`].
 const LEAST_MOTION_M: f32 = 0.0002;
-/// The least one without a truth, above the noise.
+/// Minimum change of a moving surface per frame without ground truth, in metres; it exceeds the noise.
 const LEAST_SEEN_MOTION_M: f32 = 0.004;
 
-/// Scores of a range of depth, in millimetres.
+/// Scores in a range of depth, in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct VideoRange {
     /// Number of pixels that were still in two thirds of the frames, for 10 frames or longer at a time.
     pub still_pixels: usize,
-    /// Median over these of the deviation of differences between frames, over the root of 2.
+    /// Median over the still pixels of the standard deviation of differences between frames, divided by the root of
+    /// 2.
     pub jitter_mm: Option<f64>,
-    /// Its 95th percentile: that of the noisiest pixels.
+    /// 95th percentile of the jitter over the still pixels.
     pub jitter_95_mm: Option<f64>,
-    /// Median of the deviation while a pixel is still.
+    /// Median over the still pixels of the standard deviation of depth while a pixel is still.
     pub wander_mm: Option<f64>,
-    /// Its 95th percentile.
+    /// 95th percentile of the wander over the still pixels.
     pub wander_95_mm: Option<f64>,
     /// Root mean square of the error of depth on flat surfaces, after the first 8 frames; errors over 5 % are left out.
     pub rms_mm: Option<f64>,
 }
 
-/// Scores of a way to smooth a video.
+/// Scores of one way to smooth a video.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct VideoReport {
-    /// The name of the way.
+    /// Name of the way.
     pub name: String,
-    /// Below 0.9 m.
+    /// Scores below 0.9 m.
     pub near: VideoRange,
-    /// Beyond 2 m.
+    /// Scores beyond 2 m.
     pub far: VideoRange,
     /// Share of the measured pixels of the moving object that are within 2 % of its depth.
     pub found_share: Option<f64>,
-    /// Share of the pixels newly covered by a surface that do not show it. Without a truth: share of the jumps over 2 %
-    /// and 8 sigmas after which a pixel is nearer to its depth before.
+    /// Share of the pixels newly covered by the moving object that do not show it. Without a truth: share of the
+    /// jumps over 2 % and 8 sigmas after which a pixel is nearer to its previous depth.
     pub late_share: Option<f64>,
     /// Share of the pixels just left by the moving object that do not show the surface behind it.
     pub left_share: Option<f64>,
-    /// Mean distance in millimetres by which moving surfaces are behind; without a truth only below 0.9 m.
+    /// Mean distance by which moving surfaces lag behind, in millimetres; without a truth only below 0.9 m.
     pub lag_mm: Option<f64>,
     /// Share of the points whose depth was carried over from earlier frames.
     pub carried_share: f64,
@@ -74,12 +76,12 @@ pub struct VideoReport {
     pub flatness_mm: Option<f64>,
 }
 
-/// A frame of a video as one way to smooth shows it.
+/// A frame of a video, smoothed in one way.
 #[derive(Debug, Clone, Copy)]
 pub struct VideoDepth<'a> {
     /// Depth in metres, row by row; NaN or 0 for holes.
     pub depth_m: &'a [f32],
-    /// Which pixels are carried over from earlier frames; empty for none.
+    /// Mask of the pixels that are carried over from earlier frames; empty for none.
     pub carried: &'a [bool],
 }
 
@@ -88,16 +90,17 @@ pub struct VideoEvaluation {
     sensor: SensorModel,
     frames: u64,
     methods: Vec<Method>,
-    /// The frame before, smoothed in space.
+    /// The previous frame, smoothed in space.
     before_m: Vec<f32>,
+    /// The frame before the previous one, smoothed in space.
     before_that_m: Vec<f32>,
     truth_before: Option<(Truth, Option<u16>)>,
 }
 
-/// Sums of a pixel while it is still, and over all the times that it was.
+/// Sums of a pixel over its current still period, and over all its finished still periods.
 #[derive(Clone, Copy, Default)]
 struct Pixel {
-    /// Frames since it was last not still.
+    /// Number of frames in the current still period.
     frames: u16,
     last_m: f32,
     mean_m: f32,
@@ -142,14 +145,15 @@ impl Share {
 }
 
 impl VideoEvaluation {
-    /// Starts to measure ways to smooth; the first of them smooths each frame alone and decides which pixels are still.
+    /// Creates an evaluation of several ways to smooth. The first must smooth each frame alone; it decides which
+    /// pixels are still.
     pub fn new(sensor: SensorModel, names: &[&str]) -> Self {
         let methods = names.iter().map(|name| Method { name: (*name).to_owned(), ..Method::default() }).collect();
         let (before_m, before_that_m) = Default::default();
         Self { sensor, frames: 0, methods, before_m, before_that_m, truth_before: None }
     }
 
-    /// Measures how flat every tenth frame is, on the tiles that are flat in its first way; call it before
+    /// Measures how flat every tenth frame is, on the tiles that are flat after the first way. Call it before
     /// [`add`](Self::add).
     pub fn add_flatness(&mut self, camera: &Camera, depths: &[VideoDepth<'_>]) {
         let Some(alone) = depths.first().filter(|_| self.frames % FLATNESS_EVERY == FLATNESS_EVERY - 1) else { return };
@@ -165,7 +169,7 @@ impl VideoEvaluation {
         }
     }
 
-    /// Adds a frame: one depth image per way, of one size, and its truth with the object that moves, if known.
+    /// Adds a frame: one depth image per way, all of the same size, and its truth with the moving object, if known.
     pub fn add(&mut self, depths: &[VideoDepth<'_>], truth: Option<(&Truth, Option<u16>)>) {
         let Some(alone) = depths.first() else { return };
         let len = alone.depth_m.len();
@@ -285,7 +289,7 @@ impl VideoEvaluation {
 }
 
 impl Pixel {
-    /// Takes the depth of a frame; a hole ends the time for which the pixel was still.
+    /// Adds the depth of a frame; a hole ends the still period.
     fn take(&mut self, depth_m: f32) {
         if depth_m.is_nan() || depth_m <= 0.0 {
             self.finish();
@@ -303,7 +307,7 @@ impl Pixel {
         self.last_m = depth_m;
     }
 
-    /// Ends a time for which the pixel was still.
+    /// Ends the current still period, which counts if it was long enough.
     fn finish(&mut self) {
         if self.frames >= LEAST_STILL {
             self.all_squares += self.squares;
@@ -356,7 +360,7 @@ impl Method {
     }
 }
 
-/// Returns 0 for the near range, 1 for the far one.
+/// Returns 0 for the near range, 1 for the far range, and `None` between them.
 fn range_of(depth_m: f32) -> Option<usize> {
     match depth_m {
         _ if depth_m < NEAR_M => Some(0),

@@ -4,25 +4,25 @@ use glam::{DMat3, DVec3};
 
 use planish_core::{FrameError, OrganizedCloud, ParamError, PointCloud, Xyz};
 
-/// The outermost share of points on either side is ignored when the extent of the picture is determined.
+/// Share of the points on either side that is ignored when the extent of the picture is determined.
 const STRAY_SHARE: f64 = 0.002;
 /// Empty space around the points, as a share of the picture.
 const MARGIN: f64 = 0.02;
-/// Points at most this many pixel widths behind the nearest point of their pixel belong to one surface; the picture
+/// Maximum distance from the nearest point of a pixel to points of the same surface, in pixel widths; the picture
 /// shows their mean.
 const SURFACE_PIXELS: f32 = 3.0;
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
-/// Pixels around its own that a point of a sparse cloud covers at most.
+/// Maximum distance in pixels that a point of a sparse cloud covers around its own pixel.
 const MOST_SPREAD: i64 = 8;
-/// Pixels for each point at most: a picture of few points is a small one.
+/// Maximum number of pixels per point, so that a picture of few points is small.
 const PIXELS_A_POINT: f64 = 40.0;
 
 /// Projects a cloud orthographically in a direction (from the points towards the viewer) to a grid of points in the
 /// viewer's frame: x to the right, y down, z away, in metres.
 ///
-/// The longer side has at most `longest_side` pixels. Each has the mean depth of the front surface's points and the
-/// fields of the nearest. `normal_x`, `normal_y` and `normal_z` are the cloud's if it has normals, otherwise computed
-/// from the picture's positions.
+/// The longer side has at most `longest_side` pixels. Each pixel has the mean depth of the front surface's points and
+/// the fields of the nearest point. `normal_x`, `normal_y` and `normal_z` are the cloud's if it has normals,
+/// otherwise computed from the picture's positions.
 ///
 /// # Errors
 /// If the direction is zero or not finite, or the cloud is empty.
@@ -42,7 +42,7 @@ pub struct DistantView {
 }
 
 impl DistantView {
-    /// The view of a cloud from a direction; see [`seen_from`].
+    /// Creates the view of a cloud from a direction; see [`seen_from`].
     ///
     /// # Errors
     /// If the direction is zero or not finite, or the cloud is empty.
@@ -86,11 +86,11 @@ impl DistantView {
         let Self { viewer_from_cloud, left, pixel_m, width, height } = *self;
         let seen = in_frame(&viewer_from_cloud, cloud);
         let valid: Vec<usize> = (0..seen.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
-        // Far outside the picture it does not matter where.
+        // Places far outside the picture are clamped; they do not matter.
         let pixel = |place: f64| place.floor().clamp(-1e9, 1e9) as i64;
         let pixel_of = |i: usize| [0, 1].map(|axis| pixel((f64::from(seen[i][axis]) - left[axis]) / pixel_m));
 
-        // How far apart the points of an even sheet would be, in pixels.
+        // The distance between the points of an even sheet, in pixels.
         let spacing = ((width * height) as f64 / valid.len().max(1) as f64).sqrt();
         let spread = ((1.25 * spacing) as i64).min(MOST_SPREAD);
         let mut front = vec![f32::INFINITY; width * height];
@@ -98,7 +98,7 @@ impl DistantView {
             let [u, v] = pixel_of(i);
             let inside = |u: i64, v: i64| (0..width as i64).contains(&u) && (0..height as i64).contains(&v);
             let around = (-spread..=spread).flat_map(move |dv| (-spread..=spread).map(move |du| (du, dv)));
-            // The nearer a pixel, the more the point counts there.
+            // The weight of a point decreases with the distance of the pixel.
             let pixel = move |(du, dv): (i64, i64)| {
                 let weight = (1.0 - ((du * du + dv * dv) as f64).sqrt() / (spread as f64 + 1.0)).max(1e-3).powi(2);
                 inside(u + du, v + dv).then(|| ((v + dv) as usize * width + (u + du) as usize, weight))
@@ -111,7 +111,7 @@ impl DistantView {
             }
         }
         let behind = SURFACE_PIXELS * (pixel_m * spacing.max(1.0)) as f32;
-        // Depth, and weight; the point that counts most there, and how much.
+        // Sums of weighted depths and of weights for each pixel; the point with the largest weight, and this weight.
         let mut sums = vec![(0.0f64, 0.0f64); width * height];
         let mut shown = vec![(cloud.len(), 0.0f64); width * height];
         for &i in &valid {
@@ -150,7 +150,7 @@ fn in_frame(viewer_from_cloud: &DMat3, cloud: &PointCloud) -> Vec<[f32; 3]> {
     cloud.positions.iter().map(seen).collect()
 }
 
-/// Returns the cloud's own normals in the viewer's frame; NaN where nothing is seen.
+/// Returns the cloud's own normals in the viewer's frame, NaN for empty pixels; `None` if the cloud has no normals.
 fn own_normals(points: &PointCloud, viewer_from_cloud: DMat3) -> Option<Xyz> {
     let values = |name: &str| points.attribute(name).filter(|field| field.count == 1).map(|field| &field.values);
     let [x, y, z] = NORMALS.map(values);

@@ -36,7 +36,8 @@ pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     (0..width * height).map(normal).collect()
 }
 
-/// Returns the cloud's own normals (fields `normal_x`, `normal_y`, `normal_z`), or those from differences.
+/// Returns the cloud's own normals (fields `normal_x`, `normal_y`, `normal_z`) if it has any, otherwise
+/// [`difference_normals`].
 pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
     let field = |name: &str| match cloud.points.attribute(name).map(|attribute| &attribute.values) {
         Some(AttributeValues::F32(values)) if values.len() == cloud.points.len() => Some(values.clone()),
@@ -87,7 +88,7 @@ pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     }
 }
 
-/// Places pictures of one size side by side, with a thin line between them.
+/// Places pictures of the same size side by side, with a thin line between them.
 pub fn side_by_side(pictures: &[RgbImage]) -> RgbImage {
     const LINE_PX: usize = 4;
     let Some(first) = pictures.first() else { return RgbImage { width: 0, height: 0, rgb: Vec::new() } };
@@ -118,7 +119,7 @@ pub fn half_size(picture: &RgbImage) -> RgbImage {
     RgbImage { width, height, rgb: (0..3 * width * height).map(mean).collect() }
 }
 
-/// Stacks two pictures of one width.
+/// Stacks two pictures of the same width, with a thin line between them.
 pub fn stacked(upper: RgbImage, lower: &RgbImage) -> RgbImage {
     let mut rgb = upper.rgb;
     rgb.extend(std::iter::repeat_n(255, 3 * 4 * upper.width));

@@ -3,31 +3,31 @@
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 
-/// A generator for one purpose: `stream` separates the uses of one seed.
+/// A random number generator for one purpose: `stream` separates the uses of one seed.
 pub struct Random {
     generator: Pcg32,
     spare_normal: Option<f64>,
 }
 
 impl Random {
-    /// Creates the generator of a seed for one use of it.
+    /// Creates the generator of a seed for one use of the seed.
     pub fn new(seed: u64, stream: u64) -> Self {
         // Neighbouring streams of PCG with equal states resemble each other, so the state is mixed too.
         let state = seed.wrapping_add(stream.wrapping_mul(0x9e37_79b9_7f4a_7c15)) ^ (stream << 32);
         Self { generator: Pcg32::new(state.wrapping_mul(0xbf58_476d_1ce4_e5b9), stream), spare_normal: None }
     }
 
-    /// Uniform in [0, 1).
+    /// Returns a uniformly distributed number in [0, 1).
     pub fn uniform(&mut self) -> f64 {
         f64::from(self.generator.next_u32()) / 4_294_967_296.0
     }
 
-    /// Uniform in [low, high).
+    /// Returns a uniformly distributed number in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Normal with mean 0 and standard deviation 1.
+    /// Returns a normally distributed number with mean 0 and standard deviation 1.
     pub fn normal(&mut self) -> f64 {
         if let Some(spare) = self.spare_normal.take() {
             return spare;

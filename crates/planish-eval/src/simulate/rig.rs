@@ -1,4 +1,4 @@
-//! Simulated rigs: cameras round a table, and the poses that a calibration with errors would state.
+//! Simulated rigs of cameras around a table, and the poses that a calibration with errors would state.
 
 use std::f64::consts::TAU;
 
@@ -7,16 +7,17 @@ use glam::{DMat3, DVec3};
 use super::random::Random;
 use super::scene::{Pose, Scene};
 
-/// The point that the cameras look at, and their distance from it and height above it, in metres.
+/// Point that the cameras look at, in metres. The cameras are at y = 0, above it.
 const CENTRE: DVec3 = DVec3::new(0.0, 0.40, 1.05);
+/// Horizontal distance of the cameras from the point that they look at, in metres.
 const DISTANCE_M: f64 = 1.0;
-/// Cameras are at most this far apart, seen from the table.
+/// Maximum angle between adjacent cameras, seen from the table, in degrees.
 const MOST_APART_DEG: f64 = 50.0;
-/// The object of [`Scene::tabletop`] that is its wall, behind which cameras stand.
+/// Index of the wall of [`Scene::tabletop`], behind which cameras stand.
 const WALL: usize = 1;
 const STREAM_POSES: u64 = 1 << 40;
 
-/// A scene with cameras round it.
+/// A scene with cameras around it.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct RigScene {
@@ -26,18 +27,18 @@ pub struct RigScene {
     pub poses: Vec<Pose>,
 }
 
-/// How far poses are off.
+/// The errors of poses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct PoseErrors {
-    /// The angle of a turn about any axis, in degrees.
+    /// Angle of a rotation about a random axis, in degrees.
     pub angle_deg: f64,
-    /// The length of a shift in any direction, in metres.
+    /// Length of a shift in a random direction, in metres.
     pub shift_m: f64,
 }
 
 impl PoseErrors {
-    /// Errors of this angle and this length.
+    /// Creates errors of this angle in degrees and this length in metres.
     pub const fn new(angle_deg: f64, shift_m: f64) -> Self {
         Self { angle_deg, shift_m }
     }
@@ -59,7 +60,7 @@ impl RigScene {
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }
 
-    /// Returns the poses of a calibration with such errors. The first camera's pose is exact; each other is rotated
+    /// Returns the poses of a calibration with these errors. The first camera's pose is exact; each other is rotated
     /// about a random axis and shifted in a random direction.
     pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
         let mut random = Random::new(seed, STREAM_POSES);

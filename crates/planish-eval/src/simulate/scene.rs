@@ -64,7 +64,7 @@ pub enum Shape {
         centre_m: [f64; 3],
         /// r, its radius of curvature along both axes, in metres.
         radius_m: f64,
-        /// The distance in metres.
+        /// Maximum distance from the centre in metres.
         extent_m: f64,
     },
 }
@@ -161,10 +161,10 @@ impl Shape {
     }
 }
 
-/// A ray that comes no nearer to a torus within this many steps touches it at most.
+/// Maximum number of steps of a ray towards a torus. A ray that has not hit it by then touches it at most.
 const MOST_STEPS: usize = 1000;
 
-/// False for NaN, a ray that misses.
+/// Returns true if a hit is in front of the ray's origin; false for NaN, a ray that misses.
 fn in_front(t: f64) -> bool {
     t > 1e-3 && t.is_finite()
 }
@@ -287,7 +287,7 @@ mod tests {
     use super::*;
     use crate::simulate::CURVES_RANGES_M;
 
-    /// Returns point and normal where a ray from the origin along z hits.
+    /// Returns the point and the normal at which a ray from the origin hits.
     fn probe(shape: Shape, direction: DVec3) -> Option<(DVec3, DVec3)> {
         shape.intersect(DVec3::ZERO, direction).map(|(t, n)| (t * direction, n))
     }

@@ -5,8 +5,9 @@ use glam::{DMat3, DVec3};
 use super::random::Random;
 use super::scene::{Pose, Scene, Shape};
 
-/// Height of the table over the floor, and of the camera over the table, in metres.
+/// Height of the table above the floor, in metres.
 const TABLE_HEIGHT_M: f64 = 0.75;
+/// Height of the camera above the table, in metres.
 const CAMERA_OVER_TABLE_M: f64 = 0.45;
 
 impl Scene {
@@ -65,7 +66,7 @@ impl Scene {
         let lean = DMat3::from_rotation_z(random.between(-0.15, 0.15));
         let world_from_box = lean * DMat3::from_rotation_y(turn);
         let half_m = 0.12;
-        // Turned by some 45°, this is the edge nearest to the camera.
+        // Turned by about 45°, this is the edge nearest to the camera.
         let to_edge = world_from_box * DVec3::new(half_m, 0.0, -half_m);
         let wedge = Shape::Cuboid {
             centre_m: (DVec3::new(0.0, 0.0, 1.0) - to_edge).to_array(),
@@ -108,11 +109,11 @@ pub const CURVES_RANGES_M: [f64; 3] = [0.8, 1.2, 2.0];
 /// A curved surface of known size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Curve {
-    /// Its index in the scene.
+    /// Index of the surface in the scene.
     pub object: u16,
-    /// What it is called: `cylinder`, `sphere`, `torus`, `saddle`, or `board`, a flat one to compare with.
+    /// `cylinder`, `sphere`, `torus`, `saddle`, or, for comparison, the flat `board`.
     pub name: &'static str,
-    /// Its smallest radius of curvature in metres; infinite for the board.
+    /// Smallest radius of curvature in metres; infinite for the board.
     pub radius_m: f64,
 }
 
@@ -129,7 +130,7 @@ impl Scene {
             objects.push(shape);
         };
         let (above_m, below_m) = (-0.17, 0.17);
-        // A row from left to right, with the camera's axis in its middle: places at these distances from its start.
+        // A randomly shifted place at this distance from the camera's axis.
         let mut place = |x_m: f64, y_m: f64| {
             let jitter_m = [random.between(-0.004, 0.004), random.between(-0.004, 0.004)];
             DVec3::new(x_m + jitter_m[0], y_m + jitter_m[1], range_m)
@@ -170,25 +171,25 @@ impl Scene {
 /// The shapes of [`Scene::gauges`], in the camera's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauge {
-    /// The object with the 90° edge, which stands upright before the camera at 1 m.
+    /// Index of the object with the 90° edge, which stands upright in front of the camera at 1 m.
     pub wedge: u16,
-    /// The sphere.
+    /// Index of the sphere.
     pub sphere: u16,
-    /// Its centre in metres.
+    /// Centre of the sphere in metres.
     pub(crate) sphere_centre: DVec3,
-    /// Its radius in metres.
+    /// Radius of the sphere in metres.
     pub sphere_radius_m: f64,
-    /// The cylinder.
+    /// Index of the cylinder.
     pub cylinder: u16,
-    /// A point on its axis in metres.
+    /// A point on the cylinder's axis in metres.
     pub(crate) cylinder_centre: DVec3,
-    /// The direction of its axis, of length 1.
+    /// Unit direction of the cylinder's axis.
     pub(crate) cylinder_axis: DVec3,
-    /// Its radius in metres.
+    /// Radius of the cylinder in metres.
     pub cylinder_radius_m: f64,
 }
 
-/// Creates a sphere, box or cylinder on `base`, with a size of some centimetres times `scale`.
+/// Creates a sphere, box or cylinder on `base`, with a size of a few centimetres times `scale`.
 fn standing_object(random: &mut Random, base: DVec3, scale: f64) -> Shape {
     let radius_m = scale * random.between(0.05, 0.08);
     let half_height_m = scale * random.between(0.05, 0.11);

@@ -29,7 +29,7 @@ pub enum ErrorUnit {
     },
 }
 
-/// The parts of the noise. The default is a Kinect v1; [`DepthNoise::NONE`] only rounds to millimetres.
+/// The parameters of the noise. The default is a Kinect v1; [`DepthNoise::NONE`] only rounds to millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthNoise {
     /// The unit of the errors.
@@ -42,7 +42,7 @@ pub struct DepthNoise {
     pub temporal_rms: f64,
     /// Distance in pixels at which the temporal noise's correlation has fallen to 1/e; 0 for independent pixels.
     pub temporal_correlation_px: f64,
-    /// Standard deviation in pixels by which a pixel at a step samples off its ray.
+    /// Standard deviation in pixels of the distance from its ray at which a pixel at a step samples.
     pub edge_jitter_px: f64,
     /// Probability that a pixel at a step floats between the two surfaces.
     pub flying_pixel_probability: f64,
@@ -191,7 +191,7 @@ impl DepthSimulator {
         Ok(DepthFrame::new(self.camera, raw)?.with_rgb(colours(truth)))
     }
 
-    /// Without a row of temporal noise, draws independent values.
+    /// Simulates row `v`. Without a row of temporal noise, draws independent values.
     fn simulate_row(&self, truth: &Truth, v: usize, noise: Option<&[f32]>, random: &mut Random, row: &mut [u16]) {
         let shadow = self.shadow(truth, v);
         for (u, raw) in row.iter_mut().enumerate() {
@@ -252,7 +252,7 @@ impl DepthSimulator {
         if angle_deg <= start { 0.0 } else { ((angle_deg - start) / (90.0 - start)).min(1.0) }
     }
 
-    /// Returns the depth next to the ray, if that is across a step.
+    /// Returns the depth at a random place near the ray; `None` unless it is across a step.
     fn beyond_step(&self, truth: &Truth, u: usize, v: usize, jitter_u: f64, jitter_v: f64) -> Option<f64> {
         let moved = |at: usize, by: f64, size: usize| {
             (at as f64 + self.noise.edge_jitter_px * by).round().clamp(0.0, size as f64 - 1.0) as usize
@@ -339,7 +339,7 @@ mod tests {
         (scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0)), camera)
     }
 
-    /// Depth errors in metres over the whole wall.
+    /// Returns the depth errors in metres over the whole wall.
     fn errors(frame: &DepthFrame, distance_m: f64) -> Vec<f64> {
         frame.raw.iter().map(|&raw| f64::from(frame.camera.depth_m(raw)) - distance_m).collect()
     }

@@ -15,9 +15,9 @@ const STREAM_HOLES: u64 = 1 << 40;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event {
-    /// Nothing.
+    /// No motion.
     Still,
-    /// Nothing; 70 % of the noise's variance is a fixed pattern.
+    /// No motion; 70 % of the noise's variance is a fixed pattern.
     FixedPattern,
     /// Blocks of 8x8 pixels, 30 % in each frame, are holes.
     Holes,
@@ -27,14 +27,14 @@ pub enum Event {
     FastObject,
     /// A pole of 12 mm, six pixels wide, moves sideways by 10 mm per frame.
     ThinPole,
-    /// A box is there for 12 frames and away for 12.
+    /// A box is alternately absent and present, for 12 frames each.
     Appearing,
     /// The camera is carried by hand: 8 mm and 0.3° per frame.
     MovingCamera,
 }
 
 impl Event {
-    /// All of them.
+    /// All events.
     pub const ALL: [Self; 8] = [
         Self::Still,
         Self::FixedPattern,
@@ -46,7 +46,7 @@ impl Event {
         Self::MovingCamera,
     ];
 
-    /// Returns its name.
+    /// Returns the name of the event.
     pub fn name(self) -> &'static str {
         match self {
             Self::Still => "still",
@@ -82,7 +82,7 @@ pub struct SequenceFrame<'a> {
     pub frame: DepthFrame,
     /// The camera's pose in the world.
     pub pose: Pose,
-    /// Index of the object that moves, if it is there.
+    /// Index of the moving object; `None` if it is absent.
     pub object: Option<u16>,
 }
 
@@ -99,7 +99,7 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Creates a video of a table (0.6 to 1.5 m) before a wall (2.2 to 2.8 m).
+    /// Creates a video of a table (0.6 to 1.5 m) in front of a wall (2.2 to 2.8 m).
     pub fn new(event: Event, camera: Camera, noise: DepthNoise, seed: u64) -> Self {
         let (scene, pose) = Scene::tabletop(seed);
         // Independent pixels would leave almost no flicker after smoothing in space, unlike in real videos.

@@ -302,7 +302,7 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
 /// Iterates over the names of a camera's numbers.
 #[cfg(feature = "more-formats")]
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
-    let all = [WIDTH, HEIGHT, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
+    let all = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE).chain([MODEL]).chain(CAMERA_MODEL)
 }
 
@@ -317,7 +317,7 @@ pub(super) fn unknown_key(value: &Value) -> Option<String> {
             || FISHEYE.contains(&name)
             || NESTED.contains(&name)
             || BINNING.iter().any(|names| names.contains(&name))
-            || name == REGION
+            || [REGION, MODEL_OF_REALSENSE.0, REPLICA_SCALE].contains(&name)
     };
     value.as_object()?.keys().find(|name| !is_known(name)).cloned()
 }

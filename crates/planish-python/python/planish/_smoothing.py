@@ -266,7 +266,8 @@ class Smoother:
             for (array, _), out_of_frame in zip(given, outs, strict=True):
                 self.smooth(array, out=out_of_frame)
         else:
-            self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs)
+            for event in self._engine.smooth_batch([array for array, _ in given], given[0][1], self._camera, outs):
+                warnings.warn(event, RuntimeWarning, stacklevel=2)
         return Smoothed(**arrays)
 
     @property

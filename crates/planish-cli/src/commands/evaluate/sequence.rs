@@ -382,8 +382,10 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
         Contents::Organized(cloud) => cloud.positions().z().to_vec(),
         _ => bail!("{}: contains no depth image and no organized cloud", file.display()),
     };
-    // Zero and negative depths are holes as well.
-    let depth_m: Vec<f32> = depth_m.into_iter().map(|depth_m| if depth_m > 0.0 { depth_m } else { f32::NAN }).collect();
+    // Zero, negative and infinite depths are holes as well.
+    let is_depth = |depth_m: &f32| *depth_m > 0.0 && depth_m.is_finite();
+    let depth_m: Vec<f32> =
+        depth_m.into_iter().map(|depth_m| if is_depth(&depth_m) { depth_m } else { f32::NAN }).collect();
     if depth_m.len() != len {
         bail!("{}: has {} pixels, but the frames have {len}", file.display(), depth_m.len());
     }
