@@ -288,7 +288,11 @@ fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
             let normal = NORMALS.iter().find(|(own, _)| *own == attribute.name);
             let (namespace, name) = normal.map_or((OWN.0, attribute.name.as_str()), |(_, name)| (OF_NORMALS.0, *name));
             let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-            let name = name.chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();
+            let mut name: String = name.chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();
+            // No name in XML begins with a digit or a hyphen.
+            if !name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_') {
+                name.insert(0, '_');
+            }
             RecordName::Unknown { namespace: namespace.into(), name }
         }
     };
