@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Checks that the documents are true: links lead somewhere, examples run, figures of the README equal those of BENCHMARK.md.
+"""Checks the documents: links have targets, examples run, figures of the README equal those of BENCHMARK.md.
 
-Runs in an environment with the package planish and its command. Examples of cameras run on the simulator instead; lines whose
-input is not prepared here (a camera's calibration, say) must at least be understood by the command.
+Runs in an environment with the package planish and its command. Camera examples run on the simulator instead. If the input of a
+line is not prepared here (such as a camera's calibration), the command must at least accept its arguments.
 """
 
 import os
@@ -18,18 +18,18 @@ import numpy as np
 import planish
 
 ROOT = Path(__file__).resolve().parent.parent
-# The tests' build has every feature; the one next to Python cannot read MCAP recordings.
+# The tests' build has every feature; the command installed next to Python cannot read MCAP recordings.
 BUILT = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "debug/planish"
 COMMAND = str(BUILT if BUILT.exists() else Path(sys.executable).with_name("planish"))
 SHELL = ["README.md", "docs/index.md", "docs/coming-from.md", "docs/cameras.md", "docs/rigs.md", "docs/command-line.md", "crates/planish-cli/README.md"]
 PYTHON = ["README.md", "docs/coming-from.md", "crates/planish-python/README.md"]
-# Needs packages that are not installed for this check: Open3D, pyrealsense2 with a camera.
+# Prefixes of packages that are not installed for this check: Open3D, and pyrealsense2, which also needs a camera.
 MISSING_PACKAGES = ("o3d.", "rs.")
-# Shortens examples that would take minutes.
+# Replacements that shorten examples of several minutes.
 SHORTER = [("--seeds 4", "--seed 1"), ("--seeds 2", "--seed 1"), ("--rig table/rig.json", "--rig table/rig.json --frames 2"), ("--duration 10", "--frames 2")]
 
 WITHOUT_MCAP = "without the feature mcap"
-# `planish view` would serve its page until it is stopped; builds by cargo have none.
+# `planish view` would serve its page until it is stopped; builds by cargo do not contain the page.
 WITHOUT_PAGE = "does not contain the page"
 
 problems: list[str] = []
@@ -40,7 +40,7 @@ def tracked(pattern: str) -> list[str]:
 
 
 def anchors(text: str) -> set[str]:
-    """Anchors of a page's headings, as GitHub makes them."""
+    """Returns the anchors of a page's headings, as GitHub generates them."""
     headings = re.findall(r"^#+ (.*)$", text, re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
@@ -71,7 +71,7 @@ def run(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def prepare(folder: Path) -> None:
-    """Files under the names that the examples use."""
+    """Creates the files that the examples use."""
     recording = folder / "recording"
     for arguments in (f"record synthetic {recording} --frames 2", "record synthetic drive.mcap --frames 2", "demo --out demo"):
         made = run(shlex.split(arguments), folder)
@@ -149,7 +149,7 @@ def check_python(folder: Path) -> int:
 
 
 def check_figures() -> int:
-    """Compares the README's table with the block of compare/accuracy.sh that it is taken from."""
+    """Compares the README's table with its source in BENCHMARK.md, the block of compare/accuracy.sh."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     block = (ROOT / "BENCHMARK.md").read_text(encoding="utf-8").split("<!-- compare/accuracy.sh -->")[1].split("<!-- end of")[0]
     block = block.strip().split("\n\n")[1]

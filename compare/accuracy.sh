@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# How good the surfaces of PCL, Open3D, OpenCV and planish are, on the same simulated frames: see README.md beside this.
-# usage: accuracy.sh SEEDS [FRAME.pcd ..]: on simulated frames, three a seed, against their truth; on real ones by how flat they are.
+# Compares the surfaces of PCL, Open3D, OpenCV and planish on the same frames; see README.md in this folder.
+# usage: accuracy.sh SEEDS [FRAME.pcd ..]: simulated frames, three per seed, are compared with their truth; real frames are measured by flatness.
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 SEEDS [FRAME.pcd ..]" >&2; exit 2; }
 seeds=$1
@@ -34,7 +34,7 @@ own() { # NAME OPTIONS..
   echo own >"$out.ms"
 }
 
-# PCL with one thread: with more, its points come in another order than its indices.
+# PCL runs on one thread: with more, the order of its points does not match its indices.
 others "PCL, 3 cm, order 1" "$work/pcl_mls" FRAME organized $radius 1 1 1 OUTPUT
 others "PCL, 3 cm, order 2" "$work/pcl_mls" FRAME organized $radius 2 1 1 OUTPUT
 export OMP_NUM_THREADS=$threads
@@ -50,7 +50,7 @@ echo "\`compare/accuracy.sh $seeds $(for frame in "$@"; do basename "$frame"; do
 echo
 "$python" "$here/accuracy_table.py" "$work/results"
 
-tiles() { # NAME OPTIONS..: of the frame at hand
+tiles() { # NAME OPTIONS..: prints the row of the current frame
   "$planish" evaluate --input "$frame" --json "${@:2}" | "$python" -c '
 import json, sys
 report = json.load(sys.stdin)

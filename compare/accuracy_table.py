@@ -1,4 +1,4 @@
-"""The tables of accuracy.sh, from the reports in a folder. Errors in the first are ratios to the raw frames."""
+"""Prints the tables of accuracy.sh from the reports in a folder. Errors in the first table are ratios to the raw frames."""
 
 import json
 import pathlib
@@ -31,13 +31,13 @@ def row(name, report, raw, ms):
 
 
 def size(curve):
-    """Its name and radius; a board has none."""
+    """Returns the name of a surface with its radius; a board has no radius."""
     radius_m = curve["radius_m"]
     return curve["name"] + (f" {100 * radius_m:g} cm" if radius_m else "")
 
 
 def curves_table(reports, range_m):
-    """RMS in mm and the error of the facets of every curved surface at a range."""
+    """Prints the RMS in mm and the facets' error of every curved surface at a range."""
     def at_range(report):
         return {size(curve): curve for curve in report["curves"] if curve["range_m"] == range_m}
 

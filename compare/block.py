@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Runs a command and puts what it prints into a document: block.py DOCUMENT.md COMMAND [ARGUMENT ..].
+"""Runs a command and inserts its output into a document: block.py DOCUMENT.md COMMAND [ARGUMENT ..].
 
-It replaces what is between the lines <!-- COMMAND --> and <!-- end of COMMAND -->; nothing, if the command fails.
+Replaces the text between the lines <!-- COMMAND --> and <!-- end of COMMAND -->. If the command fails, the document
+is unchanged.
 """
 
 import os

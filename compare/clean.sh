@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# PCL, Open3D and planish: outliers and voxels on the same points; see README.md beside this.
+# Compares outlier removal and voxel grids of PCL, Open3D and planish on the same points; see README.md in this folder.
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 FRAME.pcd:RADIUS_M:VOXEL_M [..]" >&2; exit 2; }
 here=$(cd "$(dirname "$0")" && pwd)

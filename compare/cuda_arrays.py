@@ -1,4 +1,4 @@
-"""Frames in CUDA's memory: agreement with the CPU engine, time of a frame, and frames per second. Needs an NVIDIA GPU.
+"""Frames in CUDA memory: agreement with the CPU engine, time per frame, and frames per second. Needs an NVIDIA GPU.
 
     python compare/cuda_arrays.py [--quick]
 
@@ -29,13 +29,13 @@ SETTINGS = {
     "no block means": {"average_blocks": False},
     "stride 1, window 7": {"stride": 1, "window": 7},
 }
-# Distances from the CPU engine in metres: 99.9 % of the points, and every point.
+# Limits of the distance from the CPU engine in metres: for 99.9 % of the points, and for all points.
 NEARLY_ALL_M, ALL_M = 1e-5, 6e-4
 OUTPUTS = ["points", "normals", "curvature", "depth_m"]
 
 
 class Foreign:
-    """An array that shows nothing but DLPack."""
+    """An array that offers only DLPack."""
 
     def __init__(self, tensor):
         self.tensor = tensor
@@ -52,7 +52,7 @@ def on_gpu(depth):
 
 
 def off_m(result, expected):
-    """The distances between points: of 99.9 % and of all; holes must be equal."""
+    """Returns distances between points: the 99.9 % quantile and the maximum. Holes must be equal."""
     result, expected = np.asarray(result)[:3], np.moveaxis(expected, 2, 0)
     assert np.array_equal(np.isnan(result), np.isnan(expected)), "holes differ"
     off = np.abs(result - expected)
@@ -88,7 +88,7 @@ def libraries(frames):
     wide = torch.zeros((480, 700), dtype=torch.int16, device="cuda")
     wide[:, :640] = depth
     assert same(smoother.smooth(wide[:, :640]))
-    # Streams that alternate, one of which is slow, and one that ends.
+    # Alternate between streams, of which one is slow and one ends.
     for _ in range(20):
         stream = torch.cuda.Stream()
         with torch.cuda.stream(stream):
@@ -101,7 +101,7 @@ def libraries(frames):
     result = smoother.smooth(depth, stream=explicit.cuda_stream)
     explicit.synchronize()
     assert same(result)
-    # A group that fails leaves nothing in flight.
+    # A failed group must leave no frame in flight.
     try:
         smoother.smooth_batch([depth, Foreign(torch.zeros_like(depth).cpu())])
     except TypeError:

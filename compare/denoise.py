@@ -1,9 +1,9 @@
-"""Noisy clouds of known shapes, smoothed by PCL, Open3D and planish, and how far they are from their shapes then.
+"""Smooths noisy clouds of known shapes with PCL, Open3D and planish, and measures their distances from the shapes.
 
 usage: denoise.py PLANISH PCL_MLS FOLDER POINTS[,POINTS ..] [MESH ..]
 
 Shapes fill the unit sphere and are sampled evenly (Poisson disk). CD is the Chamfer distance to the noiseless points, the sum of the mean
-squared distances both ways; P2M is the mean squared distance of the points from the mesh; both times 10,000.
+squared distances in both directions. P2M is the mean squared distance of the points from the mesh. Both are multiplied by 10,000.
 """
 
 import pathlib
@@ -15,12 +15,12 @@ import numpy
 import open3d
 
 NOISE = (0.01, 0.02, 0.03)
-# Numbers of neighbours among which the best is chosen by the truth, for programs that do not choose it.
+# Candidate numbers of neighbours. For programs that do not choose the number, the truth selects the best.
 NEIGHBOURS = (30, 60, 120, 240, 480)
 
 
 def waves():
-    """A wavy sheet."""
+    """Returns a wavy sheet."""
     x, y = (axis.ravel() for axis in numpy.meshgrid(numpy.linspace(-1, 1, 200), numpy.linspace(-1, 1, 200)))
     corners = numpy.arange(200 * 199).reshape(199, 200)[:, :-1].ravel()
     triangles = numpy.vstack([numpy.stack([corners, corners + 1, corners + 200], 1), numpy.stack([corners + 1, corners + 201, corners + 200], 1)])
@@ -48,7 +48,7 @@ def shapes(files):
 
 
 class Truth:
-    """A mesh and noiseless points of it."""
+    """A mesh and noiseless points on it."""
 
     def __init__(self, mesh, points):
         self.points = mesh.sample_points_poisson_disk(points)
@@ -91,13 +91,13 @@ def by_open3d(file, radius, _output):
 
 
 def radius_of(positions, neighbours):
-    """Returns a radius within which points have so many neighbours, in the median."""
+    """Returns a radius within which points have this many neighbours, in the median."""
     tree = open3d.geometry.KDTreeFlann(open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions)))
     return numpy.median([numpy.sqrt(tree.search_knn_vector_3d(p, neighbours)[2][-1]) for p in positions[:: len(positions) // 200]])
 
 
 def best(smooth, truth, file, positions, output, chooses):
-    """Returns the scores and the seconds of the best radius by P2M, or of the one run of a program that chooses itself."""
+    """Returns the scores and the seconds of the run with the best radius by P2M, or of the only run of a program that chooses the radius."""
     runs = []
     for neighbours in (None,) if chooses else NEIGHBOURS:
         radius = None if chooses else radius_of(positions, neighbours)

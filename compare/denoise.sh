@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# How near the surface PCL, Open3D and planish bring noisy clouds of known shapes: see README.md beside this.
-# usage: denoise.sh POINTS[,POINTS ..] [MESH ..]: simple shapes, and meshes of your own, such as those that learned denoisers are tested on.
+# Measures how close PCL, Open3D and planish bring noisy clouds of known shapes to the surface; see README.md in this folder.
+# usage: denoise.sh POINTS[,POINTS ..] [MESH ..]: simple shapes, and your own meshes, such as the test meshes of learned denoisers.
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 POINTS[,POINTS ..] [MESH ..]" >&2; exit 2; }
 here=$(cd "$(dirname "$0")" && pwd)

@@ -2,9 +2,9 @@
 
 usage: fill.py FOLDER WORK
 
-FOLDER holds depth images in millimetres, or in metres (.npy). Writes WORK/<way>/NAME.npy, depth in metres, for each way: librealsense's
-hole filling in its three modes, and OpenCV's inpainting by Telea and by Navier-Stokes. They fill every hole; those of librealsense and
-OpenCV know no width.
+FOLDER contains depth images in millimetres, or in metres (.npy). Writes WORK/<way>/NAME.npy, depth in metres, for each way: librealsense's
+hole filling in its three modes, and OpenCV's inpainting by Telea and by Navier-Stokes. They fill every hole, because neither librealsense
+nor OpenCV has a limit of the width.
 """
 
 import sys
@@ -16,15 +16,15 @@ import pyrealsense2 as rs
 from numpy.typing import NDArray
 from PIL import Image
 
-# librealsense computes with whole units.
+# Depth unit for librealsense, which computes with whole units.
 UNIT_M = 2e-4
-# OpenCV inpaints from pixels up to this far away.
+# Maximum distance in pixels from which OpenCV inpaints.
 REACH_PX = 3
 WAYS = {"rs, from the left": 0, "rs, farthest": 1, "rs, nearest": 2}
 
 
 class RealSense:
-    """A camera in software, with a hole filling filter."""
+    """A software camera with a hole-filling filter."""
 
     def __init__(self, shape: tuple[int, int], mode: int) -> None:
         height, width = shape
@@ -76,7 +76,7 @@ def main() -> None:
             write(way, name, camera.fill(depth_m))
     for name, depth_m in frames.items():
         holes = (depth_m == 0).astype(np.uint8)
-        # In whole units: with metres as float32, Telea's result is off by a metre.
+        # Use whole units: with metres as float32, Telea's result is off by a metre.
         raw = (depth_m / UNIT_M + 0.5).clip(0, 65535).astype(np.uint16)
         for way, method in (("OpenCV, Telea", cv2.INPAINT_TELEA), ("OpenCV, Navier-Stokes", cv2.INPAINT_NS)):
             write(way, name, cv2.inpaint(raw, holes, REACH_PX, method).astype(np.float32) * np.float32(UNIT_M))

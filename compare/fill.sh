@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Fills holes of simulated frames by planish and by other means, and measures all of them: see README.md beside this.
+# Fills holes of simulated frames by planish and by other means, and measures all of them; see README.md in this folder.
 # usage: fill.sh WIDTH_PX SENSOR SEEDS
 set -euo pipefail
 [ $# -eq 3 ] || { echo "usage: $0 WIDTH_PX SENSOR SEEDS" >&2; exit 2; }
@@ -16,7 +16,7 @@ rm -rf "$work"
 mkdir -p "$work"
 given=(--fill "$width" --sensor "$sensor" --seeds "$seeds")
 "$planish" evaluate "${given[@]}" --export "$work/cut" > /dev/null 2>&1
-# Peers get planish's smoothed frames too, so that noise is not the difference.
+# The other programs get planish's smoothed frames too, so that noise does not affect the comparison.
 "$planish" smooth "$work/cut" "$work/smoothed" --camera 525,525,319.5,239.5 --sensor "$sensor" > /dev/null 2>&1
 "$python" "$here/fill.py" "$work/cut" "$work/measured"
 "$python" "$here/fill.py" "$work/smoothed" "$work/of planish"

@@ -2,8 +2,8 @@
 
 usage: floating.py PLANISH WORK [SEED ..]
 
-Needs Python with numpy, open3d and planish's wheel. A pixel floats if it is more than 1 cm and 4.6 standard deviations from every true
-depth within 4 pixels. PCL's ShadowPoints is computed by its formula, |n · p| < 0.1, with normals from differences over 5 pixels.
+Needs Python with numpy, open3d and planish's wheel. A pixel floats if it is more than 1 cm and more than 4.6 standard deviations from every
+true depth within 4 pixels. PCL's ShadowPoints is computed by its formula, |n · p| < 0.1, with normals from differences over 5 pixels.
 """
 
 import subprocess
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# The standard deviation of each simulated sensor: coefficients of 1, z and z².
+# Standard deviation of each simulated sensor in metres: coefficients of 1, z and z².
 SENSORS = {
     "kinect1": (0.0, 0.0, 1.8e-3),
     "d435": (0.0, 0.0, 0.08 / (0.050 * 424)),
@@ -30,7 +30,7 @@ CAMERA = planish.Camera(width=640, height=480, fx=525, fy=525, cx=319.5, cy=239.
 
 
 def shifted(values: Depth, x: int, y: int) -> Depth:
-    """The value of the pixel x columns and y rows further; NaN outside."""
+    """Returns the values shifted by x columns and y rows; NaN outside."""
     moved = np.full_like(values, np.nan)
     height, width = values.shape
     rows = slice(max(0, y), height + min(0, y)), slice(max(0, -y), height + min(0, -y))

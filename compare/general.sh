@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# PCL, Open3D and planish on frames without their grid, all neighbours within a radius, degree 2: see README.md beside this.
+# Compares PCL, Open3D and planish on frames without their grid, with all neighbours within a radius and degree 2; see README.md in this folder.
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 FRAME.pcd:RADIUS_M [FRAME.pcd:RADIUS_M ..]" >&2; exit 2; }
 here=$(cd "$(dirname "$0")" && pwd)

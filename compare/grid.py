@@ -1,4 +1,4 @@
-"""Organized clouds of 640x480 as PCD: the little of it that the other programs here need."""
+"""Organized clouds of 640x480 as PCD: the part of the format that the other programs here need."""
 
 import numpy
 import open3d
@@ -8,7 +8,7 @@ FOCAL_PX, CENTRE_X_PX, CENTRE_Y_PX = 525.0, 319.5, 239.5
 
 
 def write(file, pixels, positions, normals=None):
-    """Puts positions, and normals if there are any, on their pixels; NaN on all others."""
+    """Writes positions, and normals if given, at their pixels; all other pixels are NaN."""
     fields = 3 if normals is None else 6
     values = numpy.full((WIDTH * HEIGHT, fields), numpy.nan, numpy.float32)
     values[pixels, :3] = positions
@@ -33,13 +33,13 @@ def write(file, pixels, positions, normals=None):
 
 
 def read_depth(file):
-    """z in metres as an image, 0 for holes, of an organized PCD."""
+    """Reads z of an organized PCD as an image in metres, 0 for holes."""
     cloud = open3d.t.io.read_point_cloud(file, remove_nan_points=False)
     return numpy.nan_to_num(cloud.point.positions.numpy()[:, 2].astype(numpy.float32)).reshape(HEIGHT, WIDTH)
 
 
 def deproject(z):
-    """The pixels that have a depth, and their points."""
+    """Returns the pixels that have a depth, and their points."""
     v, u = numpy.indices(z.shape)
     points = numpy.stack([(u - CENTRE_X_PX) / FOCAL_PX * z, (v - CENTRE_Y_PX) / FOCAL_PX * z, z], -1).reshape(-1, 3)
     pixels = numpy.flatnonzero(z.reshape(-1) > 0)

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# What the comparisons need: PCL from Debian, Open3D and OpenCV from PyPI, their programs here, and planish.
+# Installs the requirements of the comparisons: PCL from Debian, Open3D and OpenCV from PyPI, the programs of this
+# folder, and planish.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 project=$(dirname "$here")
@@ -14,7 +15,7 @@ if [ ! -x "$work/venv/bin/python" ]; then
   "$work/venv/bin/pip" -q install open3d-cpu==0.20.0 opencv-python-headless==5.0.0.93
 fi
 if [ ! "$work/pcl_mls" -nt "$here/pcl_mls.cpp" ]; then
-  # No -march: Debian's library is built without, and PCL's alignment follows the flag.
+  # No -march: Debian's library is built without it, and PCL's alignment depends on the flag.
   # shellcheck disable=SC2046
   g++ -O3 -DNDEBUG -fopenmp -w "$here/pcl_mls.cpp" -o "$work/pcl_mls" \
     $(pkg-config --cflags pcl_surface pcl_search pcl_filters pcl_io eigen3) -I/usr/include \

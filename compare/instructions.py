@@ -1,12 +1,12 @@
-"""Counts the instructions that a frame or cloud costs the CPU engine.
+"""Counts the instructions that the CPU engine executes for a frame or cloud.
 
 usage: instructions.py PLANISH FILE ..                     prints tables of all presets, and of the stages
        instructions.py PLANISH --check COUNTS.json         fails if simulated inputs cost 3 % more or less than the file says
        instructions.py PLANISH --update COUNTS.json        writes that file
 
-Counts are those of callgrind, which has AVX2 but no AVX-512, with one thread: half the difference between three repetitions and one, so
-reading, writing, starting up and the choice of a cloud's neighbours do not count. Unlike times, they do not depend on the load, nor on
-the machine if it has AVX2.
+Counts are measured by callgrind, which supports AVX2 but not AVX-512, with one thread. A count is half the difference between three
+repetitions and one, so reading, writing, starting up and the choice of a cloud's neighbours do not count. Unlike times, counts do not
+depend on the load, or on the machine if it has AVX2.
 """
 
 import collections
@@ -22,10 +22,10 @@ import tempfile
 import zlib
 
 TOLERANCE = 0.03
-# If the file was written with another compiler.
+# Tolerance if the file was written with another compiler.
 WIDE_TOLERANCE = 0.15
 PRESETS = ("light", "default", "strong", "paper")
-# The function that starts the kernel of a stage.
+# The function that starts the kernel of each stage, as a regular expression.
 STAGES = {
     "block means": r"Run::average::",
     "planes and vote": r"Run::find_surfaces::",
@@ -37,7 +37,7 @@ STAGES = {
 
 
 def profile(planish, file, arguments, repetitions, folder):
-    """Starts callgrind; returns the process and the file that it writes."""
+    """Starts callgrind. Returns the process and the file that it writes."""
     out = folder / f"{repetitions}.callgrind"
     command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}", planish, "smooth", file, folder / f"{repetitions}.pcd"]
     options = ["--engine", "cpu", "--threads", "1", "--repeat", str(repetitions), *arguments]
@@ -45,7 +45,7 @@ def profile(planish, file, arguments, repetitions, folder):
 
 
 def read(out):
-    """Returns all instructions, and those of each stage with all that it calls."""
+    """Returns the number of all instructions, and those of each stage including its callees."""
     names, stages = {}, collections.Counter()
     total, caller, callee, is_call = 0, "", "", False
     for line in out.open(encoding="utf-8", errors="replace"):
@@ -69,7 +69,7 @@ def read(out):
 
 
 def count(planish, file, arguments):
-    """Returns the instructions of one repetition, and those of its stages."""
+    """Returns the number of instructions of one repetition, in total and by stage."""
     with tempfile.TemporaryDirectory() as name:
         runs = [profile(planish, file, arguments, repetitions, pathlib.Path(name)) for repetitions in (1, 3)]
         results = []
@@ -102,7 +102,7 @@ def tables(planish, files):
 
 
 def depth_frame():
-    """Returns a PNG of 320x240 depths in mm: a slanted wall, with a noisy ball and a noisy box before it."""
+    """Returns a PNG of 320x240 depths in mm: a slanted wall, with a noisy ball and a noisy box in front of it."""
     seed, rows = 1, []
     for v in range(240):
         row = [0]

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Instructions of the CPU engine for frames and clouds, by preset and stage: see README.md beside this.
+# Counts the CPU engine's instructions for frames and clouds, by preset and stage; see README.md in this folder.
 # usage: instructions.sh FILE [FILE ..]
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 FILE [FILE ..]" >&2; exit 2; }

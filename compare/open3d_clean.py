@@ -1,5 +1,5 @@
-"""Open3D's outlier filters and voxel grid, timed: FRAME.pcd RADIUS_M VOXEL_M. Prints lines of: operation, median ms of 5, points left,
-way; an operation has a line for each of the two classes of clouds."""
+"""Times Open3D's outlier filters and voxel grid: FRAME.pcd RADIUS_M VOXEL_M. Prints one line per operation and class of clouds: operation,
+median ms of 5 runs, remaining points, way."""
 
 import statistics
 import sys
@@ -19,7 +19,7 @@ def report(name, way, run, points_in):
 
 radius, voxel = float(sys.argv[2]), float(sys.argv[3])
 cloud = open3d.io.read_point_cloud(sys.argv[1]).remove_non_finite_points()
-# Its number of neighbours includes the point.
+# Open3D's number of neighbours includes the point itself.
 report("statistical", "legacy", lambda: cloud.remove_statistical_outlier(21, 2.0)[0], lambda out: out.points)
 report("radius", "legacy", lambda: cloud.remove_radius_outlier(5, radius)[0], lambda out: out.points)
 report("voxel", "legacy", lambda: cloud.voxel_down_sample(voxel), lambda out: out.points)

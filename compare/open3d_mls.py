@@ -1,10 +1,10 @@
-"""Open3D's smooth_mls on a PCD file: prints the median time of some runs in milliseconds, and the points that are left.
+"""Runs Open3D's smooth_mls on a PCD file. Prints the median time of the runs in milliseconds, and the number of remaining points.
 
 usage: open3d_mls.py FILE legacy|tensor RADIUS_M MAX_NEIGHBOURS RUNS [OUTPUT.pcd]
 
-legacy is geometry.PointCloud, tensor is t.geometry.PointCloud; at most MAX_NEIGHBOURS neighbours within the radius count, all if it is 0. Points
-that are not finite are taken out first, outside of the time. With an output the result is put back on the grid of the input,
-with the normals that Open3D estimates at it.
+legacy is geometry.PointCloud, tensor is t.geometry.PointCloud. At most MAX_NEIGHBOURS neighbours within the radius count, or all if it is 0.
+Non-finite points are removed first, which is not timed. With an output, the result is put back on the grid of the input, with the normals
+that Open3D estimates for it.
 """
 
 import statistics

@@ -1,9 +1,9 @@
-"""OpenCV's bilateral filter, 13x13, on the depth of a PCD file: prints the median time of some runs in milliseconds.
+"""Runs OpenCV's bilateral filter, 13x13, on the depth of a PCD file. Prints the median time of the runs in milliseconds.
 
 usage: opencv_bilateral.py FILE RUNS OUTPUT.pcd
 
-Each pixel's depth is averaged with those of its window that are within some 3 cm of it; holes are kept as they are. Normals are
-left to who reads the result.
+Each pixel's depth is averaged with the depths of its window that differ by up to about 3 cm; holes are kept. Readers of the result
+compute the normals.
 """
 
 import statistics

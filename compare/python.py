@@ -1,9 +1,9 @@
-"""planish from Python beside the library's own call, and Open3D's smooth_mls: numpy to numpy, on one frame, call by call in turns.
+"""Times planish from Python, its library's own call, and Open3D's smooth_mls: numpy to numpy, on one frame, in alternating calls.
 
 usage: python.py FRAME.pcd [ROUNDS]
 
-The library's call is timed in the same process, points and status into buffers that are kept. Open3D gets the points that are finite, and its
-result is brought back to numpy; its tensor class, 3 cm, 30 neighbours at most: its fastest way.
+The library's call is timed in the same process, with points and status written into reused buffers. Open3D gets the finite points, and its
+result is converted back to numpy. It runs in its fastest configuration: the tensor class, 3 cm, at most 30 neighbours.
 """
 
 import statistics

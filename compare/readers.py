@@ -1,7 +1,7 @@
-"""Compares planish's readers with others, over folders of files. Called by readers.sh.
+"""Compares planish's readers with other readers, on folders of files. Called by readers.sh.
 
-A file agrees if both readers find the same number of points, the same coordinates, and the same values in every field that both
-have under one name. A file that planish refuses is listed with its reason; so is one that it reads and the other reader does not.
+A file agrees if both readers find the same number of points, the same coordinates, and the same values in every field that both name
+equally. Files that planish rejects, and files that only planish reads, are listed with the reason.
 """
 
 import json
@@ -23,11 +23,13 @@ import tifffile
 import trimesh
 
 TOLERANCE = 1e-6
-"""Of the largest coordinate, for formats that store text or floats; scales of LAS are finer."""
+"""Tolerance relative to the largest coordinate, for formats that store text or floats; scales of LAS are finer."""
 
 SECONDS = 30
+"""Time limit of another reader in seconds."""
+
 MEMORY = 4 << 30
-"""Limits of another reader."""
+"""Memory limit of another reader in bytes."""
 
 
 def of_las(path):
@@ -68,7 +70,7 @@ def of_mesh(path):
 
 
 def of_obj(path):
-    # Meshes of other readers have a vertex for every corner of a texture.
+    # Meshes of other readers have one vertex for every corner of a texture.
     lines = Path(path).read_text(errors="replace").splitlines()
     vertices = [line.split()[1:4] for line in lines if line.split()[:1] == ["v"]]
     return np.array(vertices, float).reshape(-1, 3), {}
@@ -110,7 +112,7 @@ READERS = {
 
 
 def by_another(path, folder):
-    """Return points and fields by the reader of the format, or the reason why there are none; both nothing without a reader."""
+    """Return points and fields read by the other reader of the format, or the reason of its failure; both are empty if no reader exists."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         return None, ""
@@ -124,7 +126,7 @@ def by_another(path, folder):
             found = None, f"{type(error).__name__}: {error}".replace("\n", " ")[:100]
         out.write_bytes(pickle.dumps(found))
 
-    # Some readers never end, or take all memory.
+    # Some readers never finish, or use all memory.
     process = multiprocessing.get_context("fork").Process(target=read)
     process.start()
     process.join(SECONDS)
@@ -136,7 +138,7 @@ def by_another(path, folder):
 
 
 def by_planish(planish, path, folder):
-    """Return points and fields, or the reason why there are none."""
+    """Return points and fields read by planish, or the reason of its failure."""
     info = subprocess.run([planish, "info", "--json", path], capture_output=True, text=True, timeout=120)
     if info.returncode != 0:
         return None, info.stderr.strip().splitlines()[-1].split(": ", 2)[-1] if info.stderr.strip() else f"exit {info.returncode}"
@@ -158,7 +160,7 @@ def by_planish(planish, path, folder):
 
 
 def difference(own, other, suffix):
-    """Return what differs, or nothing."""
+    """Return a description of the difference, or an empty text."""
     (points, fields), (expected, other_fields) = own, other
     if fields is None or other_fields is None:
         same = points.shape == expected.shape and np.array_equal(points, expected.astype(points.dtype))

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# PCL, Open3D and planish on the same frames in one run: see README.md beside this.
+# Compares PCL, Open3D and planish on the same frames in one run; see README.md in this folder.
 set -euo pipefail
 [ $# -ge 1 ] || { echo "usage: $0 FRAME.pcd [FRAME.pcd ..]" >&2; exit 2; }
 here=$(cd "$(dirname "$0")" && pwd)

@@ -3,8 +3,8 @@
 usage: temporal.py PLANISH WORK VIDEO CAMERA
 
 VIDEO is a folder of depth images in millimetres, CAMERA its FX,FY,CX,CY. Writes WORK/<way>/NNNN.npy, depth in metres, for each way:
-librealsense's temporal filter behind its disparity transform (as its viewer does) and on depth, an exponential mean, and a median of
-five frames; each on the measured frames and on those that planish smoothed one by one.
+librealsense's temporal filter after its disparity transform (as in its viewer) and on depth, an exponential mean, and a median of
+five frames. Each runs on the measured frames, and on the frames that planish smoothed individually.
 """
 
 import subprocess
@@ -19,13 +19,14 @@ from PIL import Image
 
 Frames = list[NDArray[np.float32]]
 
-# librealsense computes with whole units: a camera's millimetres, and finer ones to keep what planish has smoothed.
+# Depth unit for librealsense, which computes with whole units: a camera's millimetres.
 UNIT_M = 1e-3
+# Finer depth unit, which preserves the results of planish.
 FINE_UNIT_M = 2e-4
 
 
 def realsense(frames: Frames, in_disparity: bool, unit_m: float, focal_px: float) -> Iterator[NDArray[np.float32]]:
-    """librealsense's temporal filter with its default parameters (alpha 0.4, delta 20, persistency 3), on a camera in software."""
+    """Applies librealsense's temporal filter with its default parameters (alpha 0.4, delta 20, persistency 3), on a software camera."""
     height, width = frames[0].shape
     device = rs.software_device()
     sensor = device.add_sensor("depth")
@@ -45,7 +46,7 @@ def realsense(frames: Frames, in_disparity: bool, unit_m: float, focal_px: float
     sensor.start(queue)
     temporal, to_disparity, to_depth = rs.temporal_filter(), rs.disparity_transform(True), rs.disparity_transform(False)
     if not in_disparity:
-        # The default is 20 mm.
+        # Set the default of 20 mm in this unit.
         temporal.set_option(rs.option.filter_smooth_delta, round(0.02 / unit_m))
     for number, frame in enumerate(frames):
         given = rs.software_video_frame()
@@ -65,7 +66,7 @@ def realsense(frames: Frames, in_disparity: bool, unit_m: float, focal_px: float
 
 
 def exponential_mean(frames: Frames) -> Iterator[NDArray[np.float32]]:
-    """A mean that follows by a tenth per frame, as many tutorials have it; a hole restarts a pixel."""
+    """Yields an exponential mean with a weight of 0.1 per frame, as in many tutorials. A pixel restarts after a hole."""
     mean = np.full_like(frames[0], np.nan)
     for frame in frames:
         mean = np.where(np.isnan(mean), frame, mean + np.float32(0.1) * (frame - mean))
@@ -74,11 +75,11 @@ def exponential_mean(frames: Frames) -> Iterator[NDArray[np.float32]]:
 
 
 def median_of_five(frames: Frames) -> Iterator[NDArray[np.float32]]:
-    """The median of the last five frames; holes do not count."""
+    """Yields the median of the last five frames; holes do not count."""
     with np.errstate(all="ignore"):
         for number in range(len(frames)):
             last = np.stack(frames[max(0, number - 4) : number + 1])
-            # NaN is sorted behind all numbers.
+            # NaN is sorted after all numbers.
             last, count = np.sort(last, axis=0), np.isfinite(last).sum(0)
             middle = np.take_along_axis(last, (np.maximum(count - 1, 0) // 2)[None], 0)[0]
             yield np.where(np.isnan(frames[number]), np.nan, middle)
@@ -86,13 +87,13 @@ def median_of_five(frames: Frames) -> Iterator[NDArray[np.float32]]:
 
 def main() -> None:
     planish, work, video, camera = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4]
-    # Names without numbers of different lengths, as `--export` writes them.
+    # `--export` writes numbers of equal length, so the names sort in order.
     names = sorted(video.glob("*.png"))
     measured: Frames = []
     for name in names:
         raw = np.asarray(Image.open(name)).astype(np.float32)
         measured.append(np.where(raw > 0, raw / 1000, np.nan).astype(np.float32))
-    # In metres, so that planish's results are not rounded to millimetres.
+    # Use metres, so that planish's results are not rounded to millimetres.
     metres, alone = work / "metres", work / "frame-by-frame"
     metres.mkdir(parents=True, exist_ok=True)
     for name, depth in zip(names, measured, strict=True):

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Smooths simulated videos, or one of your own, over time by planish and by other means, and measures all of them: see README.md beside this.
+# Smooths simulated videos, or your own video, over time by planish and by other means, and measures all of them; see README.md in this folder.
 # usage: temporal.sh [NAME ..]              simulated videos, such as still or moving-camera; all without a name
 #        temporal.sh --input FOLDER FX,FY,CX,CY   a folder of depth images in millimetres
 set -euo pipefail

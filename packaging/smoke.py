@@ -3,9 +3,9 @@
 
     packaging/smoke.py NATIVE PROGRAM [ARGUMENT...]
 
-NATIVE is this machine's planish; the rest starts the other one, such as `wine planish.exe` or `qemu-aarch64 planish`. It covers a demo,
-files of several formats, a folder, standard input and output, names with spaces and letters beyond ASCII, outputs that exist, damaged
-files and Ctrl-C. Points must be those of the native build within the limits of docs/method.md, section 9.
+NATIVE is this machine's planish; the rest starts the other build, such as `wine planish.exe` or `qemu-aarch64 planish`. Covers the demo,
+files of several formats, a folder, standard input and output, names with spaces and non-ASCII letters, existing outputs, damaged
+files and Ctrl-C. Points must equal those of the native build within the limits of docs/method.md, section 9.
 """
 
 import json
@@ -16,7 +16,8 @@ import sys
 import tempfile
 import time
 
-# Section 9 allows 6e-4 m for single points of a default frame, times ten with edges kept at most.
+# Limit of the distance between points in metres. Section 9 allows 6e-4 m for single points of a default frame, and at most ten times that with
+# edges kept.
 LIMIT_M = "6e-3"
 failures = []
 
@@ -32,14 +33,14 @@ def main():
         sys.exit(__doc__)
     sys.stdout.reconfigure(encoding="utf-8")
     native, other = [str(pathlib.Path(sys.argv[1]).resolve())], sys.argv[2:]
-    # It runs in another folder.
+    # The other build runs in another folder, so its path must be absolute.
     other = [str(pathlib.Path(part).resolve()) if pathlib.Path(part).is_file() else part for part in other]
 
     def run(command, *arguments, **options):
         return subprocess.run([*command, *arguments], capture_output=True, timeout=600, **options)
 
     def same(a, b):
-        """The largest distance, and whether all are within the limit; or the program's message."""
+        """Returns whether all distances are within the limit, and the largest distance or the program's message."""
         if a.read_bytes() == b.read_bytes():
             return True, "bit for bit"
         found = run(native, "compare", str(a), str(b), "--max", LIMIT_M, "--json")
@@ -55,7 +56,7 @@ def main():
         found = run(other, "demo", "--out", "demo", cwd=root)
         expect(found.returncode == 0 and at("demo", "before-after.png").stat().st_size > 100_000, "demo")
 
-        # Inputs, from the demo's frame.
+        # Create inputs from the demo's frame.
         assert run(native, "demo", "--out", str(at("inputs"))).returncode == 0
         at("inputs", "raw.pcd").rename(at("räw cloud.pcd"))
         for name in ("depth.png", "cloud.ply", "cloud.laz"):
@@ -98,7 +99,7 @@ def main():
         if sys.platform == "win32":
             print("SKIP  Ctrl-C: a console would send it to this script too")
             sys.exit(f"{len(failures)} failed" if failures else 0)
-        # Ctrl-C ends the stream, which prints its report and leaves no temporary file.
+        # Ctrl-C must end the stream, which prints its report and leaves no temporary file.
         streaming = subprocess.Popen([*other, "stream", "räw cloud.pcd", "--engine", "cpu", "--save", "saved", "--fps", "5"], cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         time.sleep(6)
         streaming.send_signal(signal.SIGINT)

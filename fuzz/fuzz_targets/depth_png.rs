@@ -1,4 +1,4 @@
-//! Any bytes as a PNG of depth: an error or contents that pass their own validation, never a panic, never more memory
+//! Any bytes as a depth PNG: an error or contents that pass their own validation, never a panic, never more memory
 //! than allowed.
 //!
 //! `cargo fuzz run -s none depth_png`

@@ -1,4 +1,4 @@
-//! Any bytes as a TIFF of depth: an error or contents that pass their own validation, never a panic, never more memory
+//! Any bytes as a depth TIFF: an error or contents that pass their own validation, never a panic, never more memory
 //! than allowed.
 //!
 //! `cargo fuzz run -s none depth_tiff`

@@ -1,4 +1,4 @@
-//! Any bytes as an EXR: an error or a valid cloud or image, never a panic.
+//! Any bytes as an EXR file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none exr`
 

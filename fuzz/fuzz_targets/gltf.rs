@@ -1,4 +1,4 @@
-//! Any bytes as a glTF: an error or a valid cloud or image, never a panic.
+//! Any bytes as a glTF file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none gltf`
 

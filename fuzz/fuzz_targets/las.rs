@@ -8,8 +8,8 @@ use libfuzzer_sys::fuzz_target;
 use planish::io::Format;
 
 fuzz_target!(
-    // The decoder of LAZ panics on damaged points, which the library catches. The fuzzer's hook would end the run
-    // before that; without it, a panic that is not caught ends the run still.
+    // The LAZ decoder panics on damaged points, and the library catches the panic. The fuzzer's hook would end the
+    // run first; without it, an uncaught panic still ends the run.
     init: std::panic::set_hook(Box::new(|_| {})),
     |bytes: &[u8]| planish_fuzz::check_decoder(bytes, Format::Las)
 );

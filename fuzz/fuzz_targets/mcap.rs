@@ -1,4 +1,4 @@
-//! Any bytes as a recording in MCAP: an error or frames, never a panic that reaches the caller.
+//! Any bytes as an MCAP recording: an error or frames, never a panic that reaches the caller.
 //!
 //! `cargo fuzz run -s none mcap`
 
@@ -7,8 +7,8 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(
-    // With overflow checks, the crate mcap panics on damaged records. The library catches this, but the fuzzer's hook
-    // would end the run first.
+    // With overflow checks, the crate `mcap` panics on damaged records. The library catches the panic, but the
+    // fuzzer's hook would end the run first.
     init: std::panic::set_hook(Box::new(|_| {})),
     |bytes: &[u8]| planish_fuzz::check_bag(bytes)
 );

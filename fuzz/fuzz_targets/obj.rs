@@ -1,4 +1,4 @@
-//! Any bytes as a Wavefront OBJ: an error or a valid cloud, never a panic.
+//! Any bytes as a Wavefront OBJ file: an error or a valid cloud, never a panic.
 //!
 //! `cargo fuzz run -s none obj`
 

@@ -1,4 +1,4 @@
-//! Any bytes as an OFF: an error or a valid cloud or image, never a panic.
+//! Any bytes as an OFF file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none off`
 

@@ -1,4 +1,4 @@
-//! Any bytes as a PFM: an error or a valid cloud or image, never a panic.
+//! Any bytes as a PFM file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none pfm`
 

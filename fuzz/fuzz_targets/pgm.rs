@@ -1,4 +1,4 @@
-//! Any bytes as a PGM: an error or a valid cloud or image, never a panic.
+//! Any bytes as a PGM file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none pgm`
 

@@ -1,4 +1,4 @@
-//! Any bytes as a PTX: an error or a valid cloud or image, never a panic.
+//! Any bytes as a PTX file: an error or a valid cloud or image, never a panic.
 //!
 //! `cargo fuzz run -s none ptx`
 

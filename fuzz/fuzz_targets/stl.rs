@@ -1,4 +1,4 @@
-//! Any bytes as an STL: an error or a valid cloud, never a panic.
+//! Any bytes as an STL file: an error or a valid cloud, never a panic.
 //!
 //! `cargo fuzz run -s none stl`
 

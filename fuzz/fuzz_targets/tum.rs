@@ -1,4 +1,4 @@
-//! Any bytes as the list of a data set in TUM layout: errors or frames, never a panic.
+//! Any bytes as the file list of a data set in TUM layout: errors or frames, never a panic.
 //!
 //! `cargo fuzz run -s none tum`
 

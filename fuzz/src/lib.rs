@@ -1,4 +1,4 @@
-//! Checks of the fuzz targets. The workspace's tests run them on the inputs in `corpus`.
+//! Checks of the fuzz targets. The workspace's tests run them on the inputs in `corpus/`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use planish::source::{SourceOptions, open};
 /// Decodes bytes as a file with the extension of a format.
 ///
 /// # Panics
-/// If contents are not valid.
+/// If the decoded contents are not valid.
 pub fn check_decoder(bytes: &[u8], announced: Format) {
     let options = ReadOptions::default().with_max_memory_bytes(256 << 20);
     match decode_with(bytes, Some(announced), &options).map(|(_, contents)| contents) {
@@ -25,24 +25,24 @@ pub fn check_decoder(bytes: &[u8], announced: Format) {
     }
 }
 
-/// Reads bytes as a recording in MCAP.
+/// Reads bytes as an MCAP recording.
 ///
 /// # Panics
-/// If there is nowhere to write them.
+/// If the temporary file cannot be written.
 pub fn check_bag(bytes: &[u8]) {
     let path = own_path().with_extension("mcap");
     fs::write(&path, bytes).expect("a folder for temporary files");
     let camera = Camera::kinect_v1().with_shape((0, 0));
     if let Ok(mut source) = BagSource::open(&path, None, None, Some(camera)) {
-        // Frames that cannot be read are errors, and the next may be fine.
+        // An unreadable frame is an error, but the next frame may be readable.
         while !matches!(source.next_frame(), Ok(None)) {}
     }
 }
 
-/// Recovers bytes as a recording that was cut off.
+/// Recovers bytes as a truncated recording.
 ///
 /// # Panics
-/// If a refused file has changed, or a recovered one is not whole.
+/// If a rejected file was changed, or a recovered file is not complete.
 pub fn check_recover(bytes: &[u8]) {
     let path = own_path().with_extension("recovered.mcap");
     fs::write(&path, bytes).expect("a folder for temporary files");
@@ -56,7 +56,7 @@ pub fn check_recover(bytes: &[u8]) {
 /// Reads text as a rig.json and as a calibration of several cameras.
 ///
 /// # Panics
-/// If there is nowhere to write it.
+/// If the temporary file cannot be written.
 pub fn check_rig(bytes: &[u8]) {
     let path = own_path().with_extension("rig");
     fs::write(&path, bytes).expect("a folder for temporary files");
@@ -64,14 +64,14 @@ pub fn check_rig(bytes: &[u8]) {
     let _ = calibration::read(&path, &calibration::CalibrationOptions::default());
 }
 
-/// Reads a sound LAZ file whose table of chunks is replaced; if the first byte is odd, its position too.
+/// Reads a valid LAZ file with a replaced chunk table; if the first byte is odd, the table's offset is replaced too.
 ///
 /// # Panics
 /// If the cloud is not valid.
 pub fn check_laz_chunks(bytes: &[u8]) {
     let mut file = include_bytes!("../corpus/las/s.laz").to_vec();
     let field = |at: usize| file.get(at..at + 4).and_then(|field| field.try_into().ok()).map(u32::from_le_bytes);
-    // The header states where points begin; they begin with where the table is.
+    // The header contains the offset of the points, which begin with the offset of the table.
     let points = field(96).expect("a header") as usize;
     let table = field(points).expect("a table") as usize;
     let Some((first, rest)) = bytes.split_first() else { return };
@@ -87,7 +87,7 @@ pub fn check_laz_chunks(bytes: &[u8]) {
     check_decoder(&file, Format::Laz);
 }
 
-/// Reads text as a camera file, of an image of unknown size and of a known one.
+/// Reads text as a camera file, for an image of unknown size and for one of known size.
 ///
 /// # Panics
 /// If a camera is not valid.
@@ -100,10 +100,10 @@ pub fn check_camera(text: &str) {
     }
 }
 
-/// Decompresses bytes as LZF to several sizes, and checks that compressing and decompressing returns the same bytes.
+/// Decompresses bytes as LZF to several sizes, and checks that compression and decompression restore the bytes.
 ///
 /// # Panics
-/// If the size or the bytes differ.
+/// If a size or the restored bytes differ.
 pub fn check_lzf(bytes: &[u8]) {
     for size in [0, bytes.len(), 4 * bytes.len(), 1 << 20] {
         if let Ok(data) = decompress(bytes, size) {
@@ -113,10 +113,10 @@ pub fn check_lzf(bytes: &[u8]) {
     assert_eq!(decompress(&compress(bytes), bytes.len()).as_deref(), Ok(bytes));
 }
 
-/// Reads bytes as the list of a data set in TUM layout.
+/// Reads bytes as the file list of a data set in TUM layout.
 ///
 /// # Panics
-/// If there is nowhere to write them.
+/// If the temporary files cannot be written.
 pub fn check_tum(bytes: &[u8]) {
     let folder = own_path();
     fs::create_dir_all(&folder).expect("a folder for the list");
@@ -124,7 +124,7 @@ pub fn check_tum(bytes: &[u8]) {
     for list in ["depth.txt", "associations.txt"] {
         fs::write(folder.join(list), bytes).expect("a list");
         if let Ok(mut source) = open(folder.to_str().expect("a name in UTF-8"), &options) {
-            // The images that it names are not there, or another file is.
+            // The listed images do not exist, or another file does.
             for _ in 0..4 {
                 let _ = source.next_frame();
             }
@@ -133,7 +133,7 @@ pub fn check_tum(bytes: &[u8]) {
     }
 }
 
-/// Returns where this process may write.
+/// Returns a temporary path for this process.
 fn own_path() -> PathBuf {
     std::env::temp_dir().join(format!("planish-fuzz-{}", std::process::id()))
 }

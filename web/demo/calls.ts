@@ -37,7 +37,7 @@ worker.onerror = (event) => {
   waiting.clear();
 };
 
-/** Asks the worker for something. */
+/** Sends a request to the worker, and returns its reply. */
 export function ask<T>(call: Call): Promise<T> {
   const id = next++;
   const answered = new Promise<unknown>((resolve, reject) => waiting.set(id, { resolve, reject }));

@@ -1,4 +1,4 @@
-// The cloud, turned by mouse, touch and keys. WebGL 2.
+// The cloud view in WebGL 2, rotated by mouse, touch and keys.
 
 const VERTEX = `#version 300 es
 in vec3 point; in vec4 colour; uniform mat4 view; uniform float size; out vec4 shade;
@@ -26,7 +26,7 @@ export class CloudView {
     this.gl = gl;
     this.setUp();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    // Everything that the context had is gone.
+    // The context's programs and buffers are lost.
     canvas.addEventListener("webglcontextrestored", () => {
       this.setUp();
       if (this.shown) this.show(...this.shown);
@@ -90,7 +90,8 @@ export class CloudView {
     gl.drawArrays(gl.POINTS, 0, this.count);
   }
 
-  // Points in units of the extent about the centre, turned, 2.2 away; the camera's y and z point down and away.
+  // Returns the view matrix. Points are centred, scaled by the extent, rotated, and moved away from the viewer; the
+  // camera's y axis points down and its z axis away from the viewer.
   private matrix(aspect: number): Float32Array {
     const [sy, cy, sp, cp] = [Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
     const rows = [

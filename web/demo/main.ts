@@ -16,19 +16,19 @@ const control = (name: string) => form.elements.namedItem(name) as HTMLInputElem
 
 let frame: Frame | undefined;
 let result: Result | undefined;
-/** The camera that was given for frames of this size; without one it is assumed. */
+/** The camera given for frames of this size; without it, the camera is assumed. */
 let given: { camera: Camera; width: number; height: number } | undefined;
 let name = "simulated";
 let seed = 1;
 let cloudView: CloudView | undefined;
 let hasGpu = false;
 let withoutGpu: string | undefined;
-/** Grows with every change: results of older ones are dropped. */
+/** Incremented with every change; results of older versions are dropped. */
 let version = 0;
-/** Incremented with every requested frame: the newest request wins, whichever file is read first. */
+/** Incremented with every requested frame; only the newest request is shown, in whichever order files are read. */
 let asked = 0;
 let isComputing = false;
-/** Last status of a frame, restored if another cannot be opened. */
+/** Last status of a frame, restored if another frame cannot be opened. */
 let settledStatus = "";
 
 function say(text: string): void {
@@ -75,7 +75,7 @@ function explain(): void {
   }
 }
 
-/** The command's default: edges are kept, except with the 2011 setting and in clouds without a grid. */
+/** Sets the default: edges are kept, except with the preset "paper"; in clouds without a grid, where the command chooses by the data, they are not. */
 function defaultEdges(): void {
   control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
 }
@@ -112,7 +112,7 @@ async function saveSettings(): Promise<void> {
   }
 }
 
-/** Takes the settings of a file: into the controls where there is one, the others as they are. */
+/** Applies a settings file: settings with a control are shown there, the others are kept unchanged. */
 async function openSettings(file: File | undefined): Promise<void> {
   if (!file) return;
   try {
@@ -139,13 +139,13 @@ function camera(): CameraLike | undefined {
   return given?.camera ?? frame.assumedCamera;
 }
 
-/** Shows the camera in its fields. */
+/** Shows the camera in the input fields. */
 function showCamera(): void {
   const shown = given?.camera ?? frame?.assumedCamera;
   for (const field of CAMERA_FIELDS) control(field).value = String(shown?.[field] ?? "");
 }
 
-/** Takes the fields as the camera; a distortion that a file gave stays. */
+/** Uses the values of the input fields as the camera; a distortion from a file is kept. */
 function takeFields(): void {
   if (!frame?.assumedCamera) return;
   const numbers = CAMERA_FIELDS.map((field) => [field, control(field).valueAsNumber] as const);
@@ -177,7 +177,7 @@ function paint(canvas: HTMLCanvasElement, { width, height, rgba }: Picture): voi
   canvas.getContext("2d")!.putImageData(new ImageData(rgba, width, height), 0, 0);
 }
 
-/** Leaves nothing of an older frame in the smoothed picture. */
+/** Clears the smoothed picture of the previous frame. */
 function clearSmoothed(): void {
   const [raw, smoothed] = [find<HTMLCanvasElement>("#raw"), find<HTMLCanvasElement>("#smoothed")];
   [smoothed.width, smoothed.height] = [raw.width, raw.height];
@@ -216,7 +216,7 @@ async function draw(): Promise<void> {
   paint(find<HTMLCanvasElement>("#smoothed"), pictures[1]!);
 }
 
-/** Draws the raw side alone, which need not wait for the smoothed one. */
+/** Draws the raw side without waiting for the smoothed side. */
 async function drawRaw(): Promise<void> {
   const [drawn, at] = [frame, version];
   if (!drawn || control("layout").value.startsWith("cloud")) return;
@@ -225,7 +225,7 @@ async function drawRaw(): Promise<void> {
   if (at === version) paint(find<HTMLCanvasElement>("#raw"), picture);
 }
 
-/** Smooths the frame by the controls and draws it; changes that come meanwhile are smoothed once, when this is done. */
+/** Smooths the frame with the controls' settings, and draws it. Changes in the meantime cause one more run. */
 async function update(): Promise<void> {
   version += 1;
   explain();
@@ -274,7 +274,7 @@ async function compute(at: number): Promise<void> {
   }
 }
 
-/** Replaces the current frame, unless a newer request was made; returns whether it did. */
+/** Replaces the current frame unless a newer request was made, and returns whether it was replaced. */
 async function take(opening: () => Promise<Frame>, called: string): Promise<boolean> {
   const ticket = ++asked;
   say(`Reading ${called}...`);
@@ -306,7 +306,7 @@ async function take(opening: () => Promise<Frame>, called: string): Promise<bool
   }
 }
 
-/** Opens a frame, a camera file, or one of each; of several frames the first. */
+/** Opens a frame, a camera file, or one of each. If several frames are given, opens the first. */
 async function openFiles(files: Iterable<File> | null | undefined): Promise<void> {
   const isCamera = (file: File) => /\.(json|ya?ml)$/i.test(file.name);
   const all = [...(files ?? [])];
@@ -342,7 +342,7 @@ function listen(): void {
     }
   });
   for (const selector of ["#file", "#camera-file", "#settings-file"]) {
-    // Allows choosing the same file again, changed or not.
+    // Allow choosing the same file again.
     find(selector).addEventListener("click", ({ target }) => ((target as HTMLInputElement).value = ""));
   }
   find("#file").addEventListener("change", ({ target }) => void openFiles((target as HTMLInputElement).files));
@@ -382,7 +382,7 @@ async function start(): Promise<void> {
   const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
   const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome, Edge, and recent Safari and Firefox support it)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
-  // The address of `planish view` lists its files.
+  // The URL of `planish view` lists its files.
   const named = location.hash.slice(1).split(",").filter(Boolean);
   if (named.length === 0) return void (await take(() => ask<Frame>({ method: "simulate", seed }), "simulated"));
   const get = async (file: string) => {

@@ -1,4 +1,4 @@
-// planish in a worker, so that the page answers while a frame is smoothed.
+// Runs planish in a worker, so that the page stays responsive while a frame is smoothed.
 
 import { Planish } from "../src/index";
 import type { Call, Reply } from "./calls";

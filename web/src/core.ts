@@ -1,4 +1,5 @@
-// The WebAssembly module: requests in JSON with bytes, replies likewise (crates/planish-web/src/request.rs).
+// The WebAssembly module: requests as JSON with bytes, and replies in the same form
+// (crates/planish-web/src/request.rs).
 
 /** An error with a message for users. */
 export class PlanishError extends Error {
@@ -17,13 +18,13 @@ interface Exports {
 
 const NO_BYTES = new Uint8Array();
 
-/** If a module stops with this much of its 4096 MiB in use, it most likely ran out of memory. */
+/** Memory in use, of 4096 MiB, above which a stopped module has most likely run out of memory. */
 const NEARLY_FULL_MIB = 1024;
 
-/** The module and its contents: frames, plans and results by their numbers. */
+/** The module and its contents: numbered frames, plans and results. */
 export class Core {
   private exports: Exports;
-  /** The last number that was given to something held. */
+  /** The largest number assigned to a frame, plan or result. */
   private last = 0;
 
   private constructor(
@@ -46,7 +47,7 @@ export class Core {
     }
   }
 
-  /** Asks for something. The bytes of the reply are a copy. */
+  /** Sends a request and returns the reply. The bytes of the reply are a copy. */
   call<T>(request: { op: string; [key: string]: unknown }, bytes: Uint8Array = NO_BYTES): { ok: T; bytes: Uint8Array<ArrayBuffer> } {
     const text = written(request);
     let answer: { ok: T; bytes: Uint8Array<ArrayBuffer> };
@@ -93,13 +94,13 @@ export class Core {
     this.ask(new TextEncoder().encode(JSON.stringify({ op: "continue", after: this.last })), NO_BYTES);
   }
 
-  /** Bytes of the module's memory. */
+  /** Size of the module's memory in bytes. */
   get memoryBytes(): number {
     return this.exports.memory.buffer.byteLength;
   }
 
   private put(bytes: Uint8Array): number {
-    // Addresses come as signed numbers.
+    // The module returns addresses as signed numbers.
     const at = this.exports.planish_alloc(bytes.length) >>> 0;
     if (at === 0) throw new PlanishError(`out of memory: the module has ${this.memoryBytes} bytes and needs ${bytes.length} more`);
     new Uint8Array(this.exports.memory.buffer, at, bytes.length).set(bytes);
@@ -112,7 +113,7 @@ export class Core {
   }
 }
 
-/** The module's names are snake_case, TypeScript's are camelCase. */
+/** Converts a camelCase name of TypeScript to a snake_case name of the module. */
 function snakeCase(name: string): string {
   return name.replace(/[A-Z]/g, (letter) => `_${letter.toLowerCase()}`);
 }
@@ -121,14 +122,14 @@ function camelCase(name: string): string {
   return name.replace(/_([a-z])/g, (_, letter: string) => letter.toUpperCase());
 }
 
-/** Renames the keys of plain objects, however deep. */
+/** Renames the keys of plain objects, at every depth. */
 export function renamed(value: unknown, rename: (name: string) => string): unknown {
   if (Array.isArray(value)) return value.map((item) => renamed(item, rename));
   if (typeof value !== "object" || value === null) return value;
   return Object.fromEntries(Object.entries(value).map(([name, item]) => [rename(name), renamed(item, rename)]));
 }
 
-/** A request as JSON, which has no cycles, functions or big integers. */
+/** Serializes a request as JSON. Cycles, functions and big integers are errors. */
 function written(request: object): string {
   try {
     return JSON.stringify(renamed(request, snakeCase), onlyFinite);
@@ -138,7 +139,7 @@ function written(request: object): string {
   }
 }
 
-/** Refuses numbers that JSON cannot represent. */
+/** Rejects numbers that JSON cannot represent. */
 function onlyFinite(key: string, value: unknown): unknown {
   if (typeof value === "number" && !Number.isFinite(value)) throw new PlanishError(`${key} = ${value} is not a finite number`);
   return value;

@@ -5,35 +5,38 @@ import { FrameTooLarge, Gpu, type Plan } from "./webgpu.js";
 
 export { PlanishError } from "./core.js";
 
-/** Settings; a missing field has the value of the preset. The command, Python and ROS have the same in snake_case. */
+/** Settings; missing fields take the preset's values. The command, Python and ROS use the same names in snake_case. */
 export interface Settings {
   preset?: "light" | "default" | "strong" | "paper";
-  /** 0 (light) to 1 (strong), instead of a preset. */
+  /** Strength from 0 (light) to 1 (strong), instead of a preset. */
   strength?: number;
-  /** "kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone", "exact", "auto" to estimate it, or coefficients of 1, z and z² in metres. */
+  /**
+   * "kinect1", "d415", "d435", "d455", "azure-kinect", "l515", "iphone" or "exact"; "auto" to estimate the sensor; or
+   * coefficients of 1, z and z² in metres.
+   */
   sensor?: string | { step?: [number, number, number]; sigma: [number, number, number] };
   edges?: "robust" | "off";
-  /** Isolated points of clouds without a grid become holes. */
+  /** Whether isolated points of clouds without a grid become holes. */
   removeIsolated?: boolean;
   /** Half-width of the window in samples, 1 to 7. */
   window?: number;
-  /** Pixels between samples, 1 to 8. */
+  /** Distance between samples in pixels, 1 to 8. */
   stride?: number;
   averageBlocks?: boolean;
-  /** A radius in metres, or "sensor": growing with distance as the sensor's noise does. */
+  /** Radius in metres, or "sensor", which grows with distance like the sensor's noise. */
   radiusM?: number | "sensor";
   /** For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius. */
   neighbours?: number;
   /** Degree of the surface, 1 to 3. */
   degree?: number;
-  /** Bandwidth of the Gaussian weights in metres; the radius if it is missing. */
+  /** Bandwidth of the Gaussian weights in metres [default: the radius]. */
   bandwidthM?: number;
   /** Ridge of the fit, 1e-3 to 100. */
   ridge?: number;
   project?: "ray" | "normal";
 }
 
-/** Intrinsics in pixels; `depthUnitsPerMetre` is the number of depth units in a metre, 1000 if it is missing. */
+/** Intrinsics in pixels; `depthUnitsPerMetre` is the number of depth units per metre [default: 1000]. */
 export interface Camera {
   fx: number;
   fy: number;
@@ -48,13 +51,13 @@ export interface Camera {
 /** A camera, or the text of a camera file (JSON, ROS camera_info, a 3x3 matrix, COLMAP). */
 export type CameraLike = Camera | string;
 
-/** A frame that planish holds until it is released. */
+/** A frame that planish keeps until it is released. */
 export interface Frame {
   frame: number;
   kind: "depth" | "depth_metres" | "points" | "general";
   width: number;
   height: number;
-  /** Pixels or points with a measurement. */
+  /** Number of pixels or points with a measurement. */
   valid: number;
   format: string;
   hasColour: boolean;
@@ -62,20 +65,20 @@ export interface Frame {
   assumedCamera?: Camera;
 }
 
-/** A smoothed frame that planish holds until it is released. */
+/** A smoothed frame that planish keeps until it is released. */
 export interface Result {
   result: number;
   width: number;
   height: number;
-  /** Finite points. */
+  /** Number of finite points. */
   points: number;
-  /** Pixels of each status, in the order of {@link About.statuses}. */
+  /** Number of pixels of each status, in the order of {@link About.statuses}. */
   statusCounts: number[];
-  /** What computed it. */
+  /** The engine that computed the result. */
   engine: "webgpu" | "wasm";
-  /** From the call to the result, in milliseconds; compiling kernels, which happens once, counts in. */
+  /** Time from the call to the result in milliseconds, including the compilation of kernels, which happens once. */
   milliseconds: number;
-  /** Why WebGPU was not used although it was requested. */
+  /** Reason why WebGPU was not used although it was requested. */
   withoutGpu?: string;
 }
 
@@ -91,15 +94,15 @@ export interface Smoothed {
   status: Uint8Array;
   engine: "webgpu" | "wasm";
   milliseconds: number;
-  /** Why WebGPU was not used although it was requested. */
+  /** Reason why WebGPU was not used although it was requested. */
   withoutGpu?: string;
 }
 
-/** Names and the version. */
+/** The version of planish, and the names of presets, settings, sensors and statuses. */
 export interface About {
   version: string;
   presets: string[];
-  /** Names of all settings, as settings files have them. */
+  /** Names of all settings, as in settings files. */
   settings: string[];
   sensors: string[];
   statuses: string[];
@@ -107,28 +110,28 @@ export interface About {
 }
 
 export type PictureKind = "relief" | "depth" | "normals" | "colour";
-/** Raw, or a result of the frame. */
+/** The raw frame, or a result of the frame. */
 export type Side = "raw" | { result: number };
 
 export interface LoadOptions {
-  /** The module's bytes or URL; by default `planish.wasm` next to this file. */
+  /** The module's bytes or URL [default: `planish.wasm` next to this file]. */
   wasm?: BufferSource | URL | string;
-  /** False leaves WebGPU alone. */
+  /** Whether to open WebGPU [default: true]. */
   webgpu?: boolean;
 }
 
-/** planish: a WebAssembly module, and WebGPU where there is one. */
+/** planish: a WebAssembly module, and WebGPU if available. */
 export class Planish {
   private gpu: Gpu | undefined;
-  /** Whether frames go to WebGPU where there is one; at first they do, unless its GPU is one in software. */
+  /** Whether frames are smoothed by WebGPU if it is available; initially true unless the adapter is a software GPU. */
   usesGpu = true;
-  /** Why WebGPU does not compute, if it does not. */
+  /** Reason why WebGPU is not used, or `undefined` if it is open. */
   withoutGpu: string | undefined;
 
   private constructor(private readonly core: Core) {}
 
   static async load(options: LoadOptions = {}): Promise<Planish> {
-    // Next to this file. Bundlers look for this very expression and copy the module.
+    // Bundlers look for exactly this expression and copy the module.
     const given = options.wasm ?? new URL("./planish.wasm", import.meta.url);
     const isAddress = typeof given === "string" || given instanceof URL;
     const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
@@ -138,22 +141,22 @@ export class Planish {
     return planish;
   }
 
-  /** Names and the version. */
+  /** Returns the version, and the names of presets, settings, sensors and statuses. */
   about(): About {
     return this.core.call<About>({ op: "about" }).ok;
   }
 
-  /** The adapter's name, or `undefined` where WebAssembly computes. */
+  /** The adapter's name, or `undefined` without WebGPU. */
   get adapter(): string | undefined {
     return this.gpu?.name;
   }
 
-  /** Whether the adapter is a GPU in software. */
+  /** Whether the adapter is a software GPU. */
   get isSoftware(): boolean {
     return this.gpu?.isSoftware ?? false;
   }
 
-  /** Bytes of the module's memory. */
+  /** Size of the module's memory in bytes. */
   get memoryBytes(): number {
     return this.core.memoryBytes;
   }
@@ -179,14 +182,14 @@ export class Planish {
     return this.core.call<Frame>({ op: "open", name }, given).ok;
   }
 
-  /** Takes raw depth. */
+  /** Creates a frame from raw depth. */
   depth(depth: Uint16Array, width: number, height: number): Frame {
     if (!(depth instanceof Uint16Array)) throw new PlanishError("raw depth is given as Uint16Array");
     checkShape(depth.length, width, height, 1);
     return this.core.call<Frame>({ op: "depth", width, height }, bytesOf(depth)).ok;
   }
 
-  /** Takes points on a grid: x, y and z of each pixel in metres, NaN for holes. */
+  /** Creates a frame from points on a grid: x, y and z of each pixel in metres, NaN for holes. */
   points(points: Float32Array, width: number, height: number): Frame {
     if (!(points instanceof Float32Array)) throw new PlanishError("points are given as Float32Array");
     checkShape(points.length, width, height, 3);
@@ -198,7 +201,7 @@ export class Planish {
     return this.core.call<Camera>({ op: "read_camera", frame: idOf(frame, "frame"), camera: text }).ok;
   }
 
-  /** Reads a settings file in JSON or YAML, as the command and Python have them. */
+  /** Reads a settings file in JSON or YAML, the format of the command and Python. */
   readSettings(text: string): Settings {
     return this.core.call<Settings>({ op: "read_settings", text }).ok;
   }
@@ -213,7 +216,7 @@ export class Planish {
     return this.core.call<Frame>({ op: "simulate", seed, width, height }).ok;
   }
 
-  /** Smooths a frame: on WebGPU, or in WebAssembly if WebGPU is missing, was lost, or cannot hold the frame. */
+  /** Smooths a frame with WebGPU, or with WebAssembly if WebGPU is missing, was lost, or has no room for the frame. */
   async smoothFrame(frame: Frame, settings: Settings = {}, camera?: CameraLike): Promise<Result> {
     const start = performance.now();
     let withoutGpu: string | undefined;
@@ -233,7 +236,8 @@ export class Planish {
         const output = await gpu.run(plan, planned.bytes);
         return done(this.core.call<Result>({ op: "finish", plan: plan.plan }, output).ok, "webgpu");
       } catch (error) {
-        // Settings and frames that are not allowed are refused again below, in the same words; a frame beyond the device's limits is not.
+        // WebAssembly rejects invalid settings and frames again below, with the same message; it accepts frames
+        // beyond the device's limits.
         if (plan !== undefined) this.releaseIds([plan.plan]);
         if (plan === undefined) withoutGpu = error instanceof Error ? error.message : String(error);
         else if (error instanceof FrameTooLarge) withoutGpu = `WebGPU has no room for this frame: ${error.message}`;
@@ -244,7 +248,7 @@ export class Planish {
     return done(this.core.call<Result>({ op: "smooth", ...request }).ok, "wasm");
   }
 
-  /** The arrays of a result. */
+  /** Returns the arrays of a result. */
   arrays(result: Result): Omit<Smoothed, "engine" | "milliseconds" | "withoutGpu"> {
     const { ok, bytes } = this.core.call<{ width: number; height: number }>({ op: "arrays", result: idOf(result, "result") });
     const pixels = ok.width * ok.height;
@@ -256,32 +260,32 @@ export class Planish {
     };
   }
 
-  /** Draws a frame, raw or smoothed, as RGBA. */
+  /** Renders a frame, raw or smoothed, as RGBA. */
   picture(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> } {
     const request = { op: "picture", frame: idOf(frame, "frame"), side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ width: number; height: number }>(request);
     return { width: ok.width, height: ok.height, rgba: new Uint8ClampedArray(bytes.buffer) };
   }
 
-  /** The finite points of a frame, raw or smoothed, with a colour each. */
+  /** Returns the finite points of a frame, raw or smoothed, with a colour each. */
   cloud(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> } {
     const request = { op: "cloud", frame: idOf(frame, "frame"), side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ points: number }>(request);
     return { points: new Float32Array(bytes.buffer, 0, 3 * ok.points), rgba: new Uint8Array(bytes.buffer, 12 * ok.points) };
   }
 
-  /** Encodes a result as a file: "pcd", "ply", "npy", "xyz", or of depth "png". */
+  /** Encodes a result as a file in the format "pcd", "ply", "npy" or "xyz", or "png" for depth. */
   write(result: Result, format: string, camera?: CameraLike): Uint8Array<ArrayBuffer> {
     const request = { op: "write", result: idOf(result, "result"), format, ...(camera === undefined ? {} : { camera }) };
     return this.core.call({ ...request }).bytes;
   }
 
-  /** Forgets frames and results. */
+  /** Releases frames and results. */
   release(...held: (Frame | Result)[]): void {
     this.releaseIds(held.map((held) => idOf(held, "result" in Object(held) ? "result" : "frame")));
   }
 
-  /** Gives the GPU back; WebAssembly goes on. */
+  /** Releases the GPU; later frames are smoothed with WebAssembly. */
   close(): void {
     this.gpu?.close();
     this.gpu = undefined;
@@ -301,11 +305,11 @@ export class Planish {
     }
   }
 
-  /** Opens a lost device once more; WebAssembly computes the frame at hand. Returns why. */
+  /** Closes a failed device, opens a new one if it was lost, and returns the reason. WebAssembly computes the frame. */
   private async loseGpu(gpu: Gpu, error: unknown): Promise<string> {
     const isLost = await gpu.isLost();
     const reason = `WebGPU failed: ${gpu.lost ?? String(error)}`;
-    // Several frames in flight find the same loss.
+    // Several frames in flight may report the same loss.
     if (this.gpu !== gpu) return reason;
     this.gpu = undefined;
     gpu.close();
@@ -315,14 +319,14 @@ export class Planish {
   }
 }
 
-/** The number of a frame or result. */
+/** Returns the number of a frame or result. */
 function idOf(held: object | null | undefined, kind: "frame" | "result"): number {
   const id = (held as Record<string, unknown> | null | undefined)?.[kind];
   if (typeof id !== "number") throw new PlanishError(`a ${kind} of planish is expected, not ${held === null ? "null" : typeof held}`);
   return id;
 }
 
-/** Keeps only the number of a result, as the module expects. */
+/** Reduces a result to its number, as the module expects. */
 function sideOf(side: Side): Side {
   return side === "raw" ? side : { result: idOf(side, "result") };
 }
@@ -342,13 +346,13 @@ function bytesOf(values: Uint16Array | Float32Array): Uint8Array {
 
 async function fetched(address: URL | string): Promise<Response | BufferSource> {
   if (String(address).startsWith("file:")) {
-    // Node, whose fetch reads no files. Bundlers need not look into this.
+    // Node's fetch does not read files. Bundlers must not resolve this import.
     const node = "node:fs/promises";
     const files = (await import(/* @vite-ignore */ /* webpackIgnore: true */ node)) as { readFile(file: URL): Promise<Uint8Array<ArrayBuffer>> };
     return files.readFile(new URL(address));
   }
   const response = await fetch(address);
   if (!response.ok) throw new PlanishError(`${String(address)} was not found (${response.status})`);
-  // Servers that do not know the type of .wasm files are forgiven.
+  // Some servers do not know the type of .wasm files, so pass the bytes instead.
   return response.headers.get("Content-Type")?.startsWith("application/wasm") ? response : response.arrayBuffer();
 }

@@ -1,7 +1,7 @@
-// A host for planish's kernels on WebGPU. The module plans what to compile, bind and dispatch
+// The host of planish's kernels on WebGPU. The module plans what to compile, bind and dispatch
 // (crates/planish-core/src/gpu/plan.rs).
 
-/** A plan of a frame. */
+/** The plan of a frame: its kernels, uniform and buffer sizes. */
 export interface Plan {
   plan: number;
   passes: { entryPoint: string; wgsl: string; workgroups: [number, number] }[];
@@ -20,13 +20,13 @@ interface Slot {
   kept: [GPUBuffer, GPUBuffer];
 }
 
-/** Frames that may be in flight before `run` waits. */
+/** Maximum number of frames in flight; `run` waits for a free slot. */
 const SLOTS = 3;
 
-/** How long an adapter may take to answer, in milliseconds. */
+/** Maximum time to wait for an adapter, in milliseconds. */
 const PATIENCE_MS = 5000;
 
-/** The device cannot hold this frame, but still accepts others. */
+/** An error for a frame that exceeds the device's memory; smaller frames still work. */
 export class FrameTooLarge extends Error {}
 
 /** Kernels and buffers on a device. */
@@ -37,14 +37,14 @@ export class Gpu {
   private readonly waiting: (() => void)[] = [];
   private readonly layout: GPUBindGroupLayout;
   private readonly pipelineLayout: GPUPipelineLayout;
-  /** Why the device is lost, once it is. */
+  /** Reason of the device's loss, or `undefined` before it. */
   lost: string | undefined;
 
   private constructor(
     private readonly device: GPUDevice,
     /** The name of the adapter. */
     readonly name: string,
-    /** Whether it is a GPU in software, which is slower than the module. */
+    /** Whether the adapter is a software GPU, which is slower than the module. */
     readonly isSoftware: boolean,
   ) {
     const types: GPUBufferBindingType[] = ["uniform", "read-only-storage", "storage", "storage", "storage"];
@@ -57,7 +57,10 @@ export class Gpu {
     });
   }
 
-  /** Opens the adapter with all that it allows: the default of 16 KiB of workgroup memory is less than tiles need. `undefined` without WebGPU. */
+  /**
+   * Opens the adapter with its maximum limits, since tiles need more than the default of 16 KiB of workgroup memory.
+   * Returns `undefined` without WebGPU.
+   */
   static async open(): Promise<Gpu | undefined> {
     const gpu = (globalThis.navigator as Navigator | undefined)?.gpu;
     if (!gpu) return undefined;
@@ -118,13 +121,13 @@ export class Gpu {
     }
   }
 
-  /** Whether the device is lost; a pending call may fail before `lost` resolves. */
+  /** Returns whether the device is lost. Waits briefly, since a pending call may fail before `lost` resolves. */
   async isLost(): Promise<boolean> {
     await Promise.race([this.device.lost, after(100)]);
     return this.lost !== undefined;
   }
 
-  /** Frees its buffers and the device. */
+  /** Frees the device and its buffers. */
   close(): void {
     this.device.destroy();
   }
@@ -137,7 +140,7 @@ export class Gpu {
       compute: { module: this.device.createShaderModule({ code: wgsl }), entryPoint },
     });
     this.pipelines.set(wgsl, compiling);
-    // One that failed may be tried again.
+    // Allow a failed compilation to be tried again.
     compiling.catch(() => this.pipelines.delete(wgsl));
     return compiling;
   }
@@ -153,12 +156,12 @@ export class Gpu {
     }
   }
 
-  /** Buffers for a plan. Checks for errors: buffers that were not created would read as zeros. */
+  /** Returns buffers for a plan. Checks for errors, since buffers whose creation failed would read as zeros. */
   private async buffers(plan: Plan, inputBytes: number): Promise<Slot> {
     const key = [inputBytes, plan.outputBytes, ...plan.keptBytes].join();
     const at = this.free.findIndex((slot) => slot.key === key);
     if (at >= 0) return this.free.splice(at, 1)[0]!;
-    // Frames of another size: their buffers are in the way.
+    // Free the buffers of frames of other sizes.
     this.free.splice(0).forEach(destroy);
     const { device } = this;
     const buffer = (size: number, usage: number) => device.createBuffer({ size: Math.ceil(size / 4) * 4, usage });
@@ -180,7 +183,7 @@ export class Gpu {
     throw new FrameTooLarge(error.message);
   }
 
-  /** Lets the next frame in. */
+  /** Frees a slot, and resumes the next waiting frame. */
   private leave(): void {
     this.open -= 1;
     this.waiting.shift()?.();

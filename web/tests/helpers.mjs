@@ -1,4 +1,4 @@
-// What the tests share: a server of the page, Chromium, and the command to compare with.
+// Helpers of the tests: a server for the page, Chromium, and the command to compare with.
 
 import { createServer } from "node:http";
 import { readFile, stat } from "node:fs/promises";
@@ -27,7 +27,7 @@ export async function serve(folder) {
   return { address: `http://127.0.0.1:${server.address().port}/`, close: () => new Promise((resolve) => server.close(resolve)) };
 }
 
-/** Starts Chromium; its WebGPU is SwiftShader, in software. */
+/** Starts Chromium, whose WebGPU is the software renderer SwiftShader. */
 export function launch() {
   return chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
@@ -36,7 +36,7 @@ export function launch() {
   });
 }
 
-/** The largest distance between two sets of points where both are finite, and how many are so in only one. */
+/** Returns the largest difference of values finite in both arrays, and the number of values finite in only one. */
 export function compare(a, b) {
   let [largest, different] = [0, 0];
   for (let i = 0; i < a.length; i++) {

@@ -1,4 +1,4 @@
-// The package: WebAssembly in Node, WebGPU in Chromium, and both against each other.
+// The package: WebAssembly in Node, WebGPU in Chromium, and a comparison of both.
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -11,7 +11,7 @@ const SETTINGS = [{}, { preset: "paper" }, { edges: "off" }, { preset: "strong",
 let planish, browser, server;
 
 before(async () => {
-  // In Node too it finds its module, beside the code.
+  // The package finds its module next to the code in Node too.
   planish = await Planish.load();
 });
 
@@ -115,7 +115,7 @@ test("more than the memory takes is said, and the module goes on", async () => {
   assert.throws(fill, (error) => error instanceof PlanishError && /out of memory|started anew/.test(error.message));
   const large = held.at(-1);
   planish.release(...held);
-  // Released or gone, its number means nothing else.
+  // The number of a released or lost frame is never reused.
   assert.throws(() => planish.picture(large, "raw", "relief", large.assumedCamera), PlanishError);
   const frame = planish.simulate(2, ...SHAPE);
   assert.ok(frame.frame > large.frame);
@@ -131,11 +131,11 @@ test("colour goes into PLY as other programs expect it", async () => {
   const result = await planish.smoothFrame(frame);
   const ply = new TextDecoder("latin1").decode(planish.write(result, "ply"));
   assert.match(ply, /property uchar red/);
-  // A result may stand for its side as it is.
+  // A result can be passed as a side directly.
   assert.equal(planish.picture(frame, result, "colour").width, 2);
 });
 
-/** The beginning of a PNG and nothing after it. */
+/** Returns the beginning of a PNG without the rest. */
 function pngStart() {
   return [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13];
 }
@@ -205,11 +205,11 @@ test("a GPU without room, and one that is lost, leave no frame behind", { timeou
       const without = await planish.smoothFrame(small, { preset: "paper" }, small.assumedCamera);
       GPUDevice.prototype.createBuffer = createBuffer;
       const after = await smooth();
-      // More than the device allows.
+      // The frame exceeds the device's limits.
       Object.defineProperty(planish.gpu, "limits", { configurable: true, get: () => [16384, 1000, 65535] });
       const beyond = await smooth();
       delete planish.gpu.limits;
-      // Lost while frames are in flight.
+      // The device is lost while frames are in flight.
       const inFlight = [1, 2, 3, 4].map(smooth);
       devices.at(-1).destroy();
       const survived = await Promise.all(inFlight);
@@ -239,11 +239,11 @@ test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
   const ran = await page.evaluate(async ([shape, allSettings]) => {
     const { Planish } = await import("/dist/index.js");
     const planish = await Planish.load();
-    // SwiftShader, which is not taken by itself.
+    // Select SwiftShader, which is not used by default.
     planish.usesGpu = true;
     const frame = planish.simulate(1, ...shape);
     const out = [];
-    // Beside each other: frames in flight keep apart.
+    // Run concurrently: frames in flight must not mix.
     const results = await Promise.all(allSettings.map((settings) => planish.smoothFrame(frame, settings, frame.assumedCamera)));
     for (const result of results) {
       const { points, status } = planish.arrays(result);
@@ -260,7 +260,8 @@ test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
     assert.deepEqual(status, Array.from(expected.status), JSON.stringify(settings));
     const { largest, different } = compare(points.map((value) => value ?? NaN), expected.points);
     console.log(`${JSON.stringify(settings)}: ${largest} m apart at most`);
-    // Section 9 of docs/method.md bounds each against the reference by 1e-5 m for 99.9 % and 6e-4 m for all.
+    // Section 9 of docs/method.md limits the distance of each from the reference to 1e-5 m for 99.9 % of the points
+    // and 6e-4 m for all.
     assert.ok(largest < 6e-4 && different === 0, `${JSON.stringify(settings)}: ${largest}, ${different}`);
   }
 });

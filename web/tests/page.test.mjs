@@ -1,4 +1,5 @@
-// The page: every control, each format, wrong files, keys, and the command's result for the same frame.
+// The page: every control, every format, invalid files, keys, and a comparison with the command's result for the same
+// frame.
 
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
@@ -34,7 +35,7 @@ after(async () => {
   await rm(folder, { recursive: true });
 });
 
-/** Waits until the page has smoothed a frame of that name. */
+/** Waits until the page has smoothed the frame with this name. */
 async function settled(name) {
   await page.waitForFunction((name) => {
     const said = document.querySelector("#status").textContent;
@@ -65,7 +66,7 @@ async function open(name, bytes) {
   await page.setInputFiles("#file", { name, mimeType: "application/octet-stream", buffer: Buffer.from(bytes) });
 }
 
-/** A small frame in a format. */
+/** Encodes a small frame in a format. */
 async function file(format) {
   const frame = planish.simulate(3, ...SHAPE);
   const result = await planish.smoothFrame(frame, { preset: "light" }, frame.assumedCamera);
@@ -112,7 +113,7 @@ test("wrong files are told in words and change nothing", async () => {
   assert.match(await page.textContent("#status"), /^$|points/);
 });
 
-/** Drops files, and returns at once. */
+/** Drops files on the page without waiting for them. */
 function drop(files) {
   return page.evaluate((files) => {
     const transfer = new DataTransfer();
@@ -130,7 +131,7 @@ test("of files that are dropped at once the last one stays, and nothing of a fra
   await drop([["first.png", png]]);
   await drop([["last.ply", ply]]);
   await settled("last.ply");
-  // While a large frame is smoothed, which is chosen once more.
+  // Drop another frame while a large frame, which is chosen again, is being smoothed.
   const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.click("#file")]);
   await chooser.setFiles(join(folder, "slow.pcd"));
   await page.waitForFunction(() => document.querySelector("#raw").width === 640);
@@ -138,7 +139,7 @@ test("of files that are dropped at once the last one stays, and nothing of a fra
   await settled("quick.png");
   assert.match(await pixels("#smoothed"), /^160x120 /);
   assert.ok(await page.isHidden("#error"), await page.textContent("#error"));
-  // Two files: the first, and a word on the other.
+  // Of two frames, the first is shown, with a message about the other.
   await drop([["one.ply", ply], ["two.ply", ply]]);
   await settled("one.ply");
   assert.match(await page.textContent("#error"), /2 frames were dropped: one\.ply is shown/);
@@ -199,13 +200,14 @@ test("a camera file says the camera", async () => {
   const camera = { name: "camera.json", mimeType: "application/json", buffer: Buffer.from('{"fx": 300, "fy": 300, "cx": 80, "cy": 60}') };
   const after = await change(() => page.setInputFiles("#camera-file", camera));
   assert.notEqual(after, before);
-  // It is in the fields, stays for the next frame of that size, and gives way to a camera that is dropped.
+  // The camera is shown in the fields, is kept for the next frame of the same size, and is replaced by a dropped
+  // camera.
   assert.equal(await page.inputValue('[name="fx"]'), "300");
   await drop([["next.png", await file("png")]]);
   await settled("next.png");
   assert.equal(await page.inputValue('[name="fx"]'), "300");
   assert.equal(await change(() => drop([["camera.json", camera.buffer]])), after);
-  // A frame and its camera at once, in whichever order.
+  // A frame and its camera are dropped together, in either order.
   await drop([["camera.json", camera.buffer], ["both.png", await file("png")]]);
   await settled("both.png");
   await page.waitForFunction(() => document.querySelector('[name="fx"]').value === "300");
@@ -219,7 +221,7 @@ test("a cloud without a grid is smoothed, and what does not concern it is off", 
   await settled("scan.xyz");
   for (const name of ["strength", "sensor", "window"]) assert.ok(await page.isDisabled(`[name="${name}"]`), name);
   assert.match(await page.textContent("#status"), /4,000 points/);
-  // As the command smooths it, where nothing is said of edges; and to be seen: not black.
+  // Edges have the command's default, and the picture is not black.
   assert.ok(!(await page.isChecked('[name="edges"]')));
   assert.equal((await pixels("#raw")).split(" ")[0], (await pixels("#smoothed")).split(" ")[0]);
   const bright = await page.evaluate(() => {
@@ -297,7 +299,7 @@ test("`planish view` shows what the page cannot read itself, with its camera, an
     assert.match(await shown.textContent("#status"), said);
     assert.equal(await shown.isVisible("#error"), false);
     await shown.close();
-    // Nobody gets anything without the token, which each run makes anew.
+    // Requests without the token, which is new in each run, are rejected.
     const { origin, pathname } = new URL(address);
     assert.match(pathname, /^\/[0-9a-f]{32}\/$/);
     for (const path of ["/", "/index.html", `/${"0".repeat(32)}/`, `${pathname}../index.html`]) {

@@ -1,6 +1,7 @@
-//! Compares the C call with the Rust call, depth to points in the caller's buffer, in alternating runs.
+//! Compares the time of a C call with that of the Rust call (depth to points in the caller's buffer), in alternating
+//! runs.
 //!
-//! `cargo bench -p planish-c` prints medians and their ratio, after it has compared the results.
+//! `cargo bench -p planish-c` checks that the results are equal, then prints both medians and their ratio.
 
 use std::ffi::c_void;
 use std::ptr;
@@ -20,7 +21,7 @@ fn median(mut times: Vec<f64>) -> f64 {
 }
 
 fn main() {
-    // `cargo test` runs benchmarks too, to see that they work.
+    // `cargo test` also runs benchmarks, to check that they work; one run is enough for that.
     let runs = if std::env::args().any(|argument| argument == "--bench") { RUNS } else { 1 };
     let camera = Camera::kinect_v1();
     let (width, height) = (camera.width, camera.height);

@@ -6,7 +6,7 @@
 
 enum { WIDTH = 320, HEIGHT = 240, FRAMES = 5 };
 
-/* A wall, 1 mm farther for every column; noise of up to 4 mm. */
+/* Simulates a wall that is 1 mm farther away in each column, with noise of up to 4 mm. */
 static void next_frame(uint16_t *depth, unsigned *seed) {
   for (int i = 0; i < WIDTH * HEIGHT; ++i) {
     *seed = *seed * 1664525u + 1013904223u;
@@ -14,7 +14,7 @@ static void next_frame(uint16_t *depth, unsigned *seed) {
   }
 }
 
-/* Root mean square distance from the wall in mm. */
+/* Returns the root mean square distance from the wall in mm. */
 static double error_mm(const uint16_t *depth) {
   double sum = 0;
   for (int i = 0; i < WIDTH * HEIGHT; ++i) {

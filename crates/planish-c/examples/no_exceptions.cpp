@@ -1,4 +1,4 @@
-// Built with -fno-exceptions: calls return what they came to.
+// Built with -fno-exceptions: calls return a planish::Result.
 #include <planish/planish.hpp>
 
 #include <cstdio>

@@ -1,4 +1,4 @@
-// OpenCV: depth images in cv::Mat, in place and as a part of a larger image.
+// OpenCV: depth images in cv::Mat, in place and as part of a larger image.
 #include <planish/eigen.hpp>
 #include <planish/opencv.hpp>
 

@@ -1,4 +1,4 @@
-// PCL: an organized cloud with colours, and the class that takes the place of pcl::MovingLeastSquares, beside PCL's.
+// PCL: an organized cloud with colours, and the class that replaces pcl::MovingLeastSquares, compared with PCL's.
 #include <pcl/search/kdtree.h>
 #include <pcl/surface/mls.h>
 #include <planish/pcl.hpp>
@@ -9,7 +9,7 @@
 
 namespace {
 
-/// A wall of a Kinect's size with noise of 3 mm, every tenth pixel a hole.
+/// Returns a wall of 160x120 points in a Kinect's field of view, with noise of 3 mm; every tenth pixel is a hole.
 pcl::PointCloud<pcl::PointXYZRGBNormal> wall() {
   std::mt19937 random(1);
   std::normal_distribution<float> noise(0.0f, 0.003f);

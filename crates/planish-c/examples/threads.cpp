@@ -1,4 +1,5 @@
-// Several threads: a session each, one session for two, and errors in between. `threads CALLS THREADS` is a soak.
+// Several threads with one session each, two threads that share a session, and errors in between. `threads CALLS
+// THREADS` runs a soak test.
 #include <planish/planish.hpp>
 
 #include <atomic>
@@ -18,11 +19,11 @@ void expect(bool is_true, const char *what) {
   ++failures;
 }
 
-/// Smooths frames of random sizes; every tenth is wrong in one of some ways.
+/// Smooths frames of random sizes; every tenth frame has one of several errors.
 void calls(unsigned seed, long count) {
   std::mt19937 random(seed);
   auto below = [&](std::size_t n) { return static_cast<std::size_t>(random() % n); };
-  // Every other one has threads of its own too.
+  // Every other session has two threads of its own.
   const std::string engine = seed % 2 ? "engine=cpu threads=2" : "engine=cpu threads=1";
   planish::Session session(engine);
   for (long i = 0; i < count; ++i) {
@@ -47,7 +48,7 @@ void calls(unsigned seed, long count) {
     expect(static_cast<bool>(done) != is_wrong, "calls fail where they are wrong, and only there");
     expect(!is_wrong || !done.text().empty(), "an error has a text");
     if (!is_wrong) expect(std::abs(points[4 * (pixels / 2) + 2] - 1.203f) < 0.01f, "the wall stays where it is");
-    // Now and then another session, or a result of the library's.
+    // Now and then, open another session, or keep a result in the library's memory.
     if (i % 1000 == 500) session = planish::Session(engine + " preset=light");
     if (i % 50 == 25) {
       planish::Smoothed smoothed;
@@ -65,7 +66,7 @@ int main(int argc, char **argv) {
   for (int i = 0; i < threads; ++i) all.emplace_back(calls, static_cast<unsigned>(i), count / threads);
   for (auto &thread : all) thread.join();
 
-  // One session for two threads: a call while the other is in one is refused, and does no harm.
+  // Two threads share one session: a call during the other thread's call is rejected, without harm.
   planish::Session shared("engine=cpu threads=1");
   const std::vector<std::uint16_t> depth(64 * 48, 1500);
   const planish::Camera camera(64, 48, 52.5, 52.5, 31.5, 23.5);
@@ -83,7 +84,7 @@ int main(int argc, char **argv) {
   other.join();
   std::printf("%ld calls by %d threads; one session for two threads: %ld done, %ld refused\n", count, threads, done.load(), busy.load());
 
-  // A handle that was freed, and one that never was.
+  // A freed handle, and a null handle.
   planish_session *session = nullptr;
   expect(planish_session_new("", &session) == PLANISH_OK && planish_session_free(session) == PLANISH_OK, "free");
   expect(planish_session_free(session) == PLANISH_HANDLE, "freed twice");

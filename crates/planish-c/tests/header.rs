@@ -1,5 +1,5 @@
-//! The committed header matches the source. To update it: `PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test
-//! header`.
+//! Checks that the committed header matches the source. To update the header: `PLANISH_WRITE_HEADER=1 cargo test -p
+//! planish-c --test header`.
 
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,7 @@ fn the_header_is_generated_from_the_source() {
     assert!(committed == header, "write it again: PLANISH_WRITE_HEADER=1 cargo test -p planish-c --test header");
 }
 
-/// Removes the sections that Rust wants of unsafe functions; the rules are at the top of the header.
+/// Removes the `# Safety` sections, which Rust requires for unsafe functions; the top of the header states the rules.
 fn without_safety(header: &str) -> String {
     let mut kept: Vec<&str> = Vec::new();
     let mut is_safety = false;
@@ -34,7 +34,7 @@ fn without_safety(header: &str) -> String {
             kept.push(line);
             continue;
         }
-        // The empty line before the section.
+        // Remove the empty line before the section, too.
         if line.contains("# Safety") && kept.last().is_some_and(|last| last.trim() == "//" || last.trim() == "///") {
             kept.pop();
         }

@@ -1,4 +1,4 @@
-"""Arrays in CUDA's memory: what can be tested without a GPU."""
+"""Arrays in CUDA memory: tests that need no GPU."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from planish import _cuda
 
 
 class OnGpu:
-    """An array of the host that says, as a library of GPU arrays would, that it is on CUDA's device 0."""
+    """A host array that claims to be on CUDA's device 0, like an array of a GPU library."""
 
     def __init__(self, array: Any, device: int = 2) -> None:
         self.array, self.device = array, device

@@ -1,4 +1,4 @@
-"""Files, simulated frames, scores, devices and batches of a pipeline."""
+"""Files, simulated frames, scores, devices, and batches of a data pipeline."""
 
 import subprocess
 import sys
@@ -43,7 +43,7 @@ def test_another_implementation_of_pcd_reads_and_writes_the_same(tmp_path):
     for encoding, their_encoding, fields in [
         ("ascii", Encoding.ASCII, scalars | several),
         ("binary", Encoding.BINARY, scalars | several),
-        # It splits compressed fields with several values, where PCL stores the values of a point together.
+        # The other reader splits compressed fields with several values, where PCL stores the values of a point together.
         ("compressed", Encoding.BINARY_COMPRESSED, scalars),
     ]:
         planish.write(ours, points, fields=fields, encoding=encoding)

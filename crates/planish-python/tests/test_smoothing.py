@@ -1,4 +1,4 @@
-"""Smoothing from Python: what goes in, what comes out, and what is refused."""
+"""Smoothing from Python: accepted inputs, results, and rejected inputs."""
 
 import multiprocessing
 import os
@@ -138,7 +138,7 @@ def test_the_gpu_engine_gives_the_same(frame):
     if not planish.devices().gpus:
         pytest.skip("no Vulkan device")
     expected = planish.smooth(frame.depth, frame.camera, engine="cpu").points
-    # A software renderer is taken only by its index.
+    # A software renderer is used only if it is selected by index.
     smoother = Smoother(frame.camera, engine="gpu", adapter=0, outputs=["points"])
     found = smoother.smooth(frame.depth).points
     assert smoother.engine.startswith("gpu, ")
@@ -316,7 +316,7 @@ def test_points_of_one_row_may_run_backwards(cloud):
 
 def test_a_stray_point_costs_others_no_digits(cloud):
     points = cloud[np.isfinite(cloud).all(axis=-1)][::9].astype(np.float64) + [698_011.0, 6_259_973.0, 96.0]
-    # Without a number of neighbours, it is chosen from samples, and one more point shifts them.
+    # Without the setting, the number of neighbours is chosen from samples, which one more point shifts.
     alone = planish.smooth(points, engine="cpu", neighbours=40).points
     both = planish.smooth(np.vstack([[0, 0, 0], points]), engine="cpu", neighbours=40).points
     assert np.abs(both[1:] - alone).max() < 1e-5 and np.array_equal(both[0], [0, 0, 0])
@@ -388,7 +388,7 @@ def test_processes_that_are_forked_or_spawned_go_on(frame, method, temporal):
         child.kill()
         child.join()
     again = smoother.smooth(frame.depth).depth
-    # The mean of two equal frames is off by a rounding.
+    # The mean of two equal frames differs by a rounding error.
     assert np.array_equal(again, expected) if temporal == "off" else np.abs(again - expected.astype(int)).max() <= 1
 
 
@@ -413,10 +413,10 @@ def test_a_forked_process_chooses_neighbours_too():
 
 def test_ctrl_c_ends_one_long_cloud() -> None:
     rng = np.random.default_rng(1)
-    # Seconds of work: thousands of neighbours a point.
+    # Smoothing takes seconds: each point has thousands of neighbours.
     points = rng.random((400_000, 3)).astype(np.float32)
     smoother = planish.Smoother(outputs=["points"], engine="cpu", threads=1, radius=0.12, degree=3)
-    # A process that a shell started in the background ignores the signal.
+    # Processes that a shell started in the background ignore the signal, so set the default handler.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     sender = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))
     sender.start()
@@ -427,7 +427,7 @@ def test_ctrl_c_ends_one_long_cloud() -> None:
     finally:
         signal.signal(signal.SIGINT, before)
     assert time.monotonic() - start < 3
-    # It continues with the next frame.
+    # The smoother continues with the next frame.
     assert np.isfinite(smoother.smooth(points[:2000]).points).all()
 
 
@@ -452,7 +452,7 @@ def test_the_choice_for_a_cloud_and_even_spacing() -> None:
     assert choice.edges == "off" and choice.neighbours >= 40 and choice.noise_m == pytest.approx(0.03, rel=0.15)
     even = planish.smooth(sphere, engine="cpu", outputs=["points"], even=True).points
     apart = [np.sort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, 1] for points in (plain, even)]
-    # The nearest neighbours of evenly spaced points are about as far away everywhere.
+    # In an evenly spaced cloud, the distances to the nearest neighbours are similar everywhere.
     assert apart[1].std() / apart[1].mean() < 0.85 * apart[0].std() / apart[0].mean()
     assert np.abs(np.linalg.norm(even, axis=1) - 1).mean() < 1.1 * np.abs(np.linalg.norm(plain, axis=1) - 1).mean()
     with Smoother(engine="cpu", neighbours=40) as given:

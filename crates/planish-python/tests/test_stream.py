@@ -207,7 +207,7 @@ def test_a_video_of_a_camera_at_rest() -> None:
 
 
 def test_a_video_of_a_moving_camera() -> None:
-    # A wall seen by a camera that comes nearer by 4 mm per frame: with its poses, the noise is averaged over time.
+    # A camera approaches a wall by 4 mm per frame. With its poses, the noise is averaged over time.
     random = np.random.default_rng(2)
     camera = planish.Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
     distances = 2 - 0.004 * np.arange(20)

@@ -80,7 +80,7 @@ def test_meshes_have_triangles_within_surfaces_only(depth, tmp_path):
     assert len(faces) == triangles > 400_000 and (faces["count"] == 3).all()
     depths = points[faces["index"], 2]
     spread = depths.max(axis=1) - depths.min(axis=1)
-    # Triangles across the steps of the scene, 20 cm and more, would have a large spread.
+    # Triangles across the scene's steps of 20 cm and more would have a large spread.
     assert (spread > 0.1).mean() < 1e-3
     assert planish.mesh(depth, tmp_path / "mesh.glb", camera=FRAME.camera) == (vertices, triangles)
     magic, version, length, size, kind = struct.unpack("<4sIII4s", (tmp_path / "mesh.glb").read_bytes()[:20])
@@ -119,7 +119,7 @@ def test_frames_are_prepared():
     assert np.array_equal(near, np.where((FRAME.depth >= 700) & (FRAME.depth <= 1000), FRAME.depth, 0))
     half, camera = planish.prepare(FRAME.depth, FRAME.camera, decimate=2)
     assert half.shape == (240, 320) and (camera.fx, camera.cx) == (262.5, 159.5)
-    # Half the noise: means of four pixels with a correlation of their noise, on the flat parts.
+    # On flat parts, the mean of four pixels has less noise, but not half, since their noise is correlated.
     truth = FRAME.points[..., 2].reshape(240, 2, 320, 2).transpose(0, 2, 1, 3).reshape(240, 320, 4)
     flat = (np.ptp(truth, axis=2) < 0.01) & (half > 0)
     raw = np.abs(FRAME.depth[::2, ::2] / 1000.0 - truth[..., 0])[flat]

@@ -1,4 +1,4 @@
-"""What type checkers make of code that uses planish: mypy and pyright check this file, and nothing runs it."""
+"""Code that uses planish, for type checkers: mypy and pyright check this file, which is never run."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -29,7 +29,7 @@ def once(points: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def wrong(depth: NDArray[np.uint16], camera: planish.Camera) -> None:
-    # mypy reports comments that suppress nothing.
+    # mypy reports ignore comments that suppress no error.
     planish.smooth(depth, camera, preset="lightt")  # type: ignore[arg-type]
     planish.smooth(depth, camera, presett="light")  # type: ignore[call-arg]
 

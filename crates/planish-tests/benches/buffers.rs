@@ -1,7 +1,7 @@
 //! The cost of interleaved points and normals in the caller's buffers, compared with separate planes.
 //!
-//! `cargo bench -p planish-tests --bench buffers`. The layouts take turns, frame by frame, so that whatever slows the
-//! machine slows all of them; the ratio is the median over the rounds.
+//! `cargo bench -p planish-tests --bench buffers`. The layouts alternate frame by frame, so a slower machine slows
+//! all of them alike. The ratio is the median over the rounds.
 
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ fn main() {
             let mut times_ms: [Vec<f64>; 4] = Default::default();
             for round in 0..ROUNDS + 5 {
                 for turn in 0..4 {
-                    // Another one begins each round.
+                    // Each round begins with a different layout.
                     let layout = (turn + round) % 4;
                     let start = Instant::now();
                     let result = match layout {

@@ -16,7 +16,7 @@ fn main() {
     divan::main();
 }
 
-/// Returns a Kinect's field of view at another resolution.
+/// Returns a camera with a Kinect's field of view at another resolution.
 fn camera((width, height): (usize, usize)) -> Camera {
     let scale = width as f64 / 640.0;
     let (cx, cy) = ((width - 1) as f64 / 2.0, (height - 1) as f64 / 2.0);
@@ -31,7 +31,7 @@ fn options(threads: usize) -> SmootherOptions {
     SmootherOptions::default().with_engine(Engine::Cpu).with_threads(Some(threads))
 }
 
-/// Times one setting, points an iteration as its count, once its result agrees with the reference.
+/// Checks that the result of a setting agrees with the reference, then times it; the counter is points per iteration.
 fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: FrameParams, options: SmootherOptions) {
     let engine =
         TestEngine { threads: options.threads, simd: options.simd, engine: options.engine, ..TestEngine::REFERENCE };

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use planish::io::{self, Contents};
 use planish::{Camera, OrganizedCloud};
 
-/// Reports that something is not tested here. The test runner would hide the output of `println!` in a passing test.
+/// Reports that a test is skipped. The test runner would hide the output of `println!` in a passing test.
 pub fn skip(what: &str) {
     // A closed standard error is not a reason to fail.
     let _ = writeln!(std::io::stderr(), "SKIP {what}");
@@ -15,7 +15,7 @@ pub fn skip(what: &str) {
 /// Returns PCL's test cloud, 397 points of the Stanford bunny; its licence is next to the file.
 ///
 /// # Panics
-/// If it cannot be read.
+/// If the file cannot be read.
 pub fn bunny() -> planish::PointCloud {
     general_cloud(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/data")), "bun0.pcd")
 }
@@ -23,7 +23,7 @@ pub fn bunny() -> planish::PointCloud {
 /// Returns the folder of real data; prints SKIP and returns `None` if it is absent.
 ///
 /// # Panics
-/// If it is absent and PLANISH_REQUIRE_DATA is set.
+/// If the folder is absent and the environment variable PLANISH_REQUIRE_DATA is set.
 pub fn folder(test: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     if folder.is_dir() {
@@ -47,7 +47,7 @@ fn primesense(depth_units_per_metre: f64) -> Camera {
     Camera::kinect_v1().with_depth_units_per_metre(depth_units_per_metre)
 }
 
-/// Returns real frames of every kind: Kinect clouds far and near, and depth images of four sensors and data sets.
+/// Returns real frames of every kind: near and far Kinect clouds, and depth images of four sensors and data sets.
 ///
 /// # Panics
 /// If a file cannot be read; data that are present must be complete.
@@ -82,7 +82,7 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
 /// Reads a file of the data folder that must be an unorganized cloud.
 ///
 /// # Panics
-/// If it cannot be read or is something else.
+/// If the file cannot be read or is not an unorganized cloud.
 pub fn general_cloud(folder: &Path, name: &str) -> planish::PointCloud {
     match io::read(&folder.join(name)).expect("a whole file").1 {
         Contents::General(cloud) => cloud,

@@ -7,7 +7,7 @@ use planish::{
     Params, Project, SimdLevel, Smoothed, Smoother, SmootherOptions, auto_choice, gpu_adapters,
 };
 
-/// An engine with options that may not change its result by more than the tolerances.
+/// An engine with options that must not change its result by more than the tolerances.
 #[derive(Debug, Clone, Copy)]
 pub struct TestEngine {
     /// The engine.
@@ -16,7 +16,7 @@ pub struct TestEngine {
     pub threads: Option<usize>,
     /// Instruction set of the CPU engine.
     pub simd: Option<SimdLevel>,
-    /// Whether the shader of the GPU engine checks bounds.
+    /// True if the shaders of the GPU engine check bounds.
     pub bounds_checks: bool,
     /// Maximum number of points of an unorganized cloud that the GPU engine holds at once.
     pub points_at_once: Option<usize>,
@@ -45,11 +45,11 @@ impl TestEngine {
     /// Returns the options to open a smoother for this engine.
     ///
     /// # Panics
-    /// If the GPU engine is requested and does not open.
+    /// If the GPU engine is requested and cannot be opened.
     pub fn options(self, outputs: Outputs) -> SmootherOptions {
         let options = self.plain_options(outputs);
         if self.engine == Engine::Gpu {
-            // Kept open, so that pipelines compiled for one test are available to the next.
+            // One smoother stays open, so that pipelines compiled for one test are available to the next.
             static KEPT: OnceLock<Mutex<Smoother>> = OnceLock::new();
             KEPT.get_or_init(|| {
                 Mutex::new(Smoother::open_with(FrameParams::paper(), &options, (1, 1)).expect("the GPU engine"))
@@ -92,11 +92,11 @@ impl TestEngine {
     }
 }
 
-/// Returns the adapter on which the GPU engine is tested: the one chosen by `Auto`, otherwise the first, even if it is
-/// software. `None` without an adapter.
+/// Returns the adapter on which the GPU engine is tested: the adapter that `Auto` chooses, otherwise the first, even
+/// if it is a software adapter. Returns `None` if there is no adapter.
 ///
 /// # Panics
-/// Without an adapter, if the environment variable PLANISH_REQUIRE_GPU is set.
+/// If there is no adapter and the environment variable PLANISH_REQUIRE_GPU is set.
 pub fn test_adapter() -> Option<&'static GpuAdapter> {
     static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
     let adapter = ADAPTER.get_or_init(|| {
@@ -113,14 +113,14 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     adapter.as_ref()
 }
 
-/// Returns true if the GPU engine is tested on a software adapter, which needs minutes instead of seconds.
+/// Returns true if the GPU engine is tested on a software adapter, on which tests take minutes instead of seconds.
 pub fn is_software() -> bool {
     test_adapter().is_some_and(|adapter| adapter.kind == AdapterKind::Software)
 }
 
-/// Returns the corners of the parameter space and a sample between them: windows 1 to 7, strides 1 to 8, degrees 1 to
+/// Returns the corners of the parameter space and samples between them: windows 1 to 7, strides 1 to 8, degrees 1 to
 /// 3, blocks averaged or not, and both radius rules. Edges are off; half of the settings are repeated with robust
-/// edges. A third of all settings project along rays, and a few have another ridge.
+/// edges. A third of all settings project along rays, and a few have a larger ridge.
 pub fn parameter_grid() -> Vec<FrameParams> {
     let fixed = FrameRadius::Fixed { radius_m: 0.03 };
     let corners = [1, 7].into_iter().flat_map(|window| {

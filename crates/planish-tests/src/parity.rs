@@ -1,5 +1,5 @@
-//! The comparison that every fast engine passes: against the f64 reference over the grid of parameters, on simulated,
-//! real and nasty clouds (docs/method.md, section 9).
+//! The comparison that every fast engine must pass: against the f64 reference over the grid of parameters, on
+//! simulated, real and nasty clouds (docs/method.md, section 9).
 
 use planish::agreement::{Agreement, radii_m};
 use planish::{FrameParams, FrameRadius, OrganizedCloud, Project, SensorPose, Smoothed};
@@ -16,8 +16,8 @@ pub type Subject = (String, TestEngine);
 /// Pose of a sensor that is rotated about all axes and away from the origin, as on a robot arm.
 const TURNED: SensorPose = SensorPose { position_m: [0.4, -0.7, 0.9], orientation: [0.7, 0.1, -0.5, 0.5] };
 
-/// Runs every engine and the reference on all clouds with each setting, as they are and seen from a rotated sensor;
-/// returns the violated limits of section 9.
+/// Runs every engine and the reference on all clouds with each setting, once in their own frame and once seen from a
+/// rotated sensor; returns the violated limits of docs/method.md, section 9.
 fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams], subjects: &[Subject]) -> Vec<String> {
     let turned: Vec<_> = clouds.iter().map(|cloud| moved(cloud, TURNED)).collect();
     let mut misses = compare_in_frame(name, clouds, grid, subjects);
@@ -62,8 +62,8 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
 }
 
 /// Compares the engines with the reference on the real frames: on the first `whole` frames with the usual settings,
-/// and on quarters of all frames with the settings of the parameter grid, which are distributed over them. Quarters
-/// are also seen from a rotated sensor.
+/// and on quarters of all frames, over which the settings of the parameter grid are distributed. Quarters are also
+/// seen from a rotated sensor.
 ///
 /// # Panics
 /// If an engine does not agree.
@@ -128,7 +128,7 @@ pub fn ordinary_small_clouds_agree(subjects: &[Subject]) {
     let mut misses = Vec::new();
     let skipped = ["denormal coordinates", "huge coordinates"];
     for scene in nasty_scenes().iter().filter(|scene| !skipped.contains(&scene.name)) {
-        // At the nominal window: these clouds are smaller than any frame.
+        // Use windows that do not adapt to the resolution, because these clouds are smaller than any frame.
         let settings = [FrameParams::paper(), FrameParams::default().with_stride(5)];
         misses.extend(compare(scene.name, std::slice::from_ref(&scene.cloud), &settings, subjects));
     }

@@ -25,7 +25,8 @@ pub fn transform(pose: &SensorPose, p: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|k| turned[k] + pose.position_m[k])
 }
 
-/// Returns a camera's cloud in the frame in which the camera has this pose, rounded to f32 and without its camera.
+/// Returns a camera's cloud in the coordinate frame in which the camera has the given pose, rounded to f32 and
+/// without intrinsics.
 ///
 /// # Panics
 /// If the cloud is not well formed.

@@ -16,7 +16,7 @@ pub fn small_camera() -> Camera {
     Camera::new((160, 120), [131.25, 131.25], [79.5, 59.5])
 }
 
-/// Returns an organized cloud, whose points are computed from their column and row.
+/// Returns an organized cloud whose points are computed from their column and row.
 ///
 /// # Panics
 /// If the shape is not allowed.
@@ -33,7 +33,7 @@ pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
     frame.deproject().expect("a valid frame")
 }
 
-/// Returns a surface z(x, y) around (0, 0), one point every `spacing_m`, as seen along z.
+/// Returns a surface z(x, y) around (0, 0), seen along z, with a point every `spacing_m` metres.
 pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) -> OrganizedCloud {
     let middle = (side - 1) as f64 / 2.0;
     grid(side, side, |u, v| {
@@ -46,7 +46,7 @@ pub fn height_field(side: usize, spacing_m: f64, z: impl Fn(f64, f64) -> f64) ->
 pub fn nasty_scenes() -> Vec<TestScene> {
     let nan = [f32::NAN; 3];
     let wall = |u: usize, v: usize| [0.004 * u as f32, 0.004 * v as f32, 2.0];
-    // 7 mm of noise along the rays of a camera whose principal point is in the first row.
+    // Noise of 7 mm along the rays of a camera whose principal point is in the first row.
     let noisy = |u: usize, v: usize| {
         let noise = |i: f64| ((i * 12.9898).sin() * 43_758.545_3).fract();
         let i = (u + 640 * v) as f64;

@@ -1,4 +1,4 @@
-//! The invariants of every result. Its tolerances against the reference are in [`planish::agreement`].
+//! The invariants of every result. The tolerances against the reference are in [`planish::agreement`].
 
 use planish::agreement::sensor_position_m;
 use planish::{OrganizedCloud, Smoothed};

@@ -14,7 +14,7 @@ use planish_tests::bits::bits;
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, nasty_scenes, simulated, small_camera};
 
-/// The system's allocator, counting.
+/// The system allocator with a count of its allocations.
 struct Counting;
 
 static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
@@ -42,7 +42,7 @@ fn frame(camera: Camera) -> DepthFrame {
     DepthSimulator::new(DepthNoise::default(), camera, 4).frame(&truth, 0).unwrap()
 }
 
-/// Counts what one after the other of these tests allocates; others must not run meanwhile.
+/// Lock that lets these tests run one at a time, so that no test counts the allocations of another.
 static ALONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
 
 #[test]
@@ -67,7 +67,7 @@ fn nothing_is_allocated_after_the_first_frame() {
     let _alone = ALONE.lock();
     let depth = frame(small_camera());
     let cloud = depth.deproject().unwrap();
-    // A cloud without a camera has its pixel pitch estimated for every frame.
+    // The pixel pitch of a cloud without a camera is estimated for every frame.
     let mut bare = cloud.clone();
     bare.camera = None;
     for (threads, allowed) in [(1, 0), (2, FRAMES / 50)] {
@@ -87,7 +87,7 @@ fn nothing_is_allocated_after_the_first_frame() {
                 run(&mut smoothed);
             }
             let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
-            // With more than one thread, rayon's queue of jobs takes a block for every 63 of them.
+            // With more than one thread, rayon's job queue allocates a block for every 63 jobs.
             assert!(allocations <= allowed, "{allocations} allocations in {FRAMES} frames on {threads} threads");
         }
     }
@@ -123,7 +123,7 @@ fn outputs_that_were_not_asked_for_are_absent_and_change_nothing() {
             .with_neighbours(wants(8));
         let options = SmootherOptions::default().with_engine(Engine::Cpu).with_outputs(outputs);
         let mut smoother = Smoother::open_with(FrameParams::default(), &options, (160, 120)).unwrap();
-        // The same result struct each time: outputs that are no longer requested disappear.
+        // The same result struct is used each time, so outputs that are no longer requested disappear.
         smoother.smooth(&cloud, &mut smoothed).unwrap();
         let mut expected = all.clone();
         expected.normals = expected.normals.filter(|_| outputs.normals);
@@ -180,16 +180,16 @@ fn times_are_told_when_asked_and_bytes_always() {
     assert!(!alone.upload.is_zero() && !alone.kernel.is_zero() && alone.readback.is_zero(), "{alone:?}");
     smoother.submit_in_place(&depth).unwrap();
     assert!(!smoother.receive().unwrap().unwrap().timings().unwrap().kernel.is_zero());
-    // A batch's are the sum over its frames, and less than the host waits.
+    // The times of a batch are the sums over its frames, and together at most the time that the host waits.
     let start = Instant::now();
     smoother.smooth_batch(&[(&depth).into_frame().unwrap(); 8], &mut vec![Smoothed::default(); 8]).unwrap();
     let (all, batch) = (start.elapsed(), smoother.timings().unwrap());
     assert!(!batch.kernel.is_zero() && batch.upload + batch.kernel <= all, "{batch:?} of {all:?}");
-    // x, y and z, 160 columns being a multiple of 16, 3 pixels of border around them, 16 numbers at the end.
+    // x, y and z each have 160 columns (a multiple of 16), a border of 3 pixels and 16 numbers at the end.
     let padded = (160 + 6) * (120 + 6) + 16;
     assert_eq!(smoother.buffer_bytes(), 4 * 3 * padded);
-    // Cells have 3 numbers for their points, 6 for means, 13 for first planes and 10 for surfaces, and a border of 6.
-    // Pixels have 6, half as many columns, and a border of 4.
+    // Each cell has 3 numbers for its points, 6 for means, 13 for first planes and 10 for surfaces; the border is 6
+    // cells wide. Each pixel has 6 numbers, in half as many columns, with a border of 4.
     let (cells, pixels) = ((80 + 12) * (60 + 12) + 16, (80 + 8) * (120 + 8) + 16);
     let mut robust = open(FrameParams::default(), false);
     assert_eq!(robust.buffer_bytes(), 4 * (32 * cells + 6 * pixels));

@@ -1,4 +1,5 @@
-//! Writes web/plans, the kernels and layouts of the usual settings: `cargo run -p planish-web --example write_plans`.
+//! Writes the folder web/plans: the kernels and layouts of the usual settings. `cargo run -p planish-web --example
+//! write_plans`
 
 use std::fs;
 use std::path::Path;

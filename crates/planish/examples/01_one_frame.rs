@@ -1,4 +1,4 @@
-//! One frame: read, smoothed, written. `cargo run --release --example 01_one_frame -- frame.pcd smooth.pcd`
+//! Reads, smooths and writes one frame. `cargo run --release --example 01_one_frame -- frame.pcd smooth.pcd`
 
 use planish::io::{Encoding, read_organized, write_cloud};
 use planish::{Error, Outputs, Settings};

@@ -4,7 +4,7 @@ use planish::source::{OwnedFrame, Source};
 use planish::stream::{self, StreamOptions};
 use planish::{Camera, DepthFrame, Error, FrameParams, SmootherOptions};
 
-/// A camera that sees a wall, waving.
+/// A camera in front of a wall that swings back and forth.
 struct MyCamera {
     camera: Camera,
     frames: u32,
@@ -16,7 +16,7 @@ impl Source for MyCamera {
             return Ok(None);
         }
         self.frames += 1;
-        // Here the driver would be asked. Raw values are in the camera's unit, a millimetre; 0 is a hole.
+        // A real source would query its driver here. Raw values are in the camera's unit, a millimetre; 0 is a hole.
         let Camera { width, height, .. } = self.camera;
         let wall = 1500.0 + 50.0 * f64::from(self.frames).sin();
         let raw = vec![wall as u16; width * height];

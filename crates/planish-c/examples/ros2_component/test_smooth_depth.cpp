@@ -1,4 +1,4 @@
-// Tests what the component does with planish; the node around it needs ROS 2.
+// Tests the component's use of planish; the node around it needs ROS 2.
 #include <cstdio>
 #include <cstring>
 

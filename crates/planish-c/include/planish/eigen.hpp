@@ -1,4 +1,4 @@
-// planish for Eigen: points as the columns of a matrix of three rows.
+// planish for Eigen: points as the columns of a matrix with three rows.
 #ifndef PLANISH_EIGEN_HPP
 #define PLANISH_EIGEN_HPP
 
@@ -9,7 +9,7 @@
 
 namespace planish {
 
-/// Points that may have a gap between their columns.
+/// Points whose columns may have gaps between them.
 template <typename Scalar>
 using PointsMap = Eigen::Ref<const Eigen::Matrix<Scalar, 3, Eigen::Dynamic>, 0, Eigen::OuterStride<>>;
 

@@ -20,11 +20,11 @@ inline Result frame_of(const cv::Mat &depth, const Camera &camera, Frame &frame)
   return Result();
 }
 
-/// Smooths a depth image into another of the same type. `smoothed` may be the same image. With `status`, each pixel gets
-/// one of PLANISH_STATUS_... in CV_8UC1; the setting fill needs it.
+/// Smooths a depth image into another of the same type. `smoothed` may be the same image. With `status`, each pixel
+/// gets one of PLANISH_STATUS_... in CV_8UC1; the setting fill requires it.
 inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &camera, cv::Mat &smoothed,
                       cv::Mat *status = nullptr) {
-  // In place the input has to be copied, since it is read while the output is written.
+  // In place, the input must be copied, since it is read while the output is written.
   const cv::Mat input = depth.data == smoothed.data && depth.data ? depth.clone() : depth;
   Frame frame(PLANISH_DEPTH_U16, 0, 0);
   Result done = frame_of(input, camera, frame);
@@ -33,7 +33,7 @@ inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &came
   done = Result(planish_output_shape(session.c(), frame.width(), frame.height(), &width, &height));
   if (!done) return detail::checked(std::move(done));
   const int rows = static_cast<int>(height), cols = static_cast<int>(width);
-  // Results have no gaps between rows; an image that is a part of another is written by a copy.
+  // Results have no gaps between rows, so an image that is part of another is written by a copy.
   cv::Mat result = smoothed;
   if (result.type() != input.type() || result.rows != rows || result.cols != cols || !result.isContinuous()) {
     result = cv::Mat(rows, cols, input.type());

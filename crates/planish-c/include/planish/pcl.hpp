@@ -1,4 +1,4 @@
-// planish for PCL: smooths clouds of any registered type of point, with every field kept, and takes the place of
+// planish for PCL: smooths clouds of any registered point type, keeping every field, and replaces
 // pcl::MovingLeastSquares.
 //
 //   planish::smooth(cloud, smoothed);              // frames on a grid, and clouds without one
@@ -56,7 +56,7 @@ float *field_of(pcl::PointCloud<PointT> &cloud) {
   return reinterpret_cast<float *>(reinterpret_cast<char *>(cloud.points.data()) + offset_of<PointT, Field>());
 }
 
-/// Buffers for what the points of a cloud can hold.
+/// Returns the output buffers for the fields that the point type has.
 template <typename PointT>
 Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float> &curvature) {
   Output output(cloud.size());
@@ -73,7 +73,7 @@ Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float
   return output;
 }
 
-/// Copies a cloud into another; into memory that it has already, as bytes.
+/// Copies a cloud into another. If the sizes match, the points are copied as bytes into the existing memory.
 template <typename PointT>
 void copy(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
   if (to.size() != cloud.size() || cloud.empty()) {
@@ -85,7 +85,7 @@ void copy(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
   to.height = cloud.height;
   to.sensor_origin_ = cloud.sensor_origin_;
   to.sensor_orientation_ = cloud.sensor_orientation_;
-  // Registered points are plain structs of numbers. Of a large cloud another thread copies one half.
+  // Registered points are plain structs of numbers. For a large cloud, another thread copies one half.
   const auto copy_part = [&](std::size_t begin, std::size_t end) {
     std::memcpy(static_cast<void *>(to.points.data() + begin), static_cast<const void *>(cloud.points.data() + begin),
                 (end - begin) * sizeof(PointT));
@@ -106,9 +106,9 @@ void put_curvature(pcl::PointCloud<PointT> &cloud, const std::vector<float> &cur
 
 }  // namespace detail
 
-/// Smooths a cloud, on its grid if it has one. All other fields are kept; points that became holes are NaN. Normals and
-/// curvature are written if the type of point has them. `smoothed` may be the same cloud. With `status`, each point gets
-/// one of PLANISH_STATUS_...; the setting fill needs it.
+/// Smooths a cloud, on its grid if it has one. All other fields are kept; points that become holes are NaN. Normals
+/// and curvature are written if the point type has them. `smoothed` may be the same cloud. With `status`, each point
+/// gets one of PLANISH_STATUS_...; the setting fill requires it.
 template <typename PointT>
 Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &smoothed,
                std::vector<std::uint8_t> *status = nullptr) {
@@ -139,7 +139,7 @@ Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::Poin
 }
 
 #ifndef PLANISH_NO_EXCEPTIONS
-/// Smooths one cloud. Keep a Session for more.
+/// Smooths one cloud. For several clouds, use a Session.
 template <typename PointT>
 pcl::PointCloud<PointT> smooth(const pcl::PointCloud<PointT> &cloud, const std::string &settings = "") {
   Session session(settings);
@@ -148,9 +148,9 @@ pcl::PointCloud<PointT> smooth(const pcl::PointCloud<PointT> &cloud, const std::
   return smoothed;
 }
 
-/// Takes the place of pcl::MovingLeastSquares, with its names: the same neighbourhood, degree and Gaussian weights, on
-/// the engine of planish. Points with fewer than three neighbours are left out, as there. What planish lacks
-/// (upsampling, projection methods, distinct clouds) is an exception.
+/// Replaces pcl::MovingLeastSquares, with the same names: the same neighbourhood, degree and Gaussian weights, on
+/// planish's engine. As in PCL, points with fewer than three neighbours are omitted. Features that planish lacks
+/// (upsampling, projection methods, distinct clouds) throw an exception.
 template <typename PointInT, typename PointOutT>
 class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   using Base = pcl::PCLBase<PointInT>;
@@ -165,16 +165,16 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
 
   MovingLeastSquares() : session_("edges=off passes=1 grid=off degree=2 ridge=1e-3") {}
 
-  /// Radius of a neighbourhood in metres.
+  /// Sets the radius of a neighbourhood in metres.
   void setSearchRadius(double radius) {
     session_.set("radius_m", radius);
-    // The Gaussian follows the radius, as in PCL, until it is set again.
+    // As in PCL, the Gaussian follows the radius until it is set again.
     session_.set("bandwidth_m", "");
     search_radius_ = radius;
     gauss_ = 0;
   }
   double getSearchRadius() const { return search_radius_; }
-  /// Degree of the surface: 0 and 1 are a plane, 2 and 3 polynomials.
+  /// Sets the degree of the surface: 0 and 1 fit a plane, 2 and 3 polynomials.
   void setPolynomialOrder(int order) {
     if (order < 0 || order > 3) refuse("setPolynomialOrder", "a degree of 0 to 3");
     order_ = order;
@@ -182,14 +182,14 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   }
   int getPolynomialOrder() const { return order_; }
   void setComputeNormals(bool compute_normals) { compute_normals_ = compute_normals; }
-  /// The square of the Gaussian's bandwidth, exp(-d²/gauss).
+  /// Sets the square of the Gaussian's bandwidth, exp(-d²/gauss).
   void setSqrGaussParam(double gauss) {
     if (!(gauss > 0)) refuse("setSqrGaussParam", "a positive number");
     session_.set("bandwidth_m", std::sqrt(gauss));
     gauss_ = gauss;
   }
   double getSqrGaussParam() const { return gauss_ > 0 ? gauss_ : search_radius_ * search_radius_; }
-  /// planish has an index of its own.
+  /// Has no effect: planish uses an index of its own.
   void setSearchMethod(const KdTreePtr &) {}
   void setNumberOfThreads(unsigned threads) {
     if (threads > 0) session_.set("threads", static_cast<double>(threads));
@@ -204,7 +204,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     session_.set(name, value);
   }
 
-  /// Smooths the cloud; the output has the points of the indices that have a surface.
+  /// Smooths the cloud; the output contains the points of the indices that have a surface.
   void process(PointCloudOut &result) {
     kept_.reset(new pcl::PointIndices);
     // The result may be the input.
@@ -224,7 +224,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     output.header = kept_->header = input_->header;
     output.sensor_origin_ = input_->sensor_origin_;
     output.sensor_orientation_ = input_->sensor_orientation_;
-    // Without a grid, as PCL reads it.
+    // Read without a grid, as in PCL.
     using namespace pcl::fields;
     Frame frame(PLANISH_POINTS_F32, input_->size(), 1);
     frame.data(input_->points.data());
@@ -265,7 +265,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     result.swap(output);
   }
 
-  /// Indices of the input that the points of the output came from.
+  /// Returns the input index of each output point.
   pcl::PointIndicesPtr getCorrespondingIndices() const { return kept_; }
 
  private:

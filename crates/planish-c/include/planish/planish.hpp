@@ -7,8 +7,9 @@
 //   std::vector<float> points(3 * 640 * 480);
 //   session.smooth(planish::depth(raw.data(), camera), planish::Output(640 * 480).points(points.data()));
 //
-// Errors are exceptions of the type planish::Error. With -fno-exceptions, or PLANISH_NO_EXCEPTIONS defined, functions
-// return a planish::Result instead, which must be looked at; so do the functions whose names begin with try_, always.
+// Errors are exceptions of type planish::Error. With -fno-exceptions, or PLANISH_NO_EXCEPTIONS defined, functions
+// return a planish::Result instead, which callers must check. Functions whose names begin with try_ always return a
+// Result.
 #ifndef PLANISH_HPP
 #define PLANISH_HPP
 
@@ -29,15 +30,15 @@
 
 namespace planish {
 
-/// What a call came to: a code of planish.h, and its text.
+/// The outcome of a call: a code of planish.h, and its text.
 class [[nodiscard]] Result {
  public:
   Result() = default;
-  /// Takes the code of a C function, and the text that belongs to it.
+  /// Stores the code of a C function, and the text of its error.
   explicit Result(planish_code code) : code_(code), text_(code == PLANISH_OK ? "" : planish_last_error()) {}
   Result(planish_code code, std::string text) : code_(code), text_(std::move(text)) {}
 
-  /// True if the call did what it says.
+  /// Returns true if the call succeeded.
   explicit operator bool() const { return code_ == PLANISH_OK; }
   planish_code code() const { return code_; }
   const std::string &text() const { return text_; }
@@ -53,7 +54,7 @@ namespace detail {
 inline Result checked(Result result) { return result; }
 }  // namespace detail
 #else
-/// A call that failed.
+/// The error of a failed call.
 class Error : public std::runtime_error {
  public:
   explicit Error(const Result &result) : std::runtime_error(result.text()), code_(result.code()) {}
@@ -70,7 +71,7 @@ inline void checked(const Result &result) {
 }  // namespace detail
 #endif
 
-/// A pinhole camera. Its text and coefficients are its own.
+/// A pinhole camera. It owns its text and coefficients.
 class Camera {
  public:
   Camera(std::size_t width, std::size_t height, double fx, double fy, double cx, double cy) {
@@ -83,13 +84,13 @@ class Camera {
     values_.cy = cy;
   }
 
-  /// Sets the depth units in a metre: 1000 for millimetres, which is the default.
+  /// Sets the number of depth units per metre [default: 1000, for millimetres].
   Camera &depth_units_per_metre(double units) {
     values_.depth_units_per_metre = units;
     return *this;
   }
 
-  /// Sets the distortion of the lens by the name of its model in ROS, OpenCV or Kalibr.
+  /// Sets the lens distortion by its model's name in ROS, OpenCV or Kalibr.
   Camera &distortion(std::string model, std::vector<double> coefficients) {
     model_ = std::move(model);
     distortion_ = std::move(coefficients);
@@ -99,7 +100,7 @@ class Camera {
   std::size_t width() const { return values_.width; }
   std::size_t height() const { return values_.height; }
 
-  /// The camera for C, as long as this one lives unchanged.
+  /// Returns the camera for C, valid as long as this object lives unchanged.
   planish_camera c() const {
     planish_camera camera = values_;
     if (!distortion_.empty() || !model_.empty()) {
@@ -116,7 +117,7 @@ class Camera {
   std::vector<double> distortion_;
 };
 
-/// A depth image or points of the caller's; memory is borrowed until the call returns.
+/// A depth image or points in the caller's memory, which is borrowed until the call returns.
 class Frame {
  public:
   Frame(std::uint32_t kind, std::size_t width, std::size_t height) {
@@ -130,12 +131,12 @@ class Frame {
     frame_.data = data;
     return *this;
   }
-  /// Bytes from one row to the next.
+  /// Sets the distance between rows in bytes.
   Frame &row_stride(std::size_t bytes) {
     frame_.row_stride = bytes;
     return *this;
   }
-  /// Bytes from one point to the next, and from its beginning to its x, y and z.
+  /// Sets the distance between points, and the offsets of x, y and z within a point, in bytes.
   Frame &layout(std::size_t point_stride, std::size_t x, std::size_t y, std::size_t z) {
     frame_.point_stride = point_stride;
     frame_.offsets[0] = x;
@@ -149,22 +150,22 @@ class Frame {
     frame_.planes[2] = z;
     return *this;
   }
-  /// The camera of a depth image, or of points on a grid.
+  /// Sets the camera of a depth image, or of points on a grid.
   Frame &camera(const Camera &camera) {
     camera_ = {camera};
     return *this;
   }
-  /// Where the sensor is in the frame of the points, in metres, and its orientation as a quaternion.
+  /// Sets the pose of the sensor in the frame of the points: position in metres, and orientation as a quaternion.
   Frame &pose(double x, double y, double z, double qw, double qx, double qy, double qz) {
     pose_ = {x, y, z, qw, qx, qy, qz};
     return *this;
   }
-  /// An origin near the points, to which results are relative.
+  /// Sets an origin near the points, to which results are relative.
   Frame &origin_m(double x, double y, double z) {
     origin_m_ = {x, y, z};
     return *this;
   }
-  /// Colours of a depth image: red, green and blue of each pixel.
+  /// Sets the colours of a depth image: red, green and blue of each pixel.
   Frame &rgb(const std::uint8_t *rgb) {
     frame_.rgb = rgb;
     return *this;
@@ -189,23 +190,24 @@ class Frame {
 
  private:
   planish_frame frame_ = {};
-  // None, or one.
+  // Empty, or one camera.
   std::vector<Camera> camera_;
   std::vector<double> pose_;
   std::vector<double> origin_m_;
 };
 
-/// Depth in the camera's units; 0 and 65535 are holes. `row_stride` in bytes is 0 if rows have no gaps.
+/// Returns a frame of depth in the camera's units; 0 and 65535 are holes. `row_stride` is in bytes, 0 for rows
+/// without gaps.
 inline Frame depth(const std::uint16_t *raw, const Camera &camera, std::size_t row_stride = 0) {
   return Frame(PLANISH_DEPTH_U16, camera.width(), camera.height()).data(raw).row_stride(row_stride).camera(camera);
 }
 
-/// Depth in metres; values that are not finite or not positive are holes.
+/// Returns a frame of depth in metres; values that are not finite or not positive are holes.
 inline Frame depth(const float *depth_m, const Camera &camera, std::size_t row_stride = 0) {
   return Frame(PLANISH_DEPTH_F32, camera.width(), camera.height()).data(depth_m).row_stride(row_stride).camera(camera);
 }
 
-/// Interleaved x, y and z, row by row; a height of 1 means points without a grid.
+/// Returns a frame of interleaved x, y and z, row by row; a height of 1 means points without a grid.
 inline Frame points(const float *xyz, std::size_t width, std::size_t height = 1) {
   return Frame(PLANISH_POINTS_F32, width, height).data(xyz);
 }
@@ -221,7 +223,7 @@ class Output {
     output_.count = count;
   }
 
-  /// x, y and z, `stride` bytes from each other, 0 for no gaps.
+  /// Sets the buffer for x, y and z. Points are `stride` bytes apart; 0 means no gaps.
   Output &points(float *points, std::size_t stride = 0) {
     output_.points = points;
     output_.points_stride = stride;
@@ -236,7 +238,7 @@ class Output {
     output_.curvature = curvature;
     return *this;
   }
-  /// One of PLANISH_STATUS_... for each.
+  /// Sets the buffer for one of PLANISH_STATUS_... per item.
   Output &status(std::uint8_t *status) {
     output_.status = status;
     return *this;
@@ -268,7 +270,7 @@ class Output {
   planish_output output_ = {};
 };
 
-/// Contiguous values of a result, as long as that lives.
+/// Contiguous values of a result, valid as long as the result lives.
 template <typename T>
 class Span {
  public:
@@ -286,12 +288,12 @@ class Span {
   std::size_t size_ = 0;
 };
 
-/// A result that the library owns.
+/// A result in the library's memory.
 class Smoothed {
  public:
   Smoothed() = default;
   explicit Smoothed(planish_result *result) : result_(result) {
-    // A result that was just made has a view.
+    // A new result always has a view.
     (void)planish_result_get(result_, &view_);
   }
   Smoothed(Smoothed &&other) noexcept { swap(other); }
@@ -306,7 +308,7 @@ class Smoothed {
   std::size_t width() const { return view_.width; }
   std::size_t height() const { return view_.height; }
   std::size_t size() const { return view_.width * view_.height; }
-  /// x, y or z (axis 0, 1, 2) of the points.
+  /// Returns x, y or z (axis 0, 1, 2) of the points.
   Span<float> points(int axis) const { return {view_.points[axis], size()}; }
   Span<float> normals(int axis) const { return {view_.normals[axis], size()}; }
   Span<float> curvature() const { return {view_.curvature, size()}; }
@@ -327,10 +329,11 @@ class Smoothed {
   planish_view view_ = {};
 };
 
-/// An engine that is kept open for frames of any shape. One thread at a time may use it.
+/// An engine that stays open for frames of any shape. Use it in one thread at a time.
 class Session {
  public:
-  /// Settings are words such as "preset=strong engine=cpu", or a JSON object. Without exceptions, look at error().
+  /// Opens a session. Settings are words such as "preset=strong engine=cpu", or a JSON object. Without exceptions,
+  /// check error().
   explicit Session(const std::string &settings = "") {
     error_ = Result(planish_session_new(settings.c_str(), &session_));
 #ifndef PLANISH_NO_EXCEPTIONS
@@ -346,10 +349,10 @@ class Session {
   Session &operator=(const Session &) = delete;
   ~Session() { (void)planish_session_free(session_); }
 
-  /// Why the session could not be made.
+  /// Returns the error of the constructor.
   const Result &error() const { return error_; }
 
-  /// Sets a setting by its name; an empty text is its default.
+  /// Sets a setting by its name; an empty value restores the default.
   Checked set(const std::string &name, const std::string &value) {
     return detail::checked(Result(planish_session_set(session_, name.c_str(), value.c_str())));
   }
@@ -368,7 +371,8 @@ class Session {
   }
   Checked smooth(const Frame &frame, const Output &output) { return detail::checked(try_smooth(frame, output)); }
 
-  /// Smooths a frame into a result of the library's; `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and so on.
+  /// Smooths a frame into a result in the library's memory; `outputs` is a sum of PLANISH_POINTS, PLANISH_NORMALS and
+  /// so on.
   Result try_smooth(const Frame &frame, std::uint32_t outputs, Smoothed &smoothed) {
     return frame.with_c([&](const planish_frame *c) {
       planish_result *result = nullptr;
@@ -385,34 +389,34 @@ class Session {
   }
 #endif
 
-  /// Hands a frame over; its result is received later, in the same order.
+  /// Submits a frame; its result is received later, in the same order.
   Checked submit(const Frame &frame, std::uint32_t outputs) {
     return detail::checked(frame.with_c([&](const planish_frame *c) {
       return Result(planish_submit(session_, c, outputs));
     }));
   }
-  /// Waits for the oldest frame in flight; `received` is false if there is none.
+  /// Waits for the oldest frame in flight; `received` is false if no frame is in flight.
   Checked receive(const Output &output, bool &received) {
     return detail::checked(Result(planish_receive(session_, output.c(), &received)));
   }
   std::size_t in_flight() const { return flights().first; }
   std::size_t max_in_flight() const { return flights().second; }
 
-  /// Stops the cloud that another thread is smoothing with this session.
+  /// Stops the smoothing of a cloud that another thread runs with this session.
   void stop() const { (void)planish_session_stop(session_); }
-  /// Forgets the frames of the video so far.
+  /// Forgets all previous frames of the video.
   Checked restart_video() { return detail::checked(Result(planish_session_restart_video(session_))); }
-  /// Tells where the camera of the next frame of a video is in the world: x, y, z, then a quaternion w, x, y, z; null
-  /// if it is not known.
+  /// Sets the pose of the camera for the next frame of a video, in the world: x, y, z, then a quaternion w, x, y, z;
+  /// null if the pose is unknown.
   Checked set_camera_pose(const double *pose) {
     return detail::checked(Result(planish_session_set_camera_pose(session_, pose)));
   }
 
-  /// The settings as JSON.
+  /// Returns the settings as JSON.
   std::string settings() const { return text(planish_session_settings); }
-  /// The engine that is open, such as "cpu" or "gpu: NVIDIA H100".
+  /// Returns the name of the open engine, such as "cpu" or "gpu: NVIDIA H100".
   std::string engine() const { return text(planish_session_engine); }
-  /// What the session decided or found without being asked, one sentence each.
+  /// Returns and removes the session's events: its automatic decisions and findings, one sentence each.
   std::vector<std::string> take_events() {
     std::vector<std::string> events;
     for (;;) {
@@ -425,7 +429,7 @@ class Session {
     }
   }
 
-  /// The session for C.
+  /// Returns the session for C.
   planish_session *c() const { return session_; }
 
  private:
@@ -454,7 +458,7 @@ class Session {
   Result error_;
 };
 
-/// The version of the library.
+/// Returns the version of the library.
 inline std::string version() { return planish_version(); }
 
 }  // namespace planish

@@ -1,4 +1,4 @@
-// planish for librealsense: a processing block that goes where rs2::spatial_filter went.
+// planish for librealsense: a processing block that replaces rs2::spatial_filter.
 //
 //   planish::DepthSmoother smoother("sensor=d435");
 //   rs2::frame smoothed = smoother.process(frames.get_depth_frame());
@@ -15,7 +15,7 @@
 
 namespace planish {
 
-/// The camera of a stream of depth. Distortions that planish lacks are an error of the session.
+/// Returns the camera of a depth stream. A distortion that planish does not support becomes an error of the session.
 inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit) {
   Camera camera(static_cast<std::size_t>(intrinsics.width), static_cast<std::size_t>(intrinsics.height), intrinsics.fx,
                 intrinsics.fy, intrinsics.ppx, intrinsics.ppy);
@@ -29,15 +29,15 @@ inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit)
   return camera;
 }
 
-/// Smooths depth frames; frames of other streams, and framesets' other frames, pass through.
+/// Smooths depth frames. Frames of other streams pass through, also within framesets.
 class DepthSmoother : public rs2::filter {
  public:
   explicit DepthSmoother(const std::string &settings = "")
       : DepthSmoother(std::make_shared<State>(State{Session(settings), {}})) {}
 
-  /// What the session decided or found without being asked.
+  /// Returns and removes the session's events: its automatic decisions and findings.
   std::vector<std::string> take_events() { return state_->session.take_events(); }
-  /// One of PLANISH_STATUS_... for each pixel of the last frame, such as PLANISH_STATUS_FILLED.
+  /// Returns one of PLANISH_STATUS_... for each pixel of the last frame, such as PLANISH_STATUS_FILLED.
   const std::vector<std::uint8_t> &status() const { return state_->status; }
 
  private:

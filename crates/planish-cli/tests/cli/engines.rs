@@ -1,4 +1,4 @@
-//! The engines: agreement, devices, and the choice of one by name.
+//! Engines: agreement, devices, and selection by name.
 
 use std::fs;
 use std::process::Command;
@@ -60,7 +60,7 @@ fn an_adapter_is_taken_by_name_and_its_absence_said() {
     let arguments = |more: &[&'static str]| [&["smooth", str(&path), str(&smooth)], more].concat();
     assert!(refused(&arguments(&["--adapter", "0"])).contains("engine gpu"));
     assert!(refused(&arguments(&["--engine", "gpu", "--adapter", "no such card"])).contains("adapter"));
-    // A machine without drivers.
+    // Simulate a machine without GPU drivers.
     let output = Command::new(env!("CARGO_BIN_EXE_planish"))
         .args(arguments(&["--engine", "gpu"]))
         .env("VK_DRIVER_FILES", "/nonexistent")

@@ -1,4 +1,4 @@
-//! Files and folders as inputs and outputs; refusals; devices.
+//! Files and folders as inputs and outputs, and refusals.
 
 use std::fs;
 use std::path::Path;
@@ -102,7 +102,7 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
     let (input, output) = (folder.path().join("points.ply"), folder.path().join("smooth.ply"));
     let cloud = small_frame(1).deproject().unwrap().points;
     io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
-    // Its points lie on the pixels of a camera.
+    // The points of this cloud lie on the pixels of a camera, so their grid is rebuilt.
     let result = planish(&["smooth", str(&input), str(&output), "--window", "2"]);
     let told = text(&result.stderr);
     assert!(result.status.success() && told.contains("lost its grid, smoothed on 160x120 pixels"), "{told}");
@@ -159,7 +159,7 @@ fn info_and_render_tell_what_a_file_holds() {
     let picture = folder.path().join("relief.png");
     ok(&["render", str(&path), str(&picture)]);
     let header = fs::read(&picture).unwrap();
-    // Relief and colours side by side, separated by a line of 4 pixels.
+    // The relief and the colours are side by side, separated by 4 columns of pixels.
     assert_eq!(u32::from_be_bytes(header[16..20].try_into().unwrap()), 2 * 160 + 4);
 }
 
@@ -219,8 +219,8 @@ fn sensors_strengths_and_edges_are_chosen_by_name() {
     assert!(
         refused(&["smooth", str(&path), str(&output), "--strength", "1", "--preset", "light"]).contains("--preset")
     );
-    // Estimation needs a frame, which a stream lacks at this point. A stream estimates the sensor from its first frame,
-    // unless floating pixels are removed before.
+    // A stream estimates the sensor from its first frame. Removal of floating pixels needs the sensor before any
+    // frame has arrived, so the combination is refused.
     ok(&["stream", "synthetic", "--sensor", "auto", "--frames", "1"]);
     let early = ["stream", "synthetic", "--sensor", "auto", "--remove-floating", "--frames", "1"];
     assert!(refused(&early).contains("planish info"));
@@ -238,15 +238,15 @@ fn strides_follow_the_resolution_unless_they_are_given() {
         ok(&[&["smooth", str(input), str(&output), "--engine", "cpu"], more].concat());
         fs::read(&output).unwrap()
     };
-    // Pixels four times as coarse as a Kinect's: 5 / 4 is 1, and a window of 2 keeps half of its 10 pixels by becoming
-    // 5.
+    // These pixels are four times as coarse as a Kinect's, so the stride of 5 becomes 5 / 4 = 1. At that stride, the
+    // default window of 2 would reach 2 pixels; it becomes 5 to keep half of its original reach of 2 x 5 = 10 pixels.
     let found = smooth(&path, &[]);
     assert_eq!(found, smooth(&path, &["--window", "5", "--stride", "1"]));
     assert_eq!(smooth(&path, &["--window", "2"]), smooth(&path, &["--window", "2", "--stride", "5"]));
     assert_ne!(found, smooth(&path, &["--stride", "5"]));
     assert_ne!(found, smooth(&path, &["--average-blocks", "false", "--stride", "5"]));
     assert_eq!(smooth(&path, &["--preset", "paper"]), smooth(&path, &["--preset", "paper", "--stride", "1"]));
-    // A stream of the same file smooths it the same.
+    // A stream of the same file gives the same points.
     let saved = folder.path().join("stream");
     ok(&["stream", str(&path), "--frames", "1", "--engine", "cpu", "--save", str(&saved)]);
     let points = |bytes: &[u8]| {
@@ -307,7 +307,7 @@ fn points_that_become_holes_are_told_with_a_cause() {
     let said = text(&run.stderr);
     assert!(said.contains("3072 of 3072 valid points (100.0 %)") && said.contains("--radius"), "{said}");
     assert!(said.contains("nothing is written") && !output.exists(), "{said}");
-    // In a folder, the reason is given once.
+    // In a folder, the reason is printed once.
     let frames = folder.path().join("frames");
     fs::create_dir(&frames).unwrap();
     for name in ["0.pcd", "1.pcd", "2.pcd"] {
@@ -368,7 +368,7 @@ fn clean_removes_what_was_asked_for_and_keeps_fields_and_grids() {
     assert!(removed.iter().all(|count| *count > 0), "{removed:?}");
     assert!(points.positions.iter().all(|[x, y, _]| x.abs() <= 0.5 && y.abs() <= 0.5));
 
-    // A box is in the frame of the file, however far away that is.
+    // The box is in the file's coordinates, even if they are far from the origin.
     let utm = path_of("utm.xyz");
     let lines = (0..1000).map(|i| format!("{} {} {}\n", 691_000 + i % 100, 5_335_000 + i / 100, 500.25));
     fs::write(&utm, lines.collect::<String>()).unwrap();
@@ -413,7 +413,8 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
     let file = |name: &str| folder.path().join(name);
     let (input, output, whole) = (file("a.las"), file("out.laz"), file("whole.laz"));
     write_cloud(&input, &cloud.points, Encoding::Binary).unwrap();
-    // Otherwise the largest tile decides it, or the whole cloud.
+    // A fixed neighbour count. Otherwise the largest tile would determine the count in tiles, and the whole cloud the
+    // count without tiles.
     let memory = ["--neighbours", "40", "--max-memory", "3M", "--json"];
     let tiled = planish(&[&["smooth", str(&input), str(&output)], &memory[..]].concat());
     assert!(tiled.status.success() && text(&tiled.stderr).contains("in tiles"), "{}", text(&tiled.stderr));
@@ -422,7 +423,7 @@ fn las_larger_than_memory_is_smoothed_in_tiles_and_described_in_parts() {
     let expected =
         json_line(&ok(&["smooth", str(&input), str(&whole), "--neighbours", "40", "--json", "--engine", "cpu"]));
     assert!(expected.get("tiles").is_none() && report["status"] == expected["status"], "{report} {expected}");
-    // Only tiles of the same kind of file.
+    // Tiles are written only in the input's kind of format, here LAS or LAZ.
     let refused = planish(&["smooth", str(&input), str(&file("out.ply")), "--max-memory", "1M"]);
     assert!(!refused.status.success() && !file("out.ply").exists(), "{}", text(&refused.stderr));
 
@@ -450,10 +451,10 @@ fn a_ply_described_in_parts_is_described_as_whole() {
         let median = |info: &serde_json::Value| info["median_z_m"].as_f64().unwrap();
         assert!((median(&whole) - median(&parts)).abs() < 0.5, "{whole} {parts}");
     }
-    // An element without properties stores neither bytes nor points.
+    // An element without properties has neither bytes nor points, so it is refused.
     fs::write(&file, "ply\nformat binary_big_endian 1.0\nelement vertex 0\nend_header\n").unwrap();
     assert!(refused(&["info", str(&file)]).contains("no properties"));
-    // A line that does not end is not read into memory.
+    // A line without an end is not read into memory as a whole.
     let header = "ply\nformat ascii 1.0\nelement vertex 90000\nproperty float x\nproperty float y\nproperty float \
                   z\nend_header\n";
     fs::write(&file, header.to_owned() + &"1 ".repeat(400_000)).unwrap();

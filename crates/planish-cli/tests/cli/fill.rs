@@ -1,4 +1,4 @@
-//! Filled holes: flagged in every file, measured, and refused where they could not be flagged.
+//! Filled holes: flagged in every file, measured, and refused if the output cannot flag them.
 
 use std::fs;
 
@@ -7,7 +7,8 @@ use planish::{Camera, DepthImage, Origin, OwnedFrame, Status};
 
 use super::{json_line, ok, refused, small_frame, str};
 
-/// A folder with a depth image that has a hole of 4x4 pixels in a flat part, its camera, and the pixels of the hole.
+/// Returns a folder with a depth image that has a 4x4-pixel hole in a flat part, its camera as an option value, and
+/// the indices of the hole's pixels.
 fn with_hole() -> (tempfile::TempDir, String, Vec<usize>) {
     let folder = tempfile::tempdir().unwrap();
     let mut frame = small_frame(1);
@@ -38,7 +39,7 @@ fn files_flag_filled_pixels() {
     assert!(hole.iter().all(|&i| mask[i] == Origin::Filled.mask_value() && image.raw[i] != 0));
     let holes = image.raw.iter().filter(|raw| **raw == 0).count();
     assert_eq!(mask.iter().filter(is(Origin::None)).count(), holes);
-    // A cloud has its status even without --fields status.
+    // With `--fill`, a cloud has the field `status` even without `--fields status`.
     smooth("filled.pcd", &["--fill", "6", "--fields", "normals,sigma"]);
     let Contents::Organized(cloud) = io::read(&path("filled.pcd")).unwrap().1 else { panic!("organized") };
     let (status, sigma) = (cloud.points.attribute("status").unwrap(), cloud.points.attribute("sigma").unwrap());
@@ -48,7 +49,7 @@ fn files_flag_filled_pixels() {
     }
     smooth("unfilled.png", &[]);
     assert!(!path("unfilled.origin.png").exists());
-    // Clouds without a filled hole have the field too.
+    // Clouds in which no hole was filled also have the field `status`.
     smooth("full.pcd", &["--fill", "1"]);
     let Contents::Organized(cloud) = io::read(&path("full.pcd")).unwrap().1 else { panic!("organized") };
     assert!(cloud.points.attribute("status").is_some());
@@ -66,13 +67,13 @@ fn a_mask_replaces_no_other_file_and_no_depth_is_without_one() {
         assert!(said.contains("in.origin.png") && said.contains("another file has the name of the mask"), "{said}");
         assert!(fs::read(&from).unwrap() == before && !to.exists());
     }
-    // Without filling the name means nothing: it is a frame of its folder.
+    // Without `--fill`, a file whose name ends in .origin.png is an ordinary frame of its folder.
     let frames = path("frames");
     fs::create_dir(&frames).unwrap();
     fs::copy(&from, frames.join("a.origin.png")).unwrap();
     let report = json_line(&ok(&["smooth", str(&frames), str(&path("out")), "--camera", &camera, "--json"]));
     assert_eq!(report["frames"].as_array().unwrap().len(), 1);
-    // A mask of an earlier result is reported.
+    // A mask left over from an earlier result is reported.
     let smooth = |more: &[&str]| {
         let (from, to) = (path("depth.png"), path("again.png"));
         super::planish(&[&["smooth", str(&from), str(&to), "--camera", &camera], more].concat())
@@ -104,7 +105,7 @@ fn a_folder_of_frames_has_masks_that_are_no_frames() {
     let again = folder.path().join("again");
     let report = json_line(&ok(&["smooth", str(&filled), str(&again), "--camera", &camera, "--json"]));
     assert_eq!(report["frames"].as_array().unwrap().len(), 2);
-    // A stream writes the same, into a data set; over time too.
+    // A stream writes the same files into a data set, also with temporal smoothing.
     for (name, more) in [("stream", ["--fill", "6"]), ("steady", ["--temporal", "steady"])] {
         let saved = folder.path().join(name);
         ok(&[&["stream", str(&frames), "--camera", &camera, "--save", str(&saved), "--format", "png"], &more[..]]
@@ -121,11 +122,11 @@ fn recordings_get_a_topic_of_origins() {
     fs::create_dir(&frames).unwrap();
     fs::copy(path("depth.png"), frames.join("1.png")).unwrap();
     ok(&["smooth", str(&frames), str(&path("raw.mcap")), "--camera", &camera]);
-    // From a recording, and from a folder.
+    // Fill the holes of a recording, then those of a folder.
     ok(&["smooth", str(&path("raw.mcap")), str(&path("a.mcap")), "--fill", "6"]);
     ok(&["smooth", str(&frames), str(&path("b.mcap")), "--camera", &camera, "--fill", "6"]);
     let topics = |name: &str| {
-        // Without compression, names are in the file as they are.
+        // The recording is not compressed, so its bytes contain the names of its topics.
         String::from_utf8_lossy(&fs::read(path(name)).unwrap()).into_owned()
     };
     assert!(!topics("raw.mcap").contains("/origin"));
@@ -133,7 +134,7 @@ fn recordings_get_a_topic_of_origins() {
     assert!(topics("b.mcap").contains("/camera/depth/origin"));
     let said = refused(&["smooth", str(&path("a.mcap")), str(&path("c.mcap")), "--fill", "6"]);
     assert!(said.contains("already has a topic /camera/depth/image_rect/origin"), "{said}");
-    // The depth is filled in both.
+    // The depth in both recordings is filled.
     for name in ["a.mcap", "b.mcap"] {
         let mut source = planish::source::open(str(&path(name)), &planish::source::SourceOptions::default()).unwrap();
         let Some(OwnedFrame::Depth(depth)) = source.next_frame().unwrap() else { panic!("depth") };
@@ -151,7 +152,7 @@ fn filling_is_measured_and_widths_are_checked() {
     let depth = folder.path().join("depth.png");
     let report = json_line(&ok(&["evaluate", "--fill", "6", "--input", str(&depth), "--camera", &camera, "--json"]));
     assert!(report["cut"]["pixels"].as_u64().unwrap() > 300, "{report}");
-    // Another program's results: the exported frames themselves fill nothing.
+    // The exported frames, given as another program's results, fill no hole.
     let exported = folder.path().join("exported");
     let common = ["evaluate", "--fill", "6", "--seed", "1"];
     ok(&[&common[..], &["--export", str(&exported)]].concat());
@@ -162,7 +163,7 @@ fn filling_is_measured_and_widths_are_checked() {
         let said = refused(&["smooth", str(&depth), str(&out), "--camera", &camera, "--fill", width]);
         assert!(said.contains(expected), "{said}");
     }
-    // Without pixels there are no holes.
+    // A cloud without pixels has no holes to fill.
     let cloud = folder.path().join("cloud.ply");
     let points = planish::PointCloud::new((0..500).map(|i| [(i % 25) as f32, (i / 25) as f32, 1.0]).collect());
     io::write_cloud(&cloud, &points, Encoding::Binary).unwrap();

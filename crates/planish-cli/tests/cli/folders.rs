@@ -1,4 +1,4 @@
-//! Folders of frames: each frame gets the result that it gets alone.
+//! Folders of frames: each frame has the same result as on its own.
 
 use std::fs;
 use std::path::Path;
@@ -33,7 +33,8 @@ fn a_folder_goes_on_after_a_bad_file_and_says_so_at_the_end() {
 
 #[test]
 fn a_folder_of_clouds_and_depth_images_gives_each_what_it_gets_alone() {
-    // The engine stays open between frames of one shape: the second must get outputs that the first did not need.
+    // The engine stays open between frames of the same shape. The second frame must get outputs that the first did
+    // not need.
     let (folder, _, path) = with_frame();
     let (input, output) = (folder.path().join("in"), folder.path().join("out"));
     fs::create_dir(&input).unwrap();
@@ -71,7 +72,7 @@ fn frames_of_a_folder_are_the_same_one_by_one_and_beside_each_other() {
     }
     fs::write(input.join("5.png"), "no picture").unwrap();
     write_cloud(&input.join("7.ply"), &small_frame(3).deproject().unwrap(), Encoding::Binary).unwrap();
-    // More than a worker's share of the memory, and in a small file: it is tried alone.
+    // This frame needs more than a worker's share of the memory although its file is small, so it is retried alone.
     let flat = planish::DepthImage { width: 1000, height: 800, raw: vec![1500; 800_000] };
     planish::io::write_depth(&input.join("6.png"), &flat).unwrap();
     let scan = planish::PointCloud::new((0..30_000).map(|i| [(i % 200) as f32, (i / 200) as f32, 1.0]).collect());
@@ -102,7 +103,7 @@ fn a_folder_is_a_video_in_the_order_of_its_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let [input, alone, video] = ["in", "alone", "video"].map(|name| folder.path().join(name));
     fs::create_dir(&input).unwrap();
-    // A wall that comes nearer by 5 mm per frame: a frame out of order would start again.
+    // A wall that approaches by 5 mm per frame. A frame out of order would restart temporal smoothing.
     for t in 0..12 {
         let noise = |i: usize| ((i * 7919 + t * 104_729) % 13) as u16;
         let raw = (0..160 * 120).map(|i| 2000 - 5 * t as u16 + noise(i)).collect();

@@ -11,7 +11,7 @@ use planish::{DepthImage, PointCloud};
 
 use super::{json_line, ok, planish, refused, small_frame, str, text, with_frame};
 
-/// Longer than any refusal takes, and far shorter than these files took before.
+/// Maximum duration of a refusal, far shorter than these files took before they were refused.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 fn refused_at_once(arguments: &[&str]) -> String {
@@ -102,7 +102,8 @@ fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
         );
         ok(&["info", str(file), "--max-memory", "1G"]);
     }
-    // 6 MB of pixels in a small file: described without being held, unless points are to be made of them.
+    // A small file with 6 MB of pixels. `info` describes it without holding the pixels in memory, unless a camera is
+    // given to compute points.
     let (width, height) = (2000, 1500);
     for name in ["flat.png", "flat.tiff"] {
         let flat = folder.path().join(name);
@@ -113,12 +114,12 @@ fn what_needs_more_memory_than_allowed_is_refused_before_it_is_allocated() {
         let with_camera = ["info", str(&flat), "--max-memory", "3M", "--camera", "525,525,319.5,239.5"];
         assert!(refused_at_once(&with_camera).contains("of memory"), "{name}");
     }
-    // Read, but too much for an engine.
+    // The file can be read within this limit, but an engine needs more.
     assert!(refused(&["smooth", str(&path), str(&output), "--max-memory", "1M"]).contains("--max-memory"));
     assert!(!output.exists());
     assert!(refused(&["info", str(&path), "--max-memory", "much"]).contains("500M"));
 
-    // Unorganized clouds share an engine, whatever their size: each is checked.
+    // Unorganized clouds of all sizes share one engine, so the memory need of each cloud is checked.
     let input = folder.path().join("in");
     fs::create_dir(&input).unwrap();
     let points = |n: usize| planish::PointCloud::new((0..n).map(|i| [0.01 * i as f32, 0.0, 1.0]).collect());
@@ -274,7 +275,7 @@ fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
         // The process may already have ended.
         let _ = Command::new("kill").args([signal, &child.id().to_string()]).stderr(Stdio::null()).status().unwrap();
         let code = child.wait().unwrap().code();
-        // Before the handler is installed, the signal ends the process directly.
+        // A signal that arrives before the handler is installed ends the process directly.
         assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
         for entry in fs::read_dir(output).into_iter().flatten().map(Result::unwrap) {
             let name = entry.file_name();
@@ -282,7 +283,7 @@ fn a_signal_at_any_time_leaves_no_temporary_and_no_broken_file() {
             assert!(entry.metadata().unwrap().len() >= whole / 2, "{name:?}");
         }
     };
-    // Two folders of results at a time, since each mostly waits.
+    // Write two folders of results in parallel, because each run mostly waits.
     std::thread::scope(|scope| {
         for runs in [0..50, 50..100] {
             let output = folder.path().join(format!("out from {}", runs.start));
@@ -338,7 +339,7 @@ fn options_that_the_output_has_no_use_for_are_refused_before_anything_is_read() 
 fn a_radius_with_thousands_of_neighbours_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let [input, output] = ["cloud.pcd", "out.pcd"].map(|name| folder.path().join(name));
-    // 120,000 points within half a metre, and two far away.
+    // 120,000 points in a square of half a metre, and two points far away.
     let dense = (0..120_000).map(|i| [0.5 * (i % 400) as f32 / 400.0, 0.5 * (i / 400) as f32 / 300.0, 1.0]);
     let cloud = PointCloud::new(dense.chain([[0.0, 0.0, 50.0], [50.0, 0.0, 1.0]]).collect());
     write_cloud(&input, &cloud, Encoding::Binary).unwrap();
@@ -366,7 +367,7 @@ fn the_encoding_of_standard_input_is_kept() {
     assert!(String::from_utf8_lossy(&header[..400]).contains("DATA binary_compressed"));
 }
 
-/// Returns a depth image that a stream repeats, as fast as it is written.
+/// Writes a depth image, which a stream repeats without end, and returns its path.
 #[cfg(feature = "mcap")]
 fn repeated_depth(folder: &Path) -> PathBuf {
     let frame = small_frame(1);
@@ -376,7 +377,8 @@ fn repeated_depth(folder: &Path) -> PathBuf {
     path
 }
 
-/// Starts a recording at a camera's rate: a busy machine may need a while to send a signal, and the disk would be full.
+/// Starts a recording at 300 frames per second and waits for its first 100 kB. Without a rate, it could fill the disk
+/// before a busy machine sends the signal.
 #[cfg(all(unix, feature = "mcap"))]
 fn record(input: &Path, output: &Path) -> std::process::Child {
     use std::os::unix::process::CommandExt;
@@ -385,7 +387,8 @@ fn record(input: &Path, output: &Path) -> std::process::Child {
     }
     let mut command = Command::new(env!("CARGO_BIN_EXE_planish"));
     command.args(["record", str(input), str(output), "--camera", "70,70,39.5,29.5", "--fps", "300"]);
-    // Tests in the background inherit that SIGHUP and SIGINT are ignored, which the command respects.
+    // Tests in the background ignore SIGHUP and SIGINT. The command would inherit that and respect it, so this resets
+    // both.
     // SAFETY: `signal` may be called between fork and exec.
     unsafe {
         command.pre_exec(|| {

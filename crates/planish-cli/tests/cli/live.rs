@@ -49,7 +49,7 @@ fn a_recording_streams_back() {
     let saved = folder.path().join("saved");
     let report = json_line(&ok(&["stream", str(&recording), "--save", str(&saved), "--format", "png", "--json"]));
     assert_eq!(report["frames_out"], 4);
-    // Saved frames form a data set again, with names, colour, camera, units and time stamps.
+    // Saved frames form a data set again, with names, colour, camera, units and timestamps.
     let names = |folder: &Path| -> Vec<String> {
         let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         let mut names: Vec<String> = files.filter(|name| name.ends_with(".png")).collect();
@@ -172,7 +172,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let mut count = 0;
     while let Some(frame) = planish::source::Source::next_frame(&mut source).unwrap() {
         let planish::source::OwnedFrame::Depth(found) = frame else { panic!("a depth frame") };
-        // A busy machine may miss frames; each delivered one is one of those played.
+        // A busy machine may miss frames; each delivered frame must be one of the played frames.
         let number = (found.timestamp_s.unwrap() * 30.0).round() as usize;
         for (found, expected) in found.raw.iter().zip(&frames[number].raw) {
             let (found, z) = (f64::from(*found) / 5000.0, f64::from(*expected) / 1000.0);
@@ -186,7 +186,7 @@ fn a_kinect_that_plays_a_recording_is_recorded_and_streams_back() {
     let output = kinect(&["stream", "kinect", "--json", "--engine", "cpu"], &played);
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert!(json_line(&text(&output.stdout))["frames_out"].as_u64().unwrap() >= 1);
-    // No recording would end the process from within the library.
+    // Without a recording, the library itself would end the process.
     let output = kinect(&["stream", "kinect"], &folder.path().join("none"));
     assert_eq!(output.status.code(), Some(2));
     assert!(text(&output.stderr).contains("FAKENECT_PATH"));

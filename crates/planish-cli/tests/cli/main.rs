@@ -1,4 +1,4 @@
-//! The command as people and scripts run it: a process with arguments, exit codes, files and JSON.
+//! The command as users and scripts run it: a process with arguments, exit codes, files and JSON.
 
 mod engines;
 mod files;

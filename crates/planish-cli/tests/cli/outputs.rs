@@ -26,7 +26,7 @@ fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
         assert!(message.contains(name.rsplit('/').next().unwrap()) && message.contains(said), "{message}");
         assert!(!output.exists());
     }
-    // The format cannot represent added fields; removing a value is always possible.
+    // The format cannot hold added fields, but points can always be removed.
     let lidar = folder.path().join("lidar.bin");
     fs::write(&lidar, [1.0f32, 2.0, 3.0, 0.5].map(f32::to_le_bytes).concat().repeat(100)).unwrap();
     let message = refused(&["smooth", str(&lidar), str(&folder.path().join("n.bin")), "--fields", "normals"]);
@@ -34,7 +34,7 @@ fn what_cannot_be_written_is_refused_before_anything_is_smoothed() {
     let outlier = folder.path().join("outlier.csv");
     fs::write(&outlier, "x,y,z,intensity\n9,9,9,1000000000\n0,0,0,5\n0,1,0,6\n").unwrap();
     ok(&["clean", str(&outlier), str(&folder.path().join("o.las")), "--crop=-1,-1,-1,2,2,2"]);
-    // Errors of an option with two values.
+    // For an option with two values, the error names the invalid one.
     let output = folder.path().join("o.ply");
     let wrong = |value: &str| refused(&["clean", str(&cloud), str(&output), "--statistical", value]);
     assert!(wrong("0,2").contains("K of --statistical = 0") && wrong("5,-1").contains("R of --statistical = -1"));
@@ -47,7 +47,7 @@ fn a_limit_on_the_size_of_files_leaves_no_half_of_one() {
     let cloud = folder.path().join("cloud.xyz");
     let line = |i: usize| format!("{} {} 0\n", i % 100, i / 100);
     fs::write(&cloud, (0..10_000).map(line).collect::<String>()).unwrap();
-    // In blocks of 512 or 1024 bytes.
+    // `ulimit -f` counts in blocks of 512 or 1024 bytes, depending on the shell.
     let limited = "ulimit -f 8; exec \"$0\" smooth \"$1\" \"$2\"";
     let output = folder.path().join("out.ply");
     let ended = std::process::Command::new("sh")

@@ -1,4 +1,4 @@
-//! Steps before smoothing, and inputs that make no sense.
+//! Steps before smoothing, and implausible inputs.
 
 use planish::io::{self, Contents};
 use planish::{Camera, DepthImage};

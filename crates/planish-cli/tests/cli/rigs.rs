@@ -1,4 +1,4 @@
-//! Rigs, and several devices.
+//! Rigs, and multiple devices.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use planish::io::{self, Contents};
 
 use super::{json_line, ok, refused, str};
 
-/// Two simulated cameras with three frames each: the folder, and its rig.json.
+/// Simulates two cameras with three frames each; returns the temporary folder and the path of rig.json.
 fn simulated() -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let rig = folder.path().join("rig");
@@ -24,7 +24,7 @@ fn read(path: &Path) -> PointCloud {
     }
 }
 
-/// Every file below a folder, with its bytes.
+/// Returns all files below a folder with their bytes, sorted by path.
 fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -54,7 +54,7 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
     assert_eq!(report["complete"], 3);
     assert_eq!(read(&again.join("000000.pcd")).len().abs_diff(points.len()) * 50 / points.len(), 0);
 
-    // Existing files are kept: results, measured frames, the rig.
+    // Existing files (results, measured frames, the rig) are kept.
     let before = files(folder.path());
     let source = rig.parent().unwrap().join("camera0");
     for (outputs, said) in [
@@ -84,7 +84,7 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
 #[test]
 fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
-    // A file with that name exists: nothing is left next to it.
+    // If the output's name is that of an existing file, nothing is left next to that file.
     let file = folder.path().join("file");
     fs::write(&file, "mine").unwrap();
     let simulate = |out: &Path| {
@@ -97,7 +97,7 @@ fn a_simulated_rig_is_there_as_a_whole_or_not_at_all() {
     let refused_into = |out: &Path| refused(&simulate(out).iter().map(String::as_str).collect::<Vec<_>>());
     refused_into(&file);
     assert_eq!((fs::read_dir(folder.path()).unwrap().count(), fs::read(&file).unwrap()), (1, b"mine".to_vec()));
-    // Into an existing empty folder, and into one whose parents do not exist.
+    // Write into an existing empty folder, and into a folder whose parents do not exist.
     let rig = folder.path().join("rig");
     fs::create_dir(&rig).unwrap();
     for out in [&rig, &folder.path().join("new/parent/rig")] {
@@ -168,7 +168,7 @@ fn merged_points_in_voxels_are_one_a_voxel_and_each_camera_s_own_beside() {
         let frames = files(&own.join(camera));
         assert!(frames.len() >= 3, "{camera}");
     }
-    // Invalid sizes, and ways without voxels.
+    // Invalid voxel sizes are refused, and so are voxels without `--fuse merged`.
     let none = folder.path().join("none");
     for size in ["0", "nan", "-0.01", "inf", "1e-9"] {
         let voxel = format!("--voxel={size}");

@@ -1,4 +1,4 @@
-//! Settings from a file, and options over them.
+//! Settings from a file, and options that override them.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Files without smoothing: convert, compare, merge and mesh.
+//! Commands other than `smooth`: convert, compare, merge and mesh.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use planish::{Camera, DepthImage, PointCloud, Xyz};
 
 use super::{json_line, ok, planish, refused, small_frame, str, text};
 
-/// A folder with a depth image, and its camera.
+/// Returns a folder with a depth image, and its camera as an option value.
 fn with_depth() -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let frame = small_frame(1);
@@ -101,7 +101,7 @@ fn meshes_are_written_in_every_format_and_clouds_without_pixels_are_refused() {
         let triangles: usize = said.split(' ').rev().nth(1).unwrap().parse().unwrap();
         assert!((30_000..38_000).contains(&triangles), "{said}");
     }
-    // Vertices are read again by planish, too.
+    // planish also reads the vertices of meshes.
     let Contents::General(vertices) = io::read(&path("mesh.obj")).unwrap().1 else { panic!("a cloud") };
     let Contents::General(same) = io::read(&path("mesh.ply")).unwrap().1 else { panic!("a cloud") };
     assert!(vertices.len() > 18_000 && vertices.len() == same.len());

@@ -1,4 +1,4 @@
-//! Smoothing over time: measured on videos, and with the poses of a camera.
+//! Temporal smoothing: measured on videos, and with the poses of a camera.
 
 use std::fs;
 
@@ -23,7 +23,7 @@ fn videos_are_measured_simulated_exported_and_from_folders() {
     let animation = fs::read(pictures.join("moving-camera.png")).unwrap();
     assert!(animation.windows(4).any(|chunk| chunk == b"acTL"));
 
-    // The exported frames give the same scores, and another program's results are measured next to ours.
+    // The exported frames give the same scores. Another program's results are measured next to planish's.
     run(&["--sequence", "still", "--export", str(&exported)]);
     let still = exported.join("still");
     let camera_file = still.join("camera.json");
@@ -82,7 +82,8 @@ fn poses_of_a_folder_are_read_and_checked() {
     assert!(text(&heading[..200]).contains("FIELDS x y z status frames"));
     let message = refused(&[&smooth[..6], &["--format", "pcd", "--fields", "frames"]].concat());
     assert!(message.contains("--fields = frames") && message.contains("temporal"), "{message}");
-    // The third frame has moved by a centimetre since the second: its past is another one without poses.
+    // According to the poses, the camera moved by 1 cm between the second and third frame, so the carried state
+    // differs from that without poses.
     let without_poses = folder.path().join("without");
     ok(&["smooth", str(&frames), str(&without_poses), "--camera-file", str(&camera_file), "--temporal", "steady"]);
     let differs = |name: &str| fs::read(smoothed.join(name)).unwrap() != fs::read(without_poses.join(name)).unwrap();

@@ -8,7 +8,7 @@ One call:
 >>> result.points.shape, result.normals.shape
 ((480, 640, 3), (480, 640, 3))
 
-Many frames, with buffers that are kept:
+Many frames, with reused buffers:
 
 >>> with planish.Smoother(camera=frame.camera, outputs=["depth"]) as smoother:
 ...     for _ in range(3):

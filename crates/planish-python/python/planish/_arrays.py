@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from ._planish import Camera
 
-# DLPack's numbers of devices whose memory the processor reads: its own, and pinned for CUDA and ROCm.
+# DLPack's numbers of the devices whose memory the CPU can read: its own, and memory pinned for CUDA and ROCm.
 _HOST_DEVICES = (1, 3, 11)
 
 
 def as_array(given: Any) -> NDArray[Any]:
     """Return the array of an object, without a copy if possible.
 
-    Takes numpy's arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), Open3D's clouds, images and
-    tensors, structured arrays and data frames with columns x, y and z, and nested sequences. What lies on a device is copied to the host, with a warning.
+    Accepts numpy arrays, anything with ``__array_interface__``, ``__array__`` or ``__dlpack__`` (torch, cupy, jax), Open3D's clouds, images and
+    tensors, structured arrays and data frames with columns x, y and z, and nested sequences. Arrays on a device are copied to the host, with a warning.
     """
     if hasattr(given, "array") and hasattr(given, "fields"):
         # A planish.Frame.
@@ -48,7 +48,7 @@ def _of_open3d(given: Any) -> Any:
     if not type(given).__module__.startswith("open3d"):
         return given
     if hasattr(given, "as_tensor"):
-        # An image of its tensor interface.
+        # An image of Open3D's tensor API.
         given = given.as_tensor()
     if hasattr(given, "point") and hasattr(given.point, "positions"):
         given = given.point.positions
@@ -110,7 +110,7 @@ def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
         height, width = array.shape
         lies_apart = strides[1] == size and (height < 2 or strides[0] >= width * size) and strides[0] % size == 0
     else:
-        # Points apart from one another, and so are rows.
+        # Points must not overlap, and neither must rows.
         span = 2 * strides[-1] + size
         lies_apart = strides[-1] >= size and (array.shape[-2] < 2 or strides[-2] >= span)
         if array.ndim == 3 and array.shape[0] > 1:
@@ -119,9 +119,9 @@ def _readable(array: NDArray[Any], is_depth: bool) -> NDArray[Any]:
 
 
 def origin_of(points: NDArray[Any]) -> tuple[float, float, float] | None:
-    """Return an origin near most of the points if float32 would lose relevant digits; ``None`` near the origin of coordinates.
+    """Return an origin near most of the points if float32 would lose relevant digits, otherwise ``None``.
 
-    Of scenes float32 keeps 0.06 mm and better up to a kilometre away.
+    Up to a kilometre from the origin of coordinates, float32 is accurate to 0.06 mm or better.
     """
     rows = points.reshape(-1, 3)
     sample = rows[:: max(1, len(rows) // 10_000)]

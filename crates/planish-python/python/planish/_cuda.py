@@ -18,17 +18,17 @@ from ._settings import Output, Settings
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-# In the order of a result's channels.
+# Number of channels of each output, in the order of a result.
 CHANNELS = {"points": 3, "normals": 3, "curvature": 1, "depth_m": 1}
 
 
 class CudaSmoother:
     """Smooths depth images that are CUDA arrays, into CUDA arrays, without a copy to the host.
 
-    Needs NVIDIA's driver and NVRTC, CUDA's compiler, which comes with PyTorch (otherwise ``pip install nvidia-cuda-nvrtc-cu12``).
-    Arrays of PyTorch, CuPy, JAX and Numba are taken (all that have ``__cuda_array_interface__`` or ``__dlpack__``). Calls with
-    arrays of PyTorch and CuPy return at once, and the work is done on the current stream of these libraries; for others, on the
-    default stream. `smooth_batch` smooths up to 16 images at once, in less time for each.
+    Needs NVIDIA's driver and NVRTC, CUDA's compiler, which PyTorch includes (otherwise ``pip install nvidia-cuda-nvrtc-cu12``).
+    Accepts arrays of PyTorch, CuPy, JAX and Numba (any array with ``__cuda_array_interface__`` or ``__dlpack__``). Calls return at
+    once. For arrays of PyTorch and CuPy, the work runs on the library's current stream; for others, on the stream that writes the
+    array, if the array names one, otherwise on the default stream. `smooth_batch` smooths up to 16 images at once, in less time per image.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class CudaSmoother:
     outputs : iterable of str
         Any of ``"points"``, ``"normals"``, ``"curvature"`` and ``"depth_m"``.
     **settings : Settings
-        As for `Smoother`; ``adapter`` is the number or a part of the name of a CUDA device, the current one by default. Steps
-        before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not for CUDA arrays.
+        See `Smoother`. ``adapter`` is the number or a part of the name of a CUDA device [default: the current device]. Steps
+        before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not supported for CUDA arrays.
     """
 
     def __init__(
@@ -63,12 +63,12 @@ class CudaSmoother:
         _load_compiler()
         self._engine = CudaEngine({"engine": "gpu", **given, "outputs": names}, camera, metres)
         self._channels, _, self._most = self._engine.counts()
-        # The arrays of the last call: the libraries' allocators order the memory of freed ones by streams, but not for all streams.
+        # The arrays of the last call. The libraries' allocators order the reuse of freed memory by streams, but not for all streams.
         self._last: tuple[list[Any], list[Any]] = ([], [])
 
     @property
     def channels(self) -> int:
-        """Planes of a result: x, y and z of points, then of normals, then curvature and depth in metres."""
+        """Number of planes of a result: x, y and z of points, then of normals, then curvature and depth in metres."""
         return self._channels
 
     @property
@@ -84,11 +84,11 @@ class CudaSmoother:
         depth : CUDA array, [H, W]
             The image; rows may have gaps.
         out : CUDA array, float32 [channels, H, W], optional
-            Where the result goes. By default a new array, of PyTorch or CuPy if `depth` is, otherwise a `CudaArray`, which other
-            libraries read by DLPack (``jax.dlpack.from_dlpack``).
+            Array to write the result into. By default, a new array of PyTorch or CuPy if `depth` belongs to one of them, otherwise a
+            `CudaArray`, which other libraries read by DLPack (``jax.dlpack.from_dlpack``).
         stream : int, optional
-            The CUDA stream, as the address of a ``cudaStream_t``; the current one of the library of `depth` by default. With a
-            stream that is not the current one, keep arrays of libraries other than PyTorch until the stream has used them.
+            The CUDA stream, as the address of a ``cudaStream_t`` [default: the current stream of the library of `depth`]. If you pass
+            another stream, keep arrays of libraries other than PyTorch alive until the stream has used them.
 
         Returns
         -------
@@ -125,7 +125,7 @@ class CudaSmoother:
                 for _, address in outputs:
                     self._engine.receive(address, chosen)
             except BaseException:
-                # The next call must not receive what is left of this one.
+                # The next call must not receive the remaining results of this one.
                 self._engine.forget()
                 raise
             self._done(group, targets, stream, chosen, [interfaces, outputs])
@@ -133,7 +133,7 @@ class CudaSmoother:
         return results
 
     def _done(self, depths: list[Any], targets: list[Any], given: int | None, chosen: int, kept: list[Any]) -> None:
-        """Tell the owners of the memory that the stream uses it."""
+        """Keep the arrays until the next call, and inform the owners of the memory that the stream uses it."""
         self._last = ([*depths, *kept], targets)
         for target in targets:
             if isinstance(target, CudaArray):
@@ -144,7 +144,7 @@ class CudaSmoother:
                 array.record_stream(torch.cuda.ExternalStream(given, device=array.device))
 
     def _input(self, interface: dict[str, Any]) -> tuple[int, int]:
-        """The address of an image, and bytes from row to row."""
+        """Return the address of an image, and the distance between its rows in bytes."""
         types = ("<f4",) if self._metres else ("<u2", "<i2")
         shape, kind = tuple(interface["shape"]), interface["typestr"]
         expected = (self._camera.height, self._camera.width)
@@ -152,14 +152,14 @@ class CudaSmoother:
             raise ValueError(f"depth: {' or '.join(types)} of shape {expected} is expected, not {kind} of {shape}")
         item = int(kind[2:])
         strides = interface.get("strides") or (item * shape[1], item)
-        # The stride of an axis of length 1 may be anything.
+        # The stride of an axis of length 1 is arbitrary.
         between_rows = strides[0] if shape[0] > 1 else item * shape[1]
         if (shape[1] > 1 and strides[1] != item) or between_rows < item * shape[1]:
             raise ValueError(f"depth: pixels of a row must be adjacent; its strides are {tuple(strides)} bytes")
         return int(interface["data"][0]), int(between_rows)
 
     def _output(self, out: Any, stream: int) -> tuple[dict[str, Any], int]:
-        """The interface of an array for a result, which must be kept, and its address."""
+        """Return the interface of an array for a result, which must be kept alive, and its address."""
         interface = _interface(out, "out", stream)
         shape = (self._channels, self._camera.height, self._camera.width)
         strides = interface.get("strides")
@@ -172,7 +172,7 @@ class CudaSmoother:
         return interface, int(interface["data"][0])
 
     def _new(self, depth: Any, stream: int | None) -> Any:
-        """A new array of the library of an image, allocated for the stream that writes it."""
+        """Return a new array of the same library as an image, allocated for the stream that writes it."""
         shape = (self._channels, self._camera.height, self._camera.width)
         library = _library(depth)
         if library == "torch":
@@ -192,7 +192,7 @@ def _library(array: Any) -> str:
 
 
 def _contiguous(shape: tuple[int, ...], item: int) -> tuple[int, ...]:
-    """The strides in bytes of an array without gaps."""
+    """Return the strides in bytes of an array without gaps."""
     return tuple(item * math.prod(shape[axis + 1 :]) for axis in range(len(shape)))
 
 
@@ -203,17 +203,17 @@ def _load_compiler() -> None:
     for pattern in ("*/lib/libnvrtc.so.*", "*/bin/nvrtc64_*_0.dll", "*/bin/*/nvrtc64_*_0.dll"):
         for file in (file for folder in folders for file in folder.glob(pattern)):
             if hasattr(os, "add_dll_directory"):
-                # NVRTC loads another library of its folder.
+                # NVRTC loads another library from its folder.
                 os.add_dll_directory(str(file.parent))
-            # One of another architecture cannot be loaded; others may be.
+            # A library for another architecture cannot be loaded; others may be.
             with contextlib.suppress(OSError):
                 ctypes.CDLL(str(file))
 
 
 def _interface(array: Any, name: str, stream: int | None) -> dict[str, Any]:
-    """Return shape, type, strides in bytes and address of an array, as ``__cuda_array_interface__`` has them."""
+    """Return shape, type, strides in bytes and address of an array, in the form of ``__cuda_array_interface__``."""
     has_dlpack = hasattr(array, "__dlpack__") and not isinstance(array, CudaArray)
-    # Only DLPack says in whose order JAX's arrays are written.
+    # Only DLPack orders the stream after the work that writes JAX's arrays.
     if has_dlpack and (_library(array) not in ("torch", "cupy") or not hasattr(array, "__cuda_array_interface__")):
         return _of_dlpack(array, name, stream)
     try:
@@ -245,7 +245,7 @@ class _DlTensor(ctypes.Structure):
 
 _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(("PyCapsule_GetPointer", ctypes.pythonapi))
 
-# DLPack's number of CUDA's devices, of their managed memory, and of its kinds of numbers.
+# DLPack's numbers of CUDA devices and of CUDA's managed memory.
 _CUDA_DEVICES = (2, 13)
 _KINDS = {0: "i", 1: "u", 2: "f"}
 
@@ -254,7 +254,7 @@ def _of_dlpack(array: Any, name: str, stream: int | None) -> dict[str, Any]:
     device, _ = array.__dlpack_device__()
     if int(device) not in _CUDA_DEVICES:
         raise TypeError(f"{name}: an array in CUDA's memory is expected, not one of DLPack's device {int(device)}")
-    # 1 is the default stream. The capsule frees its tensor at its end, since nobody takes it.
+    # 1 is the default stream. The capsule frees its tensor when it is deleted, since no other library takes ownership.
     capsule = array.__dlpack__(stream=stream or 1)
     tensor = _DlTensor.from_address(_pointer_of(capsule, b"dltensor"))
     item = tensor.bits // 8
@@ -270,7 +270,7 @@ def _of_dlpack(array: Any, name: str, stream: int | None) -> dict[str, Any]:
 
 
 def _stream_of(array: Any, interface: dict[str, Any]) -> int:
-    """The current stream of the array's library, or the one that writes the array, or the default stream."""
+    """Return the current stream of the array's library, otherwise the stream that writes the array, otherwise the default stream."""
     library = _library(array)
     if library == "torch":
         return int(sys.modules["torch"].cuda.current_stream(array.device).cuda_stream)

@@ -103,7 +103,7 @@ class Devices:
     auto : str
         The choice of ``engine="auto"``.
     reason : str
-        The reason for it.
+        The reason for the choice.
     """
 
     gpus: list[tuple[int, str, str]]
@@ -119,14 +119,14 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
     path : path
         The file.
     unit : {"mm", "cm", "m", "inch", "ft"}, optional
-        The unit of points and of floating-point depth in files that state none; they become metres. The metre by default.
+        Unit of points and of floating-point depth in files that do not state one; values are converted to metres [default: m].
     columns : int, optional
-        The number of columns of a lidar's .bin, found from its values by default.
+        Number of columns of a lidar's .bin [default: detected from the values].
 
     Warns
     -----
     RuntimeWarning
-        About data that were dropped or guessed.
+        If data were dropped or guessed.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
     return _frame(_planish.read(path, unit, columns))
 
 
-# Formats that keep the sensor's pose, and formats that keep rows and columns.
+# Extensions of the formats that store the sensor's pose, and of those that store rows and columns.
 _WITH_POSES = (".pcd", ".ply")
 _WITH_GRIDS = (".pcd", ".ply", ".npy", ".npz")
 
@@ -164,8 +164,8 @@ def write(
     pose : sequence of 7 floats, optional
         Pose of the sensor: x, y, z, qw, qx, qy, qz.
     encoding : {"binary", "ascii", "compressed", "f32", "f64"}
-        Encoding of .pcd and .ply, or bytes of their coordinates; both with a comma (``"compressed,f64"``). Coordinates have 4 bytes (f32) unless
-        they exceed a kilometre; PCL reads those of 8 bytes in .pcd as zeros.
+        Encoding of .pcd and .ply, size of their coordinates, or both separated by a comma (``"compressed,f64"``). Coordinates have 4 bytes (f32)
+        by default, or 8 bytes (f64) if they exceed a kilometre; PCL reads 8-byte coordinates in .pcd as zeros.
 
     Warns
     -----
@@ -208,7 +208,7 @@ _Cloud = tuple[
 
 
 def _cloud(array: NDArray[Any], fields: Mapping[str, NDArray[Any]] | None, pose: Iterable[float] | None) -> _Cloud:
-    """Return points and their fields as the extension module takes them."""
+    """Return points and their fields in the form that the extension module expects."""
     grid = (array.shape[0], array.shape[1]) if array.ndim == 3 else None
     flat = {}
     for name, values in (fields or {}).items():
@@ -221,12 +221,12 @@ def _cloud(array: NDArray[Any], fields: Mapping[str, NDArray[Any]] | None, pose:
 
 
 def _native(array: NDArray[Any]) -> NDArray[Any]:
-    """Convert to this machine's order of bytes."""
+    """Convert to this machine's byte order."""
     return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
 def _frame(found: dict[str, Any]) -> Frame:
-    """Return the frame that the extension module has read or made."""
+    """Build a frame from the output of the extension module."""
     grid = found.pop("grid", None)
     if grid is not None:
         found["points"] = found["points"].reshape(*grid, 3)
@@ -283,7 +283,7 @@ def simulate(
     sensor: str = "kinect1",
     index: int = 0,
 ) -> Simulated:
-    """Simulate a depth image of a known scene, with the noise of a sensor; the same seed gives the same image.
+    """Simulate a depth image of a known scene with the noise of a sensor. The same arguments give the same image.
 
     Parameters
     ----------

@@ -13,22 +13,22 @@ _Place = tuple[
 ]
 
 class Camera:
-    """A pinhole camera, with OpenCV's distortion.
+    """A pinhole camera with OpenCV's distortion.
 
     Parameters
     ----------
     width, height : int
-        Size of its images in pixels.
+        Size of the images in pixels.
     fx, fy : float
         Focal lengths in pixels.
     cx, cy : float, optional
-        Principal point in pixels, counted from the middle of the first pixel; the middle of the image if left out.
+        Principal point in pixels, relative to the centre of the first pixel [default: the centre of the image].
     depth_units_per_metre : float
-        What a raw depth value of 1 m is: 1000 for millimetres.
+        Raw depth value of 1 m: 1000 for millimetres.
     distortion : sequence of float, optional
-        OpenCV's 4, 5 or 8 coefficients (k1, k2, p1, p2, k3, ...), or the 4 of a fisheye.
+        OpenCV's 4, 5 or 8 coefficients (k1, k2, p1, p2, k3, ...), or the 4 coefficients of a fisheye lens.
     distortion_model : str
-        ROS's, OpenCV's or Kalibr's name of the model; "equidistant" for a fisheye. OpenCV's model by default.
+        The model's name in ROS, OpenCV or Kalibr; "equidistant" for a fisheye lens [default: OpenCV's model].
     """
 
     def __new__(
@@ -45,7 +45,7 @@ class Camera:
     ) -> Camera: ...
     @staticmethod
     def kinect_v1() -> Camera:
-        """The depth camera of a Kinect v1, as PCL and ROS assume it."""
+        """Return the depth camera of a Kinect v1, with the parameters that PCL and ROS assume."""
     @staticmethod
     def read(path: str | PathLike[str], shape: tuple[int, int] | None = None) -> Camera:
         """Read a camera file: ROS camera_info, Kalibr, Open3D, COLMAP or planish's own; `shape` is (height, width)."""
@@ -69,7 +69,7 @@ class Camera:
     def distortion_model(self) -> str: ...
 
 class CudaArray:
-    """A result in CUDA's memory, float32 [channels, H, W], for libraries that read DLPack or ``__cuda_array_interface__``."""
+    """A result in CUDA memory, float32 [channels, H, W], for libraries that read DLPack or ``__cuda_array_interface__``."""
 
     @property
     def shape(self) -> tuple[int, int, int]: ...

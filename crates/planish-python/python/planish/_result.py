@@ -37,9 +37,9 @@ class Status(enum.IntEnum):
 
 
 class Origin(enum.IntEnum):
-    """Where the value of a point comes from, as in the masks beside depth images (NAME.origin.png)."""
+    """Origin of a point's value, as in the masks next to depth images (NAME.origin.png)."""
 
-    #: There is no value.
+    #: No value.
     NONE = 0
     #: Filled with the surface around the hole.
     FILLED = 85
@@ -50,7 +50,7 @@ class Origin(enum.IntEnum):
 
 
 class CloudChoice(NamedTuple):
-    """How planish smoothed an unorganized cloud, where the settings left that open."""
+    """The choices that planish made for an unorganized cloud because the settings left them open."""
 
     #: The approximate number of neighbours per point.
     neighbours: int
@@ -67,7 +67,7 @@ def _is_empty(value: Any) -> bool:
 
 
 def described(of: Any) -> str:
-    """Return one line: the attributes that are not ``None``, arrays by their type and shape."""
+    """Describe an object in one line by its attributes that are not ``None``; arrays are shown by type and shape."""
 
     def text(value: Any) -> str:
         if isinstance(value, np.ndarray):
@@ -81,26 +81,26 @@ def described(of: Any) -> str:
     return f"{type(of).__name__}({', '.join(given)})"
 
 
-# The value of outputs that were not requested. Typed as Any, so that requested outputs need no check for None.
+# Value of outputs that were not requested. Typed as Any, so that requested outputs need no check for None.
 _ABSENT: Any = None
 
 
 @dataclass(slots=True, eq=False, repr=False)
 class Smoothed:
-    """The result of a frame; outputs that were not requested are ``None`` (to type checkers they are arrays).
+    """The result of a frame. Outputs that were not requested are ``None``, but are typed as arrays for type checkers.
 
     Attributes
     ----------
     points : ndarray of float32, [H, W, 3] or [N, 3]
-        Points in metres, NaN for holes; float64 if the input was.
-    normals : ndarray of float32, the same shape
+        Points in metres, NaN for holes; float64 if the input was float64.
+    normals : ndarray of float32, [H, W, 3] or [N, 3]
         Unit normals towards the sensor, NaN for points without one.
     curvature : ndarray of float32, [H, W] or [N]
         Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN for points without a plane.
     status : ndarray of uint8, [H, W] or [N]
         Status of each point; see `Status`.
     neighbours : ndarray of uint32, [H, W] or [N]
-        Number of neighbours, including the point.
+        Number of neighbours, including the point itself.
     depth : ndarray of uint16, [H, W]
         Raw depth in the camera's units, 0 for holes.
     depth_m : ndarray of float32, [H, W]
@@ -123,7 +123,7 @@ class Smoothed:
 
     @property
     def origin(self) -> NDArray[np.uint8]:
-        """Where each value comes from, of the shape of `status`; see `Origin`. Needs the output ``"status"``.
+        """Origin of each value, in the shape of `status`; see `Origin`. Needs the output ``"status"``.
 
         Examples
         --------

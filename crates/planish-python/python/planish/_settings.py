@@ -1,4 +1,4 @@
-"""Settings, with the same names, ranges and files in every front end."""
+"""Settings, which have the same names, ranges and files in the command, Python, ROS and the browser."""
 
 from __future__ import annotations
 
@@ -38,32 +38,32 @@ class Settings(TypedDict, total=False):
     """
 
     preset: Preset | None
-    """Preset: windows of 15x15 (light), 25x25 (default) or 29x29 (strong) pixels of a Kinect v1, wider for noisier
-    sensors; paper is the setting of the 2011 report."""
+    """Preset: windows of 15x15 (light), 25x25 (default) or 29x29 (strong) pixels for a Kinect v1, wider for noisier sensors; "paper" selects the
+    settings of the 2011 report."""
     strength: float | None
     """Strength from 0 (light) to 1 (strong), instead of a preset."""
     sensor: SensorName | Sensor | None
-    """The sensor that took the frames [default: kinect1]; auto estimates it from the first frame."""
+    """The sensor that took the frames [default: kinect1]; "auto" estimates it from the first frame."""
     radius_m: float | Literal["sensor"] | None
-    """Radius of a neighbourhood in metres; sensor: growing with range like the sensor's noise (frames only)."""
+    """Radius of a neighbourhood in metres; "sensor" selects a radius that grows with range like the sensor's noise (frames only)."""
     radius: float | Literal["sensor"] | None
     """Another name for radius_m."""
     neighbours: int | None
     """For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius [default: chosen by the cloud's
     noise and shape]."""
     passes: Literal[1, 2] | None
-    """For unorganized clouds: 2 adds a first pass with 20 neighbours [default: chosen from the noise; 1 with
-    a given radius or number of neighbours]."""
+    """For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: chosen from the noise; 1 with a given radius or
+    number of neighbours]."""
     grid: Literal["auto", "off"] | None
-    """For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]."""
+    """For unorganized clouds: whether the grid of a frame is rebuilt if it was lost [default: auto]."""
     even: bool | None
     """For unorganized clouds: whether points move along the smoothed surface until they are spaced evenly, by at most
     1.5 standard deviations of the noise [default: false]. Not for streams."""
     temporal: Literal["off", "steady"] | None
-    """For the frames of one camera, in order: ``"steady"`` smooths over time [default: off]. A `Smoother` keeps the
-    state; frames of another shape start again. The camera is stationary, unless ``track`` or poses are given."""
+    """For consecutive frames of one camera: ``"steady"`` smooths over time [default: off]. A `Smoother` keeps the state and restarts if the shape
+    of frames changes. The camera is assumed stationary unless ``track`` or poses are given."""
     track: bool | None
-    """Smooth over time and compensate the motion of the camera, estimated from frame to frame [default: false]."""
+    """Whether to smooth over time with compensation of the camera's motion, estimated from frame to frame [default: false]."""
     edges: Literal["robust", "off"] | None
     """Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or number
     of neighbours]."""
@@ -84,36 +84,36 @@ class Settings(TypedDict, total=False):
     project: Literal["ray", "normal"] | None
     """Direction in which points move onto the surface; frames only."""
     remove_floating: bool | None
-    """Whether pixels that float between two surfaces become holes before smoothing; streams, `mesh` and the command only."""
+    """Whether pixels that float between two surfaces become holes before smoothing. Streams, `mesh` and the command only."""
     min_range_m: float | None
-    """Pixels of a frame that are nearer become holes before smoothing; streams, `mesh` and the command only."""
+    """Minimum range in metres; nearer pixels of a frame become holes before smoothing. Streams, `mesh` and the command only."""
     max_range_m: float | None
-    """Pixels of a frame that are farther become holes before smoothing; streams, `mesh` and the command only."""
+    """Maximum range in metres; farther pixels of a frame become holes before smoothing. Streams, `mesh` and the command only."""
     decimate: int | None
-    """Side of the blocks of pixels that become one before smoothing, 2 to 8; streams, `mesh` and the command only."""
+    """Side of the blocks of pixels that are merged into one before smoothing, 2 to 8. Streams, `mesh` and the command only."""
     fill: int | None
-    """Holes of a frame up to this many pixels wide are filled with the surface around them, 1 to 64 [default: none]. Filled points have
-    the status `Status.FILLED`; the outputs must include ``"status"``."""
+    """Maximum width in pixels of holes of a frame that are filled with the surface around them, 1 to 64 [default: none]. Filled points have the
+    status `Status.FILLED`; the outputs must include ``"status"``."""
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None
-    """The engine [default: auto, a real GPU if available, otherwise the CPU; `planish.smooth` takes the CPU unless the frame is large]."""
+    """The engine [default: auto, a real GPU if available, otherwise the CPU]. `planish.smooth` uses the CPU unless the frame is large."""
     adapter: str | int | None
     """The GPU by index or part of its name; needs engine="gpu"."""
     devices: str | None
-    """Devices that share the frames of a stream, separated by commas: all, or indices or names of GPUs, and cpu."""
+    """Devices that share the frames of a stream, separated by commas: "all", or indices or names of GPUs, and "cpu"."""
     threads: int | None
-    """Threads of the CPU engine [default: one per core]."""
+    """Number of threads of the CPU engine [default: one per core]."""
 
 
 class SettingsFile(Settings, total=False):
-    """Contents of a settings file, which may also name outputs."""
+    """The contents of a settings file, which may also list outputs."""
 
     outputs: list[Output]
 
 
 def read_settings(path: str | PathLike[str]) -> SettingsFile:
-    """Read a settings file in JSON or YAML, the format of the command's ``--settings`` and of the browser's page.
+    """Read a settings file in JSON or YAML, the format of the command's ``--settings`` and of the demo page.
 
     Examples
     --------

@@ -28,7 +28,7 @@ Pose = Sequence[float]
 PREPARATION = ("remove_floating", "min_range_m", "max_range_m", "decimate")
 
 _OUTPUTS: dict[str, tuple[type[np.generic], bool]] = {
-    # The type of an output's values, and whether each is a vector.
+    # The type of each output's values, and whether a value is a vector.
     "points": (np.float32, True),
     "normals": (np.float32, True),
     "curvature": (np.float32, False),
@@ -53,8 +53,8 @@ class _Kind:
 class Smoother:
     """An open engine with its buffers, for smoothing many frames.
 
-    The engine opens with the first frame, whose resolution determines stride and window, and again if the shape, camera or pose of frames
-    changes. Use a smoother in one thread at a time; open one per thread. Pickling keeps its settings, not its buffers.
+    The engine opens with the first frame, whose resolution determines stride and window, and reopens if the shape, camera or pose of the
+    frames changes. Use a smoother in one thread at a time; open one per thread. Pickling keeps its settings, not its buffers.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Smoother:
     True
     """
 
-    # Whether one frame only is smoothed, for which no GPU is opened.
+    # Whether only one frame is smoothed; no GPU is opened for a single frame.
     _is_single = False
 
     def __init__(
@@ -95,10 +95,10 @@ class Smoother:
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-        # A separate pool: shared threads do not survive a fork.
+        # Use a separate pool, since shared threads do not survive a fork.
         own_threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         self._engine = Engine({"threads": own_threads, **self._settings}, self._is_single)
-        # Settings without effect on points without a grid, reported once.
+        # Settings that have no effect on points without a grid, reported once.
         self._unused = self._engine.unused_by_clouds()
         # The kind of each frame in flight, and its points if they are float64.
         self._in_flight: deque[tuple[_Kind, NDArray[Any] | None]] = deque()
@@ -111,7 +111,7 @@ class Smoother:
 
     @property
     def engine(self) -> str | None:
-        """The open engine with the name of its GPU; ``None`` before the first frame."""
+        """The name of the open engine and of its GPU; ``None`` before the first frame."""
         name, gpu, _ = self._engine.opened()
         return f"{name}, {gpu}" if gpu else name
 
@@ -122,13 +122,13 @@ class Smoother:
 
     @property
     def cloud_choice(self) -> CloudChoice | None:
-        """How the last unorganized cloud was smoothed, and its noise; ``None`` where settings decided, and after other frames."""
+        """The choices for the last unorganized cloud, and its noise; ``None`` if the settings made the choices, or after a frame on a grid."""
         choice, _ = self._engine.chosen_for_cloud()
         return CloudChoice(*choice) if choice else None
 
     @property
     def rebuilt_grid(self) -> tuple[int, int] | None:
-        """Height and width of the grid that the last cloud had lost and was smoothed on."""
+        """Height and width of the rebuilt grid on which the last cloud was smoothed; ``None`` if no grid was rebuilt."""
         return self._engine.chosen_for_cloud()[1]
 
     def smooth(
@@ -158,7 +158,7 @@ class Smoother:
         Returns
         -------
         Smoothed
-            With `out`, the result refers to these arrays.
+            The result. With `out`, it refers to the given arrays.
 
         Raises
         ------
@@ -189,9 +189,9 @@ class Smoother:
         return _finished(arrays, written, array, kind)
 
     def submit(self, frame: Any, *, pose: Pose | None = None, camera_pose: Pose | None = None) -> None:
-        """Submit a frame without waiting for its result; a GPU computes it asynchronously.
+        """Submit a frame without waiting for its result. A GPU computes it asynchronously.
 
-        The frame may be modified as soon as this returns. At most `max_in_flight` frames may be in flight.
+        The frame may be modified as soon as this method returns. At most `max_in_flight` frames may be in flight.
         """
         array, is_depth = as_frame(frame, self._camera)
         kind = _kind_of(array, is_depth)
@@ -212,7 +212,7 @@ class Smoother:
             try:
                 received = self._engine.receive(written)
             except Exception:
-                # The engine is closed, and all frames in flight with it.
+                # The engine is closed, and all frames in flight are lost.
                 self._in_flight.clear()
                 raise
             self._in_flight.popleft()
@@ -240,12 +240,12 @@ class Smoother:
         frames : array or sequence of arrays
             Depth [B, H, W] or organized points [B, H, W, 3], or a sequence of frames.
         out : mapping of str to ndarray, optional
-            C-contiguous arrays to write into, with the frames as first dimension.
+            C-contiguous arrays to write into; the first dimension is the frame.
 
         Returns
         -------
         Smoothed
-            Arrays with the frames as first dimension.
+            Arrays whose first dimension is the frame.
         """
         if not isinstance(frames, (np.ndarray, Sequence)):
             # A generator may reuse its buffer.
@@ -272,13 +272,13 @@ class Smoother:
 
     @property
     def camera_motion(self) -> tuple[float, ...] | None:
-        """Motion of the camera before the last frame, as given or estimated with ``track=True``: pose of the current camera in the frame of the
-        previous one (x, y, z, qw, qx, qy, qz). ``None`` if it is not known."""
+        """Motion of the camera from the previous frame to the current one, as given or estimated with ``track=True``: pose of the current camera
+        in the frame of the previous camera (x, y, z, qw, qx, qy, qz). ``None`` if unknown."""
         motion = self._engine.camera_motion()
         return None if motion is None else tuple(motion)
 
     def restart_video(self) -> None:
-        """With ``temporal="steady"``, forget all frames before, as after a gap in time or when the camera was moved."""
+        """With ``temporal="steady"``, forget all previous frames, for example after a gap in time or after the camera was moved."""
         self._engine.restart_video()
 
     def _checked_camera_pose(self, pose: Pose | None) -> tuple[float, ...] | None:
@@ -324,10 +324,10 @@ def smooth(
     outputs: Iterable[Output] = ("points", "normals", "status"),
     **settings: Unpack[Settings],
 ) -> Smoothed:
-    """Smooth one frame. For many frames open a `Smoother`, which keeps its engine and buffers.
+    """Smooth one frame. For many frames, open a `Smoother`, which keeps its engine and buffers.
 
-    ``engine="auto"`` takes the CPU here, unless the frame is large (over six million pixels, or half a million points of a cloud): opening a
-    GPU takes longer than smoothing a frame.
+    Here, ``engine="auto"`` uses the CPU unless the frame is large (over six million pixels, or over half a million points in a cloud), because
+    opening a GPU takes longer than smoothing a small frame.
 
     Parameters
     ----------
@@ -430,14 +430,14 @@ def _given_arrays(out: Smoothed | Mapping[str, NDArray[Any]], kind: _Kind) -> di
 
 
 def _written(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array that the engine writes for an output."""
+    """Return the array that the engine writes for an output: the given array if its type fits, otherwise a new one."""
     return array if array.dtype == _OUTPUTS[name][0] else np.empty(array.shape, _OUTPUTS[name][0])
 
 
 def _finished(
     arrays: dict[str, NDArray[Any]], written: dict[str, NDArray[Any]], measured: NDArray[Any] | None, kind: _Kind
 ) -> Smoothed:
-    """Build the result with points of the input type. For float64, add the displacement to the measured points, which keeps all digits."""
+    """Build the result, with points of the input type. For float64, displacements are added to the measured points, which keeps all digits."""
     points = arrays.get("points")
     if points is not None and points is not written["points"] and measured is not None:
         relative = measured if kind.origin is None else measured - kind.origin

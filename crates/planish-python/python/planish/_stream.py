@@ -43,11 +43,11 @@ class StreamFrame:
     index : int
         Index among the smoothed frames, from 0.
     name : str
-        File name without extension, if it comes from a file.
+        File name without extension, for frames from files.
     timestamp_s : float
-        Time of capture in seconds of the source's clock, if known.
+        Time of capture in seconds on the source's clock, if known.
     latency_s : float
-        Time from its arrival to its result.
+        Time in seconds from the frame's arrival to its result.
     """
 
     smoothed: Smoothed
@@ -70,7 +70,7 @@ class Stream:
     def __init__(self, running: _Stream) -> None:
         self._running = running
         self._warned: set[str] = set()
-        # Received but not yet delivered, because a warning was turned into an error.
+        # The frame that was received but not delivered, because a warning was raised as an error.
         self._taken: dict[str, Any] | None = None
 
     def __iter__(self) -> Iterator[StreamFrame]:
@@ -91,12 +91,12 @@ class Stream:
 
     @property
     def is_live(self) -> bool:
-        """True for a camera, or a source played at a fixed rate: the newest frame then replaces a waiting one."""
+        """True for a camera or a source played at a fixed rate; a waiting frame is then replaced by a newer one."""
         return self._running.is_live()
 
     @property
     def statistics(self) -> dict[str, Any] | None:
-        """Counts, frames per second and latency of the stream after its end; ``None`` before."""
+        """Counts, frames per second and latency of the stream; ``None`` before its end."""
         return self._running.statistics()
 
     def close(self) -> None:
@@ -137,16 +137,16 @@ def stream(
     outputs : iterable of str
         Requested outputs; see `Smoother`.
     fps : float, optional
-        Play at this rate, like a camera: frames that arrive while Python is busy are dropped. Without it, a file or folder waits and no frame is lost.
+        Play at this rate, like a camera: frames that arrive while Python is busy are dropped. Without a rate, a file or folder waits and no frame is lost.
     frames : int, optional
         Maximum number of frames.
     depth_units_per_metre : float, optional
         Depth unit of a data set that does not state it.
     align : {"depth", "color", "none"}, optional
-        For RealSense and OpenNI2 cameras: the image that depth and colour are mapped to. Colour is mapped to depth
-        (default of a RealSense), depth to colour (default of OpenNI2 cameras that support it), or colour is omitted.
+        For RealSense and OpenNI2 cameras: the image that depth and colour are mapped to. ``"depth"`` maps colour to depth (default
+        of a RealSense), ``"color"`` maps depth to colour (default of OpenNI2 cameras that support it), and ``"none"`` omits colour.
     mode : str, optional
-        For RealSense and OpenNI2 cameras: size and rate of depth, such as ``"848x480@30"``.
+        For RealSense and OpenNI2 cameras: size and rate of the depth stream, such as ``"848x480@30"``.
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`.
 
@@ -173,7 +173,7 @@ def stream(
     if not isinstance(source, str) and not os.path.exists(source):
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
     find_realsense(os.fspath(source))
-    # Checks settings as a Smoother does.
+    # Check the settings as a Smoother does.
     of_smoother: dict[str, Any] = {name: value for name, value in settings.items() if name not in PREPARATION}
     checked = Smoother(camera, outputs=outputs, **of_smoother)
     names = list(checked.__getstate__()["outputs"])

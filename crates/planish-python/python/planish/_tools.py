@@ -1,4 +1,4 @@
-"""Files and clouds without smoothing: conversion, comparison, merging, meshes, cleaning, pictures."""
+"""Tools for files and clouds: conversion, comparison, merging, meshes, cleaning, rendering and preparation."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Path = str | PathLike[str]
 
 @dataclass(slots=True)
 class Distances:
-    """Statistics of distances, in metres or in raw units of depth; NaN without any.
+    """Statistics of distances in metres or in raw depth units; NaN without distances.
 
     Attributes
     ----------
     count, equal : int
-        Number of matched points, and of those that do not differ at all.
+        Number of matched points, and number of matched points that are equal.
     mean, rms, median, p95, max : float
         Mean, root mean square, median, 95th percentile and maximum.
     """
@@ -53,19 +53,19 @@ class Comparison:
     Attributes
     ----------
     matching : str
-        ``"index"``: pixels and points with those of the same index; ``"nearest"``: with the nearest point.
+        ``"index"``: each pixel or point is matched with the same index; ``"nearest"``: each point is matched with the nearest point.
     unit : str
         ``"m"``, or ``"raw"`` for depth images without a camera.
     valid : tuple of 2 ints
-        Points that are no holes, in each file.
+        Number of points that are not holes, in each file.
     only_in : tuple of 2 ints
-        Pixels that are holes in the other file only.
+        Number of pixels that are holes only in the other file, for each file.
     distances : Distances
-        From each point of the first file to its match.
+        Distances from each point of the first file to its match.
     back : Distances
-        From each point of the second file to the nearest of the first; ``None`` if they are matched by index.
+        Distances from each point of the second file to the nearest point of the first; ``None`` if points are matched by index.
     fields : dict of str to (is_in, differing)
-        Fields that differ: which of the files have them, and the number of values that differ with the largest difference.
+        Fields that differ: whether each file has the field, and the number of differing values with the largest difference.
     """
 
     matching: str
@@ -86,12 +86,12 @@ def convert(
     fields: Iterable[str] | None = None,
     encoding: Encoding | None = None,
 ) -> None:
-    """Convert a file to the format of another's extension, without smoothing.
+    """Convert a file to the format given by the output's extension, without smoothing.
 
     Parameters
     ----------
     input, output : path
-        Depth images stay depth images in .png, .tiff and .npy, and become organized clouds in other formats.
+        The files. Depth images remain depth images in .png, .tiff and .npy, and become organized clouds in other formats.
     camera : Camera, optional
         Camera of a depth image.
     drop_holes : bool
@@ -104,7 +104,7 @@ def convert(
     Warns
     -----
     RuntimeWarning
-        For everything that is dropped, changed or guessed.
+        For all data that are dropped, changed or guessed.
 
     Examples
     --------
@@ -128,11 +128,11 @@ def compare(a: Path, b: Path, *, camera: Camera | None = None, nearest: bool = F
     Parameters
     ----------
     a, b : path
-        The files. Pixels and points are compared with those of the same index; clouds of different size by the nearest points.
+        The files. Pixels and points are compared by index; clouds of different size are compared by nearest points.
     camera : Camera, optional
         Camera of depth images, which are then compared as points.
     nearest : bool
-        Compare with the nearest points, whatever their index.
+        Compare nearest points instead of points with the same index.
 
     Examples
     --------
@@ -172,16 +172,16 @@ def merge(
     poses: Iterable[Sequence[float]] | None = None,
     encoding: Encoding | None = None,
 ) -> int:
-    """Put several clouds together in one file; returns its number of points.
+    """Merge several clouds into one file, and return its number of points.
 
     Parameters
     ----------
     inputs : iterable of paths
-        The clouds. Holes are left out; the field ``scan`` has the number of each point's cloud, from 0.
+        The clouds. Holes are omitted; the field ``scan`` contains the index of each point's cloud, from 0.
     output : path
         The cloud to write.
     poses : iterable of sequences of 7 floats, optional
-        Pose of each cloud in the common frame: x, y, z, qw, qx, qy, qz [default: all are in one frame].
+        Pose of each cloud in the common frame: x, y, z, qw, qx, qy, qz [default: all clouds are in one frame].
     encoding : str, optional
         See `write`.
     """
@@ -207,7 +207,7 @@ def mesh(
     raw: bool = False,
     **settings: Unpack[Settings],
 ) -> tuple[int, int]:
-    """Smooth the frame of a file and connect its pixels to a triangle mesh. Steps are left open.
+    """Smooth the frame of a file and connect its pixels to a triangle mesh. Depth steps are not connected.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def mesh(
     camera : Camera, optional
         Camera of a depth image.
     raw : bool
-        Connect the points as they are, without smoothing.
+        Connect the measured points, without smoothing.
     **settings : Settings
         See `Settings`.
 
@@ -244,11 +244,11 @@ def clean(
     Parameters
     ----------
     cloud : array or Frame
-        Points [H, W, 3] or [N, 3] in metres. On a grid removed points become NaN; otherwise they are left out, as are holes.
+        Points [H, W, 3] or [N, 3] in metres. On a grid, removed points become NaN; otherwise, removed points and holes are omitted.
     crop : (low, high), optional
-        Box to keep: smallest and largest x, y, z.
+        Corners of the box to keep: smallest and largest x, y, z.
     voxel : float, optional
-        Size of voxels in metres: one point is kept per voxel, and the grid is lost.
+        Size of voxels in metres. One point is kept per voxel, and the grid is lost.
     statistical : (neighbours, deviations), optional
         Remove points whose mean distance to their neighbours exceeds the average by more than this many standard deviations.
     radius_outliers : (radius_m, neighbours), optional
@@ -270,12 +270,12 @@ def clean(
 
 
 def render(cloud: Any, *, direction: Sequence[float] = (0.0, 0.0, 1.0)) -> NDArray[np.uint8]:
-    """Draw a cloud as a shaded relief, with its colours beside it if it has any; returns a picture [H, W, 3].
+    """Render a cloud as a shaded relief, with its colours next to it if it has any. Returns an image [H, W, 3].
 
     Parameters
     ----------
     cloud : array or Frame
-        Points [H, W, 3], drawn from their sensor, or [N, 3].
+        Points [H, W, 3], seen from their sensor, or points [N, 3].
     direction : sequence of 3 floats
         For points without a grid: direction from the points to the viewer.
     """
@@ -303,18 +303,18 @@ def prepare(
     camera : Camera
         Its camera.
     min_range_m, max_range_m : float, optional
-        Pixels that are nearer or farther become holes, in metres.
+        Minimum and maximum range in metres; pixels outside become holes.
     remove_floating : bool
         Whether pixels that float between two surfaces become holes.
     decimate : int, optional
-        Side of the blocks of pixels that become one, 2 to 8. A block becomes the mean of its pixels on the surface of the median.
+        Side of the blocks of pixels that are merged into one, 2 to 8. A block becomes the mean of its pixels on the surface of the median.
     sensor : str
-        Sensor whose noise tells surfaces apart; see `Settings`.
+        Sensor whose noise separates surfaces; see `Settings`.
 
     Returns
     -------
     tuple of ndarray and Camera
-        The image, and its camera.
+        The prepared image, and its camera.
 
     Examples
     --------

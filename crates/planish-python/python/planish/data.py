@@ -16,7 +16,7 @@ from ._smoothing import Smoother
 class SmoothFrames:
     """Smooths a column of depth images batch by batch.
 
-    Designed for actors with one thread and one `Smoother` each, which opens in the actor's process. A frame that cannot be smoothed is not
+    Designed for actors with one thread each. Each actor opens its own `Smoother` in its process. A frame that cannot be smoothed is not
     fatal: its row gets an image of holes and the error message.
 
     Parameters
@@ -26,11 +26,11 @@ class SmoothFrames:
     column : str
         Name of the column of depth images, uint16 [H, W] each.
     output : {"depth", "points"}
-        uint16 depth (0.6 MB for 640x480), or float32 points (3.7 MB).
+        The result: uint16 depth (0.6 MB for 640x480), or float32 points (3.7 MB).
     result_column, error_column : str
         Names of the added columns.
     threads : int
-        Threads of the CPU engine [default: 1, for one actor per core].
+        Number of threads of the CPU engine [default: 1, for one actor per core].
     **settings
         See `planish.Settings`. With ``engine="gpu"`` and no ``adapter``, the first GPU visible to the actor is used.
 
@@ -61,7 +61,7 @@ class SmoothFrames:
         self._columns = (column, result_column, error_column)
         self._output = output
         if settings.get("engine") == "gpu" and "adapter" not in settings and os.environ.get("CUDA_VISIBLE_DEVICES"):
-            # Vulkan ignores CUDA's variable: this is the physical device number.
+            # Vulkan ignores CUDA's variable, so pass the physical device number.
             first = os.environ["CUDA_VISIBLE_DEVICES"].split(",")[0]
             if first.isdigit():
                 settings["adapter"] = first

@@ -1,5 +1,5 @@
-//! Cameras in software, for which these tests mostly wait. No others should be here: librealsense has threads until the
-//! process ends.
+//! Tests with software cameras, which mostly wait for their frames. Other tests do not belong here, because the
+//! threads of librealsense run until the process ends.
 
 mod openni2;
 mod realsense;

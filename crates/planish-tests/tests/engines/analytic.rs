@@ -15,7 +15,7 @@ fn params(degree: u32) -> FrameParams {
     FrameParams::paper().with_degree(degree)
 }
 
-/// Largest distance of the inner points (whole windows) from a surface given by the distance of a point to it.
+/// Returns the largest distance of the inner points (whole windows) from the surface to which `distance` measures.
 fn worst(cloud: &OrganizedCloud, smoothed: &Smoothed, distance: impl Fn([f64; 3]) -> f64) -> f64 {
     let (width, height) = (cloud.width(), cloud.height());
     let inner =
@@ -43,8 +43,8 @@ fn a_plane_stays_where_it_is_at_every_degree() {
 
 #[test]
 fn a_sphere_keeps_its_radius_from_degree_2_on() {
-    // Radius 0.1 m; a window reaches 9 mm. A plane cuts the cap off by about half its height; a parabola differs from
-    // the sphere in the fourth order only.
+    // The radius is 0.1 m and a window reaches 9 mm. A plane fit cuts off about half of the cap's height; a parabola
+    // deviates from the sphere only in the fourth order.
     let sphere = height_field(41, 0.003, |x, y| 1.1 - (0.01 - x * x - y * y).max(0.0).sqrt());
     let distance = |[x, y, z]: [f64; 3]| (x * x + y * y + (z - 1.1) * (z - 1.1)).sqrt() - 0.1;
     let inner = |degree| {
@@ -63,8 +63,8 @@ fn a_quadratic_surface_is_reproduced_from_degree_2_on() {
     let cloud = height_field(31, 0.002, quadratic);
     let distance = |[x, y, z]: [f64; 3]| z - quadratic(x, y);
     let errors = [1, 2, 3].map(|degree| worst(&cloud, &smooth(&cloud, params(degree)), distance));
-    // Degree 1: the mean of the quadratic over the window, at most 2 * 3 * (4 mm)². The ridge keeps about 2 % of it at
-    // 1e-3, in proportion to the ridge.
+    // At degree 1, the error is the mean of the quadratic over the window, at most 2 * 3 * (4 mm)². At higher
+    // degrees, the ridge of 1e-3 leaves about 2 % of that error, in proportion to the ridge.
     assert!((2e-5..1e-4).contains(&errors[0]), "{errors:?}");
     assert!(errors[1] < 2e-6, "{errors:?}");
     assert!(errors[2] < 2e-6, "{errors:?}");
@@ -74,7 +74,7 @@ fn a_quadratic_surface_is_reproduced_from_degree_2_on() {
 
 #[test]
 fn the_normals_of_a_cubic_surface_need_degree_3() {
-    // In a symmetric window a cubic term moves the slope, not the height.
+    // In a symmetric window, a cubic term changes the slope, not the height.
     let cubic = |x: f64, y: f64| 1.0 + 30.0 * x * x * x - 20.0 * x * y * y;
     let cloud = height_field(31, 0.002, cubic);
     let worst_normal_rad = |degree| {
@@ -104,14 +104,14 @@ fn too_few_neighbours_lines_and_small_neighbourhoods_have_their_status() {
         let (status, neighbours) = (smoothed.status.unwrap()[4 * 9 + 4], smoothed.neighbours.unwrap()[4 * 9 + 4]);
         (status, neighbours, smoothed.points.get(4 * 9 + 4))
     };
-    // Two neighbours: a hole.
+    // Two neighbours are too few, so the point becomes a hole.
     let (status, neighbours, point) = status_of(&|u, v| (u, v) == (4, 4) || (u, v) == (5, 4));
     assert_eq!((status, neighbours), (Status::TooFew, 2));
     assert!(point[0].is_nan());
-    // A row: a line, the point stays.
+    // A row of points is a line, so the point stays.
     let (status, neighbours, point) = status_of(&|_, v| v == 4);
     assert_eq!((status, neighbours, point), (Status::Degenerate, 7, at(4, 4)));
-    // 3 to 5 neighbours: a plane; 6 to 9: degree 2; 10 and more: degree 3.
+    // 3 to 5 neighbours allow a plane, 6 to 9 degree 2, 10 or more degree 3.
     let spots = [(4, 4), (5, 4), (4, 5), (6, 5), (5, 6), (3, 3), (2, 4), (4, 2), (6, 3), (3, 6)];
     for n in 3..=10 {
         let (status, neighbours, _) = status_of(&|u, v| spots[..n].contains(&(u, v)));
@@ -128,7 +128,7 @@ fn too_few_neighbours_lines_and_small_neighbourhoods_have_their_status() {
 
 #[test]
 fn no_point_moves_further_than_the_radius() {
-    // Two separate patches whose polynomial could run away between them.
+    // The polynomial could run away between these separate patches.
     let cloud = grid(40, 40, |u, v| {
         let jitter = ((u * 7919 + v * 104729) % 17) as f32 * 1e-3;
         [0.003 * u as f32, 0.003 * v as f32, 1.0 + jitter + if u % 5 < 2 { 0.01 } else { 0.0 }]
@@ -164,7 +164,8 @@ fn the_sensor_radius_follows_the_rule() {
 
 #[test]
 fn a_general_cloud_keeps_order_count_and_survives_repeated_coordinates() {
-    // 40,000 points on one plane z = 1 and 1,000 at one place: trees that split on coordinates stumble over those.
+    // 40,000 points on the plane z = 1, and 1,000 at one position, which trees that split on coordinates handle
+    // badly.
     let mut points: Vec<[f32; 3]> =
         (0..40_000).map(|i| [(i % 200) as f32 * 0.01, (i / 200) as f32 * 0.01, 1.0]).collect();
     points.extend([[5.0, 5.0, 1.0]; 1000]);

@@ -40,7 +40,7 @@ fn session(settings: &str) -> Session {
     session
 }
 
-/// Smooths a video, with its poses or without.
+/// Smooths a video with or without its poses, and returns the depth of each frame in metres.
 fn smoothed_depth(video: &[Seen], settings: &str, uses_poses: bool) -> Vec<Vec<f32>> {
     let mut session = session(settings);
     let mut smoothed = Smoothed::default();
@@ -54,7 +54,7 @@ fn smoothed_depth(video: &[Seen], settings: &str, uses_poses: bool) -> Vec<Vec<f
     video.iter().map(depth).collect()
 }
 
-/// Root mean square of the error on flat surfaces after the first frames, in metres.
+/// Returns the RMS error on flat surfaces in metres, without the first 8 frames and without errors of 5 % or more.
 fn rms_m(video: &[Seen], depths_m: &[Vec<f32>]) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for (seen, depth_m) in video.iter().zip(depths_m).skip(8) {
@@ -72,7 +72,7 @@ fn rms_m(video: &[Seen], depths_m: &[Vec<f32>]) -> f64 {
 
 #[test]
 fn moving_state_and_the_test_for_motion_equal_the_reference() {
-    // Rows that are no multiple of a vector, and a lens with distortion.
+    // Rows whose length is not a multiple of a vector's, and a lens with distortion.
     let odd = Camera::new((309, 230), [262.5; 2], [159.5, 119.5]);
     let distortion = Distortion::from_opencv(&[0.08, -0.05, 0.001, -0.002, 0.01]).unwrap();
     let cases = [
@@ -107,7 +107,7 @@ fn moving_state_and_the_test_for_motion_equal_the_reference() {
                 averaged += usize::from(fast.frames(i) > 4.0);
             }
         }
-        // Different rounding sends single pixels to another side of a threshold.
+        // Different rounding puts single pixels on the other side of a threshold.
         assert!(off * 500 <= all, "{knows_motion} {sensor:?}: {off} of {all} differ");
         assert_eq!(averaged * 5 > all, knows_motion, "{knows_motion} {sensor:?}: {averaged} of {all} are means");
     }
@@ -193,7 +193,7 @@ fn gaps_in_time_begin_a_new_video_but_slow_frames_and_equal_stamps_do_not() {
     assert_eq!(frames_after(&[Some(0.0), Some(0.033), Some(0.066), Some(0.1)]), (4.0, 0));
     assert_eq!(frames_after(&[Some(0.0), Some(0.033), Some(0.066), Some(1.2)]), (1.0, 1));
     assert_eq!(frames_after(&[Some(5.0), Some(5.033), Some(4.9), Some(4.933)]), (2.0, 1));
-    // One frame every two seconds, stamps that are all 0 or missing.
+    // Frames two seconds apart from the second on, and stamps that are all 0 or missing.
     assert_eq!(frames_after(&[Some(0.0), Some(0.9), Some(2.9), Some(4.9)]), (4.0, 0));
     assert_eq!(frames_after(&[Some(0.0), Some(2.0), Some(4.0), Some(6.0)]), (3.0, 1));
     assert_eq!(frames_after(&[Some(0.0); 4]), (4.0, 0));
@@ -242,7 +242,7 @@ fn clouds_of_other_shapes_begin_again_and_a_blank_first_frame_hides_no_camera() 
     }
     session.restart_video();
     assert!(session.camera_motion().is_none() && session.temporal_filter().is_none());
-    // Depth over columns and rows of equal width is on the pixels of no camera.
+    // A grid of equal spacing in x and y does not match the pixels of any camera.
     let flat: Xyz = (0..160 * 120).map(|i| [0.01 * (i % 160) as f32, 0.01 * (i / 160) as f32, 1.5]).collect();
     let bent = flat.iter().map(|[x, y, z]| [x * x, y, z + 0.3 * x]).collect();
     let cloud = OrganizedCloud::from_positions(160, 120, bent).unwrap();
@@ -253,7 +253,7 @@ fn clouds_of_other_shapes_begin_again_and_a_blank_first_frame_hides_no_camera() 
     assert!(events.len() == 1 && events[0].contains("give the camera"), "{events:?}");
 }
 
-/// Frames with time stamps.
+/// Frames with timestamps, in reverse order, and the source's `is_live`.
 struct Stamped(Vec<DepthFrame>, bool);
 
 impl Source for Stamped {

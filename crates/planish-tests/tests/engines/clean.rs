@@ -1,4 +1,4 @@
-//! Outliers, voxels and boxes, against the plainest way to compute each.
+//! Outliers, voxels and boxes, compared with the most direct computation of each.
 
 use planish::clean::{outside_box, radius_outliers, statistical_outliers, voxel_downsample};
 use planish::{AttributeValues, PointCloud, PointsView};
@@ -7,7 +7,8 @@ use planish_tests::scenes::{simulated, small_camera};
 
 type Points = Vec<[f32; 3]>;
 
-/// Returns a frame without its grid, an isolated pair, strays, holes and a repeated point.
+/// Returns clouds with names: a frame without its grid with a pair and a stray, repeated points, small clouds, and
+/// holes.
 fn clouds() -> Vec<(&'static str, Points)> {
     let mut frame: Points = simulated(3, false, small_camera()).positions().iter().step_by(20).collect();
     frame.extend([[5.0, 5.0, 5.0], [5.0, 5.001, 5.0], [-30.0, 2.0, 1.0]]);
@@ -29,7 +30,7 @@ fn is_valid(p: &[f32; 3]) -> bool {
     p.iter().all(|value| value.is_finite())
 }
 
-/// Squares of the distances to all other valid points, ascending.
+/// Returns the squared distances of a point to all other valid points, ascending.
 fn squares(points: &[[f32; 3]], i: usize) -> Vec<f64> {
     let others = (0..points.len()).filter(|&other| other != i && is_valid(&points[other]));
     let square = |other: usize| (0..3).map(|axis| f64::from(points[other][axis] - points[i][axis]).powi(2)).sum();
@@ -43,7 +44,7 @@ fn statistical_outliers_are_those_of_the_definition() {
     for (name, points) in clouds() {
         for (neighbours, deviations) in [(1, 2.0), (8, 1.0), (50, 1.5)] {
             let found = statistical_outliers(&PointsView::from_rows(&points).unwrap(), neighbours, deviations).unwrap();
-            // Every n-th point is enough to know the statistics, and all to know the marks: small clouds give both.
+            // These clouds are small enough to compute the statistics from all points, not only from every n-th.
             let mean = |i: usize| {
                 let nearest: Vec<f64> = squares(&points, i).into_iter().take(neighbours).collect();
                 nearest.iter().map(|square| square.sqrt()).sum::<f64>() / nearest.len().max(1) as f64
@@ -59,7 +60,7 @@ fn statistical_outliers_are_those_of_the_definition() {
                     assert!(!found[i], "{name}: a hole is no outlier");
                     continue;
                 };
-                // Rounding decides where a mean is as large as the threshold.
+                // If a mean is about equal to the threshold, rounding decides.
                 if (mean - most).abs() > 1e-5 * most {
                     assert_eq!(found[i], *mean > most, "{name}, {neighbours} neighbours, point {i}: {mean} {most}");
                 }
@@ -88,12 +89,12 @@ fn radius_outliers_are_those_of_the_definition() {
 #[test]
 fn a_voxel_has_the_mean_of_its_points_and_fields() {
     let positions = [[0.125, 0.0, 0.25], [1.5, 0.0, 0.0], [0.375, 0.5, 0.75], [f32::NAN; 3], [-0.125, 0.0, 0.0]];
-    // Nearer to the centroid of the first voxel than its other points.
+    // This point is nearer to the centroid of the first voxel than the voxel's other points.
     let positions = [&positions[..], &[[0.25, 0.25, 0.5]]].concat();
     let mut cloud = PointCloud::new(positions.into_iter().collect());
     cloud.set_attribute("intensity", vec![10u16, 7, 21, 0, 3, 16]);
     cloud.set_attribute("label", vec![4u8, 5, 9, 0, 2, 8]);
-    // As text and lidar files have rings.
+    // Text and lidar files have rings as floats.
     cloud.set_attribute("ring", vec![4.0f32, 5.0, 9.0, 0.0, 2.0, 8.0]);
     let packed = [0x0010_20ff_u32, 0x0001_0203, 0x0030_4001, 0, 0x00ff_ffff, 0x0020_3080].map(f32::from_bits);
     cloud.set_attribute("rgb", packed.to_vec());
@@ -105,7 +106,7 @@ fn a_voxel_has_the_mean_of_its_points_and_fields() {
     cloud.set_attribute("normal_z", vec![0.0f32; 6]);
     let thinned = voxel_downsample(&cloud, 1.0).unwrap();
     let found: Points = thinned.positions.iter().collect();
-    // In the order of the first point of each.
+    // Voxels are in the order of their first points.
     assert_eq!(found, [[0.25, 0.25, 0.5], [1.5, 0.0, 0.0], [-0.125, 0.0, 0.0]]);
     let values = |name: &str| thinned.attribute(name).unwrap().values.clone();
     assert_eq!(values("intensity"), AttributeValues::U16(vec![16, 7, 3]));

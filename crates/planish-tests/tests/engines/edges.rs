@@ -12,7 +12,7 @@ use planish_tests::bits;
 use planish_tests::engines::TestEngine;
 use planish_tests::scenes::{grid, height_field, simulated, small_camera};
 
-/// Hardly any noise.
+/// Sensor model with almost no noise.
 const QUIET: SensorModel = SensorModel::new([0.0, 0.0, 2.85e-3], [0.0, 0.0, 1e-4]);
 
 fn params(edges: Edges) -> FrameParams {
@@ -28,7 +28,7 @@ fn smooth(cloud: &OrganizedCloud, edges: Edges) -> Smoothed {
     TestEngine::REFERENCE.smooth(cloud, params(edges))
 }
 
-/// Largest distance of the points that have whole windows from a surface.
+/// Returns the largest distance of the points with whole windows from the surface to which `distance` measures.
 fn worst(side: usize, smoothed: &Smoothed, distance: impl Fn([f64; 3]) -> f64) -> f64 {
     let inner = (0..side * side).filter(|i| (9..side - 9).contains(&(i % side)) && (9..side - 9).contains(&(i / side)));
     inner.map(|i| distance(smoothed.points.get(i).map(f64::from)).abs()).fold(0.0, f64::max)
@@ -41,12 +41,12 @@ fn planes_and_paraboloids_stay_where_they_are() {
     let off = |[x, y, z]: [f64; 3]| (z - 1.0 - 0.3 * x + 0.2 * y) / slope;
     assert!(worst(41, &smooth(&plane, Edges::Robust), off) < 1e-7);
 
-    // Curved by 1/4 m: the planes around a point are off it by up to 0.2 mm, which is less than the least noise, 0.3
-    // mm.
+    // The radius of curvature is 1/4 m. Planes around a point are up to 0.2 mm away from it, less than the minimum
+    // noise of 0.3 mm.
     let bowl = |x: f64, y: f64| 1.0 + 2.0 * (x * x + y * y);
     let smoothed = smooth(&height_field(41, 0.003, bowl), Edges::Robust);
     let off = worst(41, &smoothed, |[x, y, z]| z - bowl(x, y));
-    // The ridge takes some of the curvature away.
+    // The ridge reduces the curvature a little.
     assert!(off < 1e-4, "{off:e}");
 }
 
@@ -69,7 +69,7 @@ fn a_crease_stays_sharp_that_is_rounded_off_without() {
 
 #[test]
 fn no_point_leaves_both_sides_of_a_step() {
-    // Lower than the radius, so that the gate alone does not part them.
+    // The step is lower than the radius, so the gate alone does not separate its sides.
     let step = |u: usize| if u < 30 { 1.0 } else { 1.02 };
     let cloud = grid(60, 40, |u, v| [0.003 * u as f32, 0.003 * v as f32, step(u)]);
     let between = |edges| {
@@ -83,7 +83,7 @@ fn no_point_leaves_both_sides_of_a_step() {
 
 #[test]
 fn rows_on_a_plane_seen_edge_on_are_smoothed_as_without() {
-    // Rows far apart: neighbours are in one row, on a line or, all of them, on a plane seen edge-on.
+    // The rows are so far apart that all neighbours are in one row: on a line, or on a plane seen edge-on.
     let rows = grid(50, 20, |u, v| {
         let z = 1.0 + 0.002 * (u % 3) as f32;
         [0.003 * u as f32, 0.2 * v as f32 * z, z]
@@ -93,10 +93,10 @@ fn rows_on_a_plane_seen_edge_on_are_smoothed_as_without() {
     assert!(off.status.unwrap().contains(&Status::Polynomial2));
 }
 
-/// The frames of the suite with a seed of 1, rendered once for all tests.
+/// Frames of the suite for seed 1, rendered once for all tests.
 static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| Suite::default().cases(1).unwrap());
 
-/// How good the frames are as they are.
+/// Returns the scores of the raw frames.
 fn evaluate_raw(cases: &[Case]) -> Report {
     let mut evaluation = Evaluation::default();
     for case in cases {
@@ -107,7 +107,7 @@ fn evaluate_raw(cases: &[Case]) -> Report {
     evaluation.report()
 }
 
-/// How good they are once smoothed.
+/// Returns the scores of the smoothed frames.
 fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
     let mut evaluation = Evaluation::default();
     for case in cases {
@@ -121,7 +121,8 @@ fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
 #[test]
 fn the_default_setting_keeps_its_figures() {
     let (raw, found) = (evaluate_raw(&CASES), evaluate(FrameParams::default(), &CASES));
-    // Within 5 % of the values measured when they were set: 0.175, 0.160, 0.179 and 0.91, 1.88, 4.39°.
+    // Limits 5 % above the values measured when they were set: 0.175, 0.160 and 0.179 of the raw error, and 0.91,
+    // 1.88 and 4.39°.
     for (k, (most, most_deg)) in [(0.184, 0.95), (0.168, 1.97), (0.188, 4.61)].into_iter().enumerate() {
         let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
         assert!(ratio < most, "range {k}: {ratio}");
@@ -131,15 +132,15 @@ fn the_default_setting_keeps_its_figures() {
     let edges = found.edge_mean_mm / raw.edge_mean_mm;
     assert!(edges < 0.192 && found.flying_share < 1.3e-3, "{edges} {}", found.flying_share);
     assert!(found.crease_deg < 2.5 && found.speck_share < 2.2e-4, "{} {}", found.crease_deg, found.speck_share);
-    // Measured: 0.0051, and 0.034 without the mean of the surfaces.
+    // Measured: 0.0051; without the mean of the surfaces, 0.034.
     assert!(found.lattice < 0.0055, "{}", found.lattice);
     assert!(found.sphere_radius_bias.abs() < 2e-3, "{}", found.sphere_radius_bias);
     assert!(found.lost_share < 1.3e-3 && found.invented == 0, "{}", found.lost_share);
     let off = evaluate(FrameParams::default().with_edges(Edges::Off), &CASES);
     assert!(found.crease_deg < 0.5 * off.crease_deg);
-    // Measured: 4.8°; 0.56 and 0.37 mm, 3.1 and 1.5°. Planes alone, that do not bend, gave 1.24 and 0.63 mm. The last
-    // three are hardly wider than a window: 0.52, 0.69, 1.16 mm and 3.5, 5.1, 6.9°; where planes were kept 1.15, 1.04
-    // and 1.99 mm.
+    // Measured: 4.8° at creases; 0.56 and 0.37 mm, 3.1 and 1.5° for the first two shapes. Flat planes alone gave 1.24
+    // and 0.63 mm. The last three shapes are hardly wider than a window: 0.52, 0.69 and 1.16 mm, 3.5, 5.1 and 6.9°;
+    // with planes kept, 1.15, 1.04 and 1.99 mm.
     assert!(found.crease_normal_deg < 5.1, "{}", found.crease_normal_deg);
     let most = [
         ("cylinder", 0.05, 0.585, 3.3),
@@ -161,19 +162,19 @@ fn flat_surfaces_with_more_noise_than_the_model_stay_flat() {
     suite.noise.fixed_pattern_rms *= 2.0;
     suite.noise.temporal_rms *= 2.0;
     let found = evaluate(FrameParams::default(), &suite.cases(1).unwrap());
-    // Measured: 1.9 and 5.9°. Without the mean of the surfaces 4.6 and 14.5°, and 5.9 and 20.4° where planes that fit
-    // badly counted as none, even if their normals agreed.
+    // Measured: 1.9 and 5.9°. Without the mean of the surfaces: 4.6 and 14.5°. With badly fitting planes rejected
+    // even if their normals agree: 5.9 and 20.4°.
     let [near, middle] = [0, 1].map(|k| found.ranges[k].facet_mean_deg);
     assert!(near < 2.0 && middle < 6.2, "{near}° {middle}°");
 }
 
-/// The normals beside a crease differ, as on a cylinder. The crease must stay sharp.
+/// The normals on both sides of a crease differ, as on a cylinder, but the crease must stay sharp.
 #[test]
 fn creases_of_any_angle_are_no_cylinders() {
     let camera = Camera::new((320, 240), [525.0; 2], [159.5, 119.5]);
-    // Measured: 10.1, 9.7 and 6.9°. As cylinders they have 13, 30 and 19°.
+    // Measured: 10.1, 9.7 and 6.9°. If creases are smoothed as cylinders: 13, 30 and 19°.
     for (turn_deg, most_deg) in [(30f64, 10.6), (60.0, 10.2), (90.0, 7.3)] {
-        // Two planes that meet at 1.2 m, in a line that is not along the pixels.
+        // Two planes meet at 1.2 m, in a line that is not aligned with the pixels.
         let face = |side: f64| {
             let (angle, roll) = (side * (0.5 * turn_deg).to_radians() + 0.1, 0.15f64);
             let normal = [angle.sin() * roll.cos(), angle.sin() * roll.sin(), -angle.cos()];
@@ -210,8 +211,9 @@ fn windows_on_coarse_pixels_reach_no_further_over_the_scene() {
     let adapted = FrameParams::default().at_resolution_of(&blank);
     let raw = evaluate_raw(&cases);
     let [wide, found] = [FrameParams::default().with_stride(5), adapted].map(|params| evaluate(params, &cases));
-    // Four times 25 pixels of a Kinect span whole objects: their points are pulled to the table. Next to steps both are
-    // as near, since the wide windows have cells and the others do not: 4.19 and 4.25 mm.
+    // Wide windows are 25 of these pixels wide, or 100 of a Kinect's. They span whole objects and pull their points
+    // to the table. Next to steps, both settings have about the same error, 4.19 and 4.25 mm, since only the wide
+    // windows have cells.
     assert!(found.flying_share < 0.0115 && found.flying_share < wide.flying_share, "{found:?}");
     assert!(found.sphere_radius_bias.abs() < 0.025, "{found:?}");
     let edges_mm = [raw.edge_mean_mm, wide.edge_mean_mm, found.edge_mean_mm];
@@ -227,7 +229,7 @@ fn what_has_no_noise_is_hardly_changed() {
     let raw = evaluate_raw(&cases);
     for strength in [Strength::LIGHT, Strength::DEFAULT, Strength::STRONG] {
         let found = evaluate(FrameParams::for_sensor(SensorModel::EXACT, strength), &cases);
-        // The millimetres that depth comes in are all there is to smooth, and all that may be added.
+        // The rounding of depth to millimetres is the only noise; smoothing must not add to it.
         for k in 0..3 {
             assert!(found.ranges[k].rmse_mm < raw.ranges[k].rmse_mm, "{strength:?} {k}: {found:?} {raw:?}");
         }
@@ -236,8 +238,7 @@ fn what_has_no_noise_is_hardly_changed() {
     }
 }
 
-/// The gate of a block grows with the spacing of the pixels, whatever the radius, and that is estimated where no camera
-/// says it.
+/// The gate of a block grows with the pixel spacing, whatever the radius. Without a camera, the spacing is estimated.
 #[test]
 fn blocks_know_the_spacing_of_pixels_without_intrinsics() {
     let cloud = simulated(1, false, small_camera());
@@ -280,11 +281,12 @@ fn the_suite_says_what_it_is_told() {
     assert!(exact.crease_deg < 0.01, "{}", exact.crease_deg);
     assert!(exact.sphere_radius_bias.abs() < 1e-6 && exact.cylinder_radius_bias.abs() < 1e-6);
     assert!(moved.sphere_radius_bias > 0.01 && moved.cylinder_radius_bias > 0.01);
-    // The sensor's holes are pixels of the truth that were not measured.
+    // The truth has points in the sensor's holes, and they count as invented.
     assert!(exact.lost_share == 0.0 && exact.invented > 0);
 }
 
-/// Scores of these frames as unorganized clouds with some edges, and of the default on their grid.
+/// Returns the scores of frames as unorganized clouds with the given edges, and the scores of the default on their
+/// grid.
 fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
     let general = planish::CloudParams::default().with_neighbours(490).with_ridge(1e-2);
     let params = general.with_edges(edges).with_remove_isolated(true);
@@ -300,7 +302,8 @@ fn general_and_on_grid(cases: &[Case], edges: Edges) -> [Report; 2] {
 }
 
 fn assert_as_on_grid([robust, on_grid]: &[Report; 2], nearest: usize) {
-    // Frames have cells: clouds are 1.2 to 1.3 times as far off, on flat surfaces and next to steps.
+    // Only frames have cells, so the errors of clouds are 1.2 to 1.3 times as large, on flat surfaces and next to
+    // steps.
     assert!(robust.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", robust.crease_deg, on_grid.crease_deg);
     assert!(robust.edge_mean_mm < 1.3 * on_grid.edge_mean_mm, "{} {}", robust.edge_mean_mm, on_grid.edge_mean_mm);
     for (range, of_grid) in robust.ranges.iter().zip(&on_grid.ranges).skip(nearest) {
@@ -313,7 +316,8 @@ fn assert_as_on_grid([robust, on_grid]: &[Report; 2], nearest: usize) {
 
 #[test]
 fn general_clouds_keep_edges_as_frames_do() {
-    // The room has the edges and the shapes the creases; nothing in them is near.
+    // The room has edges and the shapes have creases. Neither scene has points in the nearest range, so it is
+    // skipped.
     assert_as_on_grid(&general_and_on_grid(&CASES[1..], Edges::Robust), 1);
 }
 

@@ -1,4 +1,4 @@
-//! Holes that are filled: with the surface around them, flagged, and never across a step.
+//! Filled holes: they continue the surface around them, are flagged, and never cross a step.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ fn camera() -> Camera {
     Camera::new((WIDTH, HEIGHT), [131.25; 2], [79.5, 59.5])
 }
 
-/// A frame of these depths in millimetres by column and row; 0 for holes.
+/// Returns a frame with the given depths in millimetres by column and row; 0 is a hole.
 fn frame(depth_mm: impl Fn(usize, usize) -> u16) -> DepthFrame {
     DepthFrame::new(camera(), (0..WIDTH * HEIGHT).map(|i| depth_mm(i % WIDTH, i / WIDTH)).collect()).unwrap()
 }
@@ -35,7 +35,7 @@ fn smoothed(settings: &str, frame: &DepthFrame) -> Smoothed {
     smoothed_by(settings, Outputs::POINTS, frame)
 }
 
-/// Whether results are bit for bit the same.
+/// Returns true if the points, standard errors and status of all results are equal bit for bit.
 fn are_same(found: &[Smoothed], expected: &[Smoothed]) -> bool {
     let bits = |smoothed: &Smoothed| -> Vec<u32> {
         let values = smoothed.points.as_slices().into_iter().chain(smoothed.sigma.as_deref());
@@ -45,7 +45,7 @@ fn are_same(found: &[Smoothed], expected: &[Smoothed]) -> bool {
     found.len() == expected.len() && found.iter().zip(expected).all(is_same)
 }
 
-/// Whether every pixel of a block is filled; panics if only some are.
+/// Returns true if every pixel of a block is filled, and false if no pixel is; panics if only some are.
 fn is_filled(smoothed: &Smoothed, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> bool {
     let status = smoothed.status.as_ref().unwrap();
     let pixels = rows.clone().flat_map(|v| columns.clone().map(move |u| v * WIDTH + u));
@@ -54,7 +54,7 @@ fn is_filled(smoothed: &Smoothed, columns: std::ops::Range<usize>, rows: std::op
     filled > 0
 }
 
-/// Depth in millimetres of a sloping wall.
+/// Returns the depth of a sloping wall at a pixel, in millimetres.
 fn wall_mm(u: usize, v: usize) -> f64 {
     let slope = 0.3 * (u as f64 - 79.5) / 131.25 + 0.1 * (v as f64 - 59.5) / 131.25;
     1500.0 / (1.0 - slope)
@@ -86,7 +86,7 @@ fn a_hole_in_a_wall_becomes_the_wall_in_every_output() {
             assert!(sigma[i] > 0.0 && result.curvature.as_ref().unwrap()[i].is_finite());
             assert!(result.neighbours.as_ref().unwrap()[i] > 8);
         }
-        // Larger in the middle than at the rim.
+        // Sigma is larger in the middle of the hole than at its rim.
         assert!(sigma[46 * WIDTH + 74] > sigma[46 * WIDTH + 70]);
         let mask = result.origin_mask().unwrap();
         assert_eq!([mask[46 * WIDTH + 74], mask[0]], [Origin::Filled, Origin::Measured].map(Origin::mask_value));
@@ -98,7 +98,7 @@ fn a_hole_in_a_wall_becomes_the_wall_in_every_output() {
 
 #[test]
 fn steps_gaps_between_objects_and_borders_stay_open() {
-    // The left half is near; a hole across the step.
+    // The left half is near, and the hole lies across the step.
     let across = frame(|u, v| match (u, v) {
         (75..83, 50..58) => 0,
         (..79, _) => 1000,
@@ -106,7 +106,7 @@ fn steps_gaps_between_objects_and_borders_stay_open() {
     });
     let settings = "engine=cpu sensor=azure-kinect fill=16";
     assert!(!is_filled(&smoothed(settings, &across), 75..83, 50..58));
-    // Two fingers before a wall, with nothing measured between them.
+    // Two fingers in front of a wall, with nothing measured between them.
     let fingers = frame(|u, v| match (u, v) {
         (60..70 | 76..86, 20..) => 1000,
         (70..76, 20..) => 0,
@@ -119,7 +119,7 @@ fn steps_gaps_between_objects_and_borders_stay_open() {
     // Holes that reach the border have no rim there.
     let cut = frame(|u, v| if u < 5 || v < 3 { 0 } else { 1500 });
     assert!(!smoothed(settings, &cut).has_filled());
-    // A hole that is as narrow as a crack, but whose sides are two surfaces.
+    // This hole is as narrow as a crack, but its sides belong to two surfaces.
     let crack = frame(|u, _| match u {
         79..81 => 0,
         ..79 => 1000,
@@ -130,7 +130,7 @@ fn steps_gaps_between_objects_and_borders_stay_open() {
 
 #[test]
 fn a_shadow_becomes_the_surface_behind_where_the_sensor_casts_it() {
-    // A box at 1 m before a wall at 2 m: a Kinect's shadow is 0.075 * 131.25 * (1 - 1/2) = 4.9 pixels wide.
+    // A box at 1 m in front of a wall at 2 m. A Kinect's shadow is 0.075 * 131.25 * (1 - 1/2) = 4.9 pixels wide.
     let with_shadow = |shadow: std::ops::Range<usize>| {
         frame(move |u, v| match (u, v) {
             (60..100, 30..90) => 1000,
@@ -145,17 +145,18 @@ fn a_shadow_becomes_the_surface_behind_where_the_sensor_casts_it() {
         filled.len()
     };
     let left = with_shadow(54..60);
-    // Next to the box, pixels could be its own.
+    // Not all of the shadow is filled, because pixels next to the box may belong to the box.
     assert!(count(&smoothed("engine=cpu sensor=kinect1 fill=12", &left)) > 100);
     assert_eq!(count(&smoothed("engine=cpu sensor=azure-kinect fill=12", &left)), 0, "it casts none");
     assert!(count(&smoothed("engine=cpu sensor=kinect1 fill=12", &with_shadow(100..106))) > 100, "a mirrored frame");
-    // Much wider than the shadow that these depths explain.
+    // This hole is much wider than the shadow that these depths explain.
     assert_eq!(count(&smoothed("engine=cpu sensor=kinect1 fill=32", &with_shadow(30..60))), 0);
 }
 
 #[test]
 fn nothing_is_filled_against_a_measurement_or_far_outside_the_frame() {
-    // A slanted pole before a wall, too thin for the surface of a Kinect: smoothing loses its pixels.
+    // The slanted pole in front of a wall is too thin for a surface at a Kinect's noise, so smoothing loses its
+    // pixels.
     let camera = Camera::new((320, 240), [525.0; 2], [160.0, 120.0]);
     let is_pole = |i: usize| (i % 320).wrapping_sub(i / 320 / 3 + 100) < 3;
     let raw = (0..320 * 240).map(|i| if is_pole(i) { 800 } else { 1500 }).collect();
@@ -164,7 +165,7 @@ fn nothing_is_filled_against_a_measurement_or_far_outside_the_frame() {
     let pole: Vec<Status> = (0..320 * 240).filter(|&i| is_pole(i)).map(|i| status[i]).collect();
     let count = |wanted: Status| pole.iter().filter(|status| **status == wanted).count();
     assert!(count(Status::TooFew) > 100 && count(Status::Filled) == 0, "{:?}", result.status_counts());
-    // A pillar's shadow on a side wall, 4 m away at the shadow and receding towards the pillar.
+    // A pillar's shadow on a side wall. The wall is 4 m away at the shadow and recedes towards the pillar.
     for (background_mm, limit_m) in [(6000, 4.0 / 0.9), (4050, 4.05 * 1.01)] {
         let corridor = self::frame(|u, v| match (u, v) {
             (80..110, 10..110) => 800,
@@ -190,7 +191,7 @@ fn another_colour_in_a_hole_is_another_object() {
     };
     let is_whole = |frame: &DepthFrame| is_filled(&smoothed("engine=cpu fill=8", frame), 70..76, 40..46);
     assert!(is_whole(&coloured([190, 195, 185])) && !is_whole(&coloured([20, 20, 25])));
-    // As a cloud with PCL's field.
+    // The same holds for a cloud with PCL's `rgb` field.
     let cloud = |inside| coloured(inside).deproject().unwrap();
     let has_filled = |cloud: &OrganizedCloud| {
         let mut result = Smoothed::default();
@@ -224,7 +225,7 @@ fn results_do_not_depend_on_engine_threads_flight_or_pose() {
     let counts: Vec<usize> = expected.iter().map(filled).collect();
     assert!(counts.iter().all(|count| *count > 150), "{counts:?}");
     assert!(are_same(&all("engine=cpu threads=3 fill=8"), &expected));
-    // In flight, also over time.
+    // Frames in flight have the same results, also with temporal smoothing.
     for settings in ["engine=cpu threads=1 fill=8", "engine=cpu threads=1 fill=8 temporal=steady"] {
         let new = || {
             let mut session = Session::new(settings.parse().unwrap()).unwrap();
@@ -251,7 +252,7 @@ fn results_do_not_depend_on_engine_threads_flight_or_pose() {
         }
         assert!(are_same(&found, &expected), "{settings}");
     }
-    // Other engines smooth a little differently, so that single pixels may be decided differently.
+    // Other engines differ slightly, so single pixels may be filled or not.
     let mut engines = vec!["engine=reference fill=8".to_owned()];
     match test_adapter() {
         Some(adapter) => engines.push(format!("engine=gpu adapter={} fill=8", adapter.index)),
@@ -267,7 +268,7 @@ fn results_do_not_depend_on_engine_threads_flight_or_pose() {
             assert!(same.iter().all(|&i| off_m(i) < 1e-3 * expected.points.z()[i]), "{settings}");
         }
     }
-    // In another frame than the sensor's, and without a camera.
+    // Smooth the first frame in a coordinate frame other than the sensor's, and without a camera.
     let cloud = frames[0].deproject().unwrap();
     let pose = SensorPose::from_viewpoint([1.0, -2.0, 0.5, 0.5, -0.5, 0.5, -0.5]);
     let moved: Xyz = (0..cloud.positions().len())
@@ -322,7 +323,7 @@ fn what_cannot_be_filled_or_flagged_is_refused_or_reported() {
     assert!(error.contains("fill = 8 is not allowed: only if status is among the outputs"), "{error}");
     let error = session.submit_in_place(&frame).unwrap_err().to_string();
     assert!(error.contains("fill = 8"), "{error}");
-    // Without pixels.
+    // An unorganized cloud has no pixels to fill.
     let cloud = frame.deproject().unwrap().points;
     let error = session.smooth(&cloud, &mut smoothed).unwrap_err().to_string();
     assert!(error.contains("fill = 8 is not allowed: only frames on a grid"), "{error}");
@@ -339,7 +340,7 @@ fn what_cannot_be_filled_or_flagged_is_refused_or_reported() {
         session.smooth(&cloud, &mut smoothed).unwrap();
     }
     assert_eq!(session.take_events().iter().filter(|event| **event == SessionEvent::NotFilled).count(), 1);
-    // Depth in metres is depth.
+    // Depth in metres is filled like raw depth.
     let metres: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| if i == 5000 { f32::NAN } else { 1.5 }).collect();
     let camera = camera();
     session.smooth(DepthView::from_metres(&metres, &camera).unwrap().into_frame().unwrap(), &mut smoothed).unwrap();

@@ -1,4 +1,4 @@
-//! Unorganized clouds: the fast engines against the reference, and what holds for any cloud.
+//! Unorganized clouds: the fast engines against the reference, and properties that hold for any cloud.
 
 use planish::agreement::Agreement;
 use planish::{
@@ -12,7 +12,7 @@ use planish_tests::scenes::{simulated, small_camera};
 
 pub(super) type Points = Vec<[f32; 3]>;
 
-/// Numbers that are the same in every run.
+/// A generator of random numbers that are the same in every run.
 pub(super) struct Random(pub(super) u64);
 
 impl Random {
@@ -21,13 +21,13 @@ impl Random {
         low + (high - low) * (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Nearly normal.
+    /// Returns a number with a nearly normal distribution.
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.between(-0.5, 0.5)).sum()
     }
 }
 
-/// Returns the GPU engine, where there is an adapter.
+/// Returns the GPU engine, if there is an adapter.
 fn gpu() -> Option<TestEngine> {
     if test_adapter().is_none() {
         skip("unorganized clouds on a GPU: no adapter");
@@ -40,13 +40,13 @@ fn engines() -> Vec<(String, TestEngine)> {
     cpu.chain(gpu().map(|gpu| ("gpu".to_owned(), gpu))).collect()
 }
 
-/// Returns the same, and the shader with its checks of bounds, which takes a software adapter as long again to compile.
+/// Returns [`engines`] and the GPU engine with bounds checks, which take a software adapter as long again to compile.
 fn all_engines() -> Vec<(String, TestEngine)> {
     let checked = gpu().map(|gpu| ("gpu with checks".to_owned(), TestEngine { bounds_checks: true, ..gpu }));
     engines().into_iter().chain(checked).collect()
 }
 
-/// One engine of each kind, for what no arithmetic changes.
+/// Returns one engine of each kind, for tests that do not depend on arithmetic.
 fn kinds() -> Vec<TestEngine> {
     [TestEngine::cpu(SimdLevel::best()), TestEngine::REFERENCE].into_iter().chain(gpu()).collect()
 }
@@ -55,8 +55,8 @@ pub(super) fn smooth(engine: TestEngine, points: &[[f32; 3]], params: CloudParam
     engine.smooth(PointsView::from_rows(points).unwrap(), params)
 }
 
-/// Returns a noisy sphere, denser towards one pole by a factor of thousands as a scanner's view is, with stray points
-/// and repeated ones.
+/// Returns a noisy sphere with stray and repeated points. Like a scanner's view, it is thousands of times denser
+/// towards one pole.
 pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     let mut random = Random(seed);
     let mut points: Points = (0..count)
@@ -76,12 +76,12 @@ pub(super) fn uneven_sphere(count: usize, seed: u64) -> Points {
     points
 }
 
-/// Returns a simulated frame of a camera without its grid.
+/// Returns the points of a simulated camera frame, without their grid.
 pub(super) fn frame_points(seed: u64) -> Points {
     simulated(seed, seed.is_multiple_of(2), small_camera()).positions().iter().collect()
 }
 
-/// Returns a third of them: enough for what does not depend on how many there are.
+/// Returns every third point of [`frame_points`], for tests that do not depend on the number of points.
 pub(super) fn few_frame_points(seed: u64) -> Points {
     frame_points(seed).into_iter().step_by(3).collect()
 }
@@ -126,7 +126,7 @@ fn every_engine_agrees_with_the_reference() {
     let room = few_frame_points(2);
     for params in settings().into_iter().step_by(4) {
         assert_agree(&engines, "room", &room, params);
-        // Fixed radii, which many of its points share, are left to the gate.
+        // Fixed radii contain many of the sphere's points; the ignored test of every setting covers them.
         if matches!(params.radius, CloudRadius::Neighbours { .. }) {
             assert_agree(&engines, "sphere", &uneven_sphere(6000, 3), params);
         }
@@ -137,7 +137,7 @@ fn every_engine_agrees_with_the_reference() {
 #[ignore = "takes a minute; the gate runs it"]
 fn every_engine_agrees_with_the_reference_in_every_setting() {
     for (i, params) in settings().into_iter().enumerate() {
-        // A software adapter compiles the shader with checks for a third of the settings.
+        // On a software adapter, the shader with bounds checks is compiled for only a third of the settings.
         let engines = if is_software() && i % 3 != 0 { engines() } else { all_engines() };
         assert_agree(&engines, "frame", &frame_points(1), params);
         assert_agree(&engines, "room", &frame_points(2), params);
@@ -166,14 +166,15 @@ fn denser_real_clouds_agree() {
     assert_real_clouds_agree(3);
 }
 
-/// Uses every n-th point of each.
+/// Uses every `one_of`-th point of each cloud.
 fn assert_real_clouds_agree(one_of: usize) {
     let engines = engines();
     let Some(data) = folder("unorganized clouds") else { return };
     for name in ["unorganized/milk_color.pcd", "unorganized/room_scan1.pcd"] {
         let points: Points = general_cloud(&data, name).positions.iter().step_by(one_of).collect();
         assert_agree(&engines, name, &points, CloudParams::default());
-        // The scanner's foot has so many points that lavapipe ends a loop there, and reports it.
+        // The room is not tested with edges: at the scanner's foot it has so many points that lavapipe ends a loop
+        // early, which is an error.
         if name.contains("milk") {
             assert_agree(&engines, name, &points, CloudParams::default().with_edges(Edges::Robust));
         }
@@ -185,7 +186,7 @@ fn small_clouds_agree_and_lose_nothing() {
     let all = uneven_sphere(40, 5);
     let (general, robust) = (CloudParams::default(), CloudParams::default().with_edges(Edges::Robust));
     for params in [general, robust, robust.with_radius_m(0.4), CloudParams::paper().with_radius_m(0.5)] {
-        // One smoother takes clouds of every size, one after the other.
+        // One smoother smooths clouds of every size, one after the other.
         let open = |engine: TestEngine| Smoother::open_clouds(params, &engine.options(Outputs::ALL)).unwrap();
         let mut reference = open(TestEngine::REFERENCE);
         let mut smoothers: Vec<_> = engines().into_iter().map(|(name, engine)| (name, open(engine))).collect();
@@ -253,7 +254,7 @@ fn points_farther_than_the_engines_see_are_isolated_and_change_no_other() {
 
 #[test]
 fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
-    // For more points the curve of the index depends on a sample, and thus on their order.
+    // With more points than these, the curve of the index depends on a sample, and thus on the order of the points.
     let points = uneven_sphere(9000, 8);
     let engine = |threads| TestEngine { threads: Some(threads), ..TestEngine::cpu(SimdLevel::best()) };
     for params in [CloudParams::default(), CloudParams::default().with_radius_m(0.05)] {
@@ -273,7 +274,7 @@ fn neither_threads_nor_the_order_of_the_points_change_a_bit() {
 
 #[test]
 fn points_at_one_place_count_each_and_cost_nothing() {
-    // Were their cost quadratic, this would take minutes.
+    // If the cost were quadratic, this test would take minutes.
     let mut points = vec![[0.5, 0.25, 1.0]; 200_000];
     points.extend((0..2500).map(|i| [(i % 50) as f32 * 0.02, (i / 50) as f32 * 0.02, 1.0 + 0.001 * (i % 3) as f32]));
     for params in [CloudParams::default(), CloudParams::default().with_radius_m(0.07)] {
@@ -294,8 +295,9 @@ fn points_at_one_place_count_each_and_cost_nothing() {
 
 #[test]
 fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
-    // All points are in one cell of the CPU index's curve. Searching it as a whole would take minutes. Stray points
-    // have all of them as neighbours: on the GPU, more than lavapipe has rounds for if the cloud were as large.
+    // All points of the cluster are in one cell of the CPU index's curve; searching the whole cell would take
+    // minutes. Stray points have the whole cluster as neighbours. The GPU gets a smaller cluster, because lavapipe
+    // would end its loops early.
     let mut random = Random(9);
     let mut within = |count: usize, low: f64, high: f64| -> Points {
         (0..count).map(|_| [0.0; 3].map(|_: f64| random.between(low, high) as f32)).collect()
@@ -307,12 +309,14 @@ fn a_dense_cluster_in_a_wide_cloud_costs_what_it_costs_alone() {
         let found = smooth(engine, &points, CloudParams::default());
         assert!(found.points.iter().zip(&points).take(count).all(|(p, q)| (p[0] - q[0]).abs() < 1e-3));
     }
-    // The same positions twice, one after the other in the file: each counts once in the density around it.
+    // Every position of the cluster occurs twice, all copies after the originals. Each counts once in the density
+    // around it.
     let twice = [&cluster[..600], &cluster[..600], &strays[..150]].concat();
     let expected = smooth(TestEngine::REFERENCE, &twice, CloudParams::default());
     for (name, engine) in engines() {
         let found = smooth(engine, &twice, CloudParams::default());
-        // Compare points of the cluster only: the radii of others depend on its last digits (section 8).
+        // Compare only points of the cluster: the radii of the strays depend on its last digits (docs/method.md,
+        // section 8).
         let far =
             |i: usize| (0..3).map(|k| (found.points.get(i)[k] - expected.points.get(i)[k]).abs()).fold(0.0, f32::max);
         let farthest = (0..1200).map(far).fold(0.0, f32::max);
@@ -339,7 +343,7 @@ fn clouds_of_any_size_and_place_come_out_smoother() {
             assert!(after < 0.5 * before, "{name}, {spacing_m}: {after:e} {before:e}");
         }
     }
-    // At the ends of f32, and beyond what squares hold.
+    // Coordinates near the limits of f32, whose squares overflow or underflow.
     let mut wild = uneven_sphere(500, 6);
     (wild[3], wild[4], wild[5]) = ([3e38, 0.0, 0.0], [-3e38, 1e30, 0.0], [1e-40, 0.0, 1e-42]);
     for (name, engine) in engines() {
@@ -420,7 +424,7 @@ fn a_frame_that_is_stopped_is_an_error_and_the_next_is_whole() {
         let view = || PointsView::from_rows(&points).unwrap();
         let stopped = std::thread::scope(|scope| {
             let smoothing = scope.spawn(|| smoother.smooth(view(), &mut smoothed));
-            // Under way.
+            // Wait until smoothing is under way.
             while progress.share() == 0.0 && !smoothing.is_finished() {
                 std::thread::yield_now();
             }

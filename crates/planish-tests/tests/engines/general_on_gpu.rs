@@ -1,13 +1,13 @@
-//! Unorganized clouds on a GPU: in parts where they are larger than it takes at once, and drivers that do not do all
-//! they were asked.
+//! Unorganized clouds on a GPU: clouds that are smoothed in parts because they exceed its capacity, and drivers that
+//! end loops early.
 
 use planish::{CloudParams, Edges, EngineError, Error, Outputs, PointsView, Smoothed, Smoother};
 use planish_tests::engines::{TestEngine, is_software, test_adapter};
 
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
-/// How many points differ by more than rounding between a cloud smoothed on the GPU in parts and at once; `None` if its
-/// points reach too many others for parts.
+/// Returns the number of points that differ by more than rounding between a cloud smoothed on the GPU in parts and at
+/// once, or `None` if its points reach too many others for parts.
 fn differing_in_parts(points: &[[f32; 3]], params: CloudParams, points_at_once: usize) -> Option<usize> {
     let whole = smooth(TestEngine::gpu(false), points, params);
     let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);
@@ -34,8 +34,8 @@ fn clouds_in_parts_are_as_those_at_once() {
     if test_adapter().is_none() {
         return;
     }
-    // A point may miss that reaches more of the cloud than the device takes, and one whose neighbours' radii are much
-    // larger than its own.
+    // A point may differ if it reaches more of the cloud than the device holds, or if the radii of its neighbours are
+    // much larger than its own.
     let room = few_frame_points(2);
     let general = CloudParams::default();
     let robust = general.with_edges(Edges::Robust);
@@ -43,7 +43,8 @@ fn clouds_in_parts_are_as_those_at_once() {
         let differing = differing_in_parts(&room, params, 3500);
         assert!(differing.is_some_and(|differing| differing <= 2), "{differing:?} of the room, {params:?}");
     }
-    // Scanners write missing returns as identical points far from the others: handled in one run, not one for each.
+    // Scanners write missing returns as identical points far from the others. All of them take one run, not one run
+    // each.
     let mut with_zeros = room.clone();
     (0..with_zeros.len()).step_by(40).for_each(|i| with_zeros[i] = [0.0; 3]);
     let differing = differing_in_parts(&with_zeros, general, 6000);
@@ -65,7 +66,7 @@ fn clouds_in_parts_are_as_those_at_once_in_every_setting() {
         assert!(differing <= room.len() / 5000, "{differing} of the room, {params:?}");
         done += 1;
     }
-    // With many neighbours, or edges kept, points reach much of so small a cloud.
+    // With many neighbours, or with edges kept, points reach much of such a small cloud, which then cannot be split.
     assert!(2 * done > all, "{done} of {all}");
 }
 
@@ -96,8 +97,8 @@ fn a_driver_that_ends_loops_early_is_an_error() {
     if test_adapter().is_none() {
         return;
     }
-    // The centre of a ball has more neighbours than lavapipe has rounds for; a GPU takes them all. The others, on its
-    // surface, reach a quarter of each other.
+    // The centre of the ball has more neighbours than lavapipe's loops have rounds; a GPU handles all of them. Each
+    // point on the surface reaches a quarter of the others.
     let mut random = Random(3);
     let on_surface = |random: &mut Random| {
         let (turn, z) = (random.between(0.0, std::f64::consts::TAU), random.between(-1.0, 1.0));

@@ -13,7 +13,7 @@ use planish_tests::scenes::{grid, small_camera};
 const SHAPE: (usize, usize) = (160, 120);
 const EVERYTHING: Outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
 
-/// Returns the adapter of the tests; prints SKIP without one.
+/// Returns the adapter of the tests; prints SKIP and returns `None` if there is no adapter.
 fn adapter(test: &str) -> Option<&'static GpuAdapter> {
     let adapter = test_adapter();
     if adapter.is_none() {
@@ -52,7 +52,7 @@ fn frames_in_flight_come_back_in_order() {
     }
     let depths: Vec<_> = (0..4).map(frame).collect();
     let clouds: Vec<_> = depths.iter().map(|depth| depth.deproject().unwrap()).collect();
-    // Depth and points by turns, copied and in place by turns.
+    // Depth and points alternate. Every third frame is in place; the others are copied.
     let frames: Vec<Frame<'_>> =
         depths.iter().zip(&clouds).flat_map(|(d, c)| [d.into_frame().unwrap(), c.into_frame().unwrap()]).collect();
     let expected = one_by_one(&frames, FrameParams::default());
@@ -145,7 +145,7 @@ fn a_batch_gives_what_its_frames_give() {
         return;
     }
     let mut depths: Vec<_> = (0..5).map(frame).collect();
-    // Another camera of the same shape, another unit.
+    // One frame has other intrinsics and another depth unit, but the same shape.
     depths[1].camera = Camera::new((160, 120), [140.0, 131.25], [79.5, 59.5]).with_depth_units_per_metre(900.0);
     let cloud = depths[2].deproject().unwrap();
     let mut frames: Vec<Frame<'_>> = depths.iter().map(|depth| depth.into_frame().unwrap()).collect();
@@ -244,11 +244,11 @@ fn the_bytes_of_its_buffers_are_known_wherever_they_are() {
         options.gpu.slots = 2;
     })
     .unwrap();
-    // Otherwise the first frame in flight uses a slot of the queue opened earlier.
+    // Without this call, the first frame in flight would use a slot of the queue opened earlier.
     smoother.prepare_in_flight();
-    // Every slot has its buffers from the beginning.
+    // Every slot has its buffers from the start.
     let one = smoother.buffer_bytes() / 2;
-    // Depth and the outputs at least, each on both sides; less than twice that.
+    // A slot has at least the depth and the outputs, each on both sides, and less than twice that.
     let least = 2 * SHAPE.0 as u64 * SHAPE.1 as u64 * (2 + 4 * 7 + 1);
     assert!(one >= least && one < 2 * least, "{one} {least}");
     smoother.submit_in_place(&depth).unwrap();
@@ -276,7 +276,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
     }
     let error = open(FrameParams::paper(), |options| options.gpu.slots = 0).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("slots = 0"), "{error}");
-    // One row of more workgroups than any device has.
+    // A single row needs more workgroups than any device allows.
     let error =
         Smoother::open_with(FrameParams::paper(), &TestEngine::gpu(true).options(Outputs::POINTS), (1 << 26, 1))
             .map(|_| ())
@@ -287,7 +287,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
     let error = open(FrameParams::paper(), |options| options.outputs = none).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("outputs = none"), "{error}");
     let mut smoother = open(FrameParams::paper(), |options| options.outputs = Outputs::DEPTH).unwrap();
-    // The camera of another image.
+    // These intrinsics belong to an image of another size.
     let mut mistaken = frame(1).deproject().unwrap();
     mistaken.camera = Some(Camera::kinect_v1());
     let error = smoother.smooth(&mistaken, &mut Smoothed::default()).unwrap_err().to_string();
@@ -369,7 +369,7 @@ fn a_device_of_the_host_program_gives_the_same_bits() {
             assert!(bits(&view.into_smoothed()) == bits(&expected), "{params:?}");
         }
     }
-    // The device is the host's still.
+    // The host program can still use its device.
     let buffer = device.create_buffer(&wgpu::BufferDescriptor {
         label: None,
         size: 64,

@@ -10,7 +10,7 @@ use planish_tests::engines::{TestEngine, is_software, test_adapter};
 use planish_tests::parity::{self, Subject};
 use planish_tests::scenes::small_camera;
 
-/// Returns the engine with the shader's bounds checks on and off; nothing without an adapter.
+/// Returns the GPU engine with and without the shader's bounds checks, or nothing if there is no adapter.
 fn both_builds(test: &str) -> Vec<Subject> {
     match test_adapter() {
         None => {
@@ -33,8 +33,8 @@ fn simulated_frames_agree_over_the_whole_grid() {
 #[test]
 #[ignore = "takes minutes: the gate runs it"]
 fn real_frames_agree() {
-    // Without checks only: they cost a software adapter minutes, and the simulated frames compare both. For the same
-    // reason it smooths few whole frames.
+    // Only without bounds checks, which cost a software adapter minutes; the simulated frames compare both builds. A
+    // software adapter also smooths only 2 whole frames, for the same reason.
     let subjects = both_builds("the GPU engine on real frames");
     let whole = if is_software() { 2 } else { usize::MAX };
     parity::real_frames_agree(subjects.get(1..).unwrap_or_default(), whole, "the GPU engine on real frames");
@@ -42,7 +42,7 @@ fn real_frames_agree() {
 
 #[test]
 fn nasty_clouds_keep_the_invariants() {
-    // As users run it; each build takes a software adapter seconds to compile.
+    // Only the build that users run, because each build takes a software adapter seconds to compile.
     let subjects = both_builds("the GPU engine on nasty clouds");
     parity::nasty_clouds_keep_the_invariants(subjects.get(1..).unwrap_or_default());
 }
@@ -92,7 +92,7 @@ fn a_depth_frame_gives_what_its_cloud_gives() {
     }
 }
 
-/// Deprojected, the depth of the first pixel is beyond f32.
+/// The depth of the first pixel gives a point beyond the range of f32.
 #[test]
 fn depth_whose_point_is_infinite_is_a_hole() {
     let camera = Camera::new((160, 120), [50.0; 2], [79.5, 59.5]);
@@ -120,7 +120,7 @@ fn depth_out_is_the_references_to_the_unit() {
             assert!(differ.len() * 1000 < found.len(), "{subject}: {} of {}", differ.len(), found.len());
             assert!(differ.iter().all(|(a, b)| a.abs_diff(**b) <= 1), "{subject}: {differ:?}");
 
-            // In metres it is what raw depth is rounded from.
+            // Raw depth is the depth in metres, rounded to depth units.
             let outputs = Outputs::DEPTH.with_depth_m(true);
             let smoothed = engine.smooth_to(&depth, params, outputs);
             let (raw, depth_m) = (smoothed.depth.unwrap(), smoothed.depth_m.unwrap());

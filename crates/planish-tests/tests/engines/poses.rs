@@ -11,7 +11,7 @@ use planish_tests::poses::{BASE, moved, rotate, transform};
 use planish_tests::scenes::{simulated, small_camera};
 use proptest::prelude::*;
 
-/// Returns the engines of this machine under their names.
+/// Returns the fast engines of this machine with their names.
 fn engines() -> Vec<(&'static str, TestEngine)> {
     let cpu = ("cpu", TestEngine::cpu(SimdLevel::best()));
     let gpu = test_adapter().map(|_| ("gpu", TestEngine::gpu(true)));
@@ -40,12 +40,12 @@ fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose,
     }
     let mut agreement = Agreement::default();
     agreement.add(found, &expected, |i| radii_m[i]);
-    // The moved points are rounded to f32 in another frame, and a few are within rounding of a threshold, on every
-    // engine.
+    // The moved points are rounded to f32 in another frame. On every engine, this puts a few of them on the other
+    // side of a threshold.
     let misses = [1.0 - agreement.equal_status(), agreement.position_m(0.999), agreement.position_m(0.9999)];
     assert!(misses[0] <= 3e-4 && misses[1] <= POSITION_999_M && misses[2] <= 3e-4, "{what}: {misses:?}");
     let (normals, own_normals) = (found.normals.as_ref().unwrap(), own.normals.as_ref().unwrap());
-    // Compare only surfaces: the normal of a few isolated points is rounding noise.
+    // Compare only surfaces, because the normals of isolated groups of few points are rounding noise.
     let curvature = own.curvature.as_ref().unwrap();
     let is_surface = |i: usize| own.neighbours.as_ref().unwrap()[i] >= 12 && curvature[i] < 0.02;
     let off = (0..normals.len()).filter(|&i| is_surface(i) && normals.is_finite(i)).filter(|&i| {
@@ -79,7 +79,7 @@ proptest! {
     }
 }
 
-/// The direction from the sensor to a point.
+/// Returns the unit vector from the sensor to a point.
 fn direction(pose: &SensorPose, p: [f32; 3]) -> [f64; 3] {
     let ray = [0, 1, 2].map(|k| f64::from(p[k]) - pose.position_m[k]);
     let length = ray.iter().map(|c| c * c).sum::<f64>().sqrt();
@@ -102,7 +102,7 @@ fn points_moved_along_rays_stay_on_them_and_have_the_depth_that_comes_out() {
                     let (before, after) = (cloud.positions().get(i), smoothed.points.get(i));
                     let turned = direction(&pose, before).into_iter().zip(direction(&pose, after));
                     let off = turned.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
-                    // Both points are rounded to f32, at 5 m to 2.4e-7 m a coordinate.
+                    // Both points are rounded to f32; at 5 m, to 2.4e-7 m per coordinate.
                     assert!(off < 1.5e-6, "{name}, {params:?}, pixel {i}: {off:e}");
                     let inverse = [0, 1, 2].map(|k| f64::from(after[k]) - pose.position_m[k]);
                     let axis = rotate(&pose, [0.0, 0.0, 1.0]);
@@ -121,7 +121,7 @@ fn share_with_points(smoothed: &Smoothed, cloud: &OrganizedCloud) -> f64 {
     points as f64 / cloud.points.valid_points() as f64
 }
 
-/// Returns a wall of 64x48 points, 2 m before a camera with a Kinect's field of view.
+/// Returns a wall of 64x48 points, 2 m in front of a camera with a Kinect's field of view.
 fn wall() -> OrganizedCloud {
     let camera = Camera::new((64, 48), [52.5; 2], [31.5, 23.5]);
     DepthFrame::new(camera, vec![2000; 64 * 48]).unwrap().deproject().unwrap()
@@ -138,7 +138,7 @@ fn walls_in_other_frames_come_out_whole_and_face_their_sensor() {
                 cloud.points.pose = SensorPose::IDENTITY;
                 cloud
             };
-            // Written by programs that know the sensor's position but not its orientation.
+            // Some programs write the sensor's position but not its orientation.
             let unturned = {
                 let mut cloud = cloud.clone();
                 cloud.points.pose.orientation = SensorPose::IDENTITY.orientation;

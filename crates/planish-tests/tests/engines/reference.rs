@@ -43,7 +43,7 @@ fn invariants_hold_on_nasty_clouds_whatever_the_threads() {
             let one = smooth(&scene.cloud, params, 1);
             assert_invariants(&scene.cloud, &one, &radii_m(&scene.cloud, params), scene.name);
             let three = smooth(&scene.cloud, params, 3);
-            // By text, since NaN differs from NaN.
+            // Compare as text, because NaN is not equal to NaN.
             assert_eq!(format!("{one:?}"), format!("{three:?}"), "{}", scene.name);
         }
     }
@@ -63,7 +63,7 @@ fn invariants_hold_on_simulated_frames() {
 fn invariants_hold_on_real_frames() {
     // The parity tests cover whole frames with every setting.
     for (i, frame) in real_frames("reference on real frames").into_iter().enumerate() {
-        // A sixteenth, from its middle.
+        // A sixteenth of the frame, next to its middle.
         let cloud = quarter(&quarter(&frame.cloud, i % 4), 3 - i % 4);
         let params = [FrameParams::paper(), FrameParams::default()][i % 2];
         let smoothed = smooth(&cloud, params, 2);
@@ -93,7 +93,8 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     let [smoothed, along_normals] = [Project::Ray, Project::Normal]
         .map(|project| TestEngine::REFERENCE.smooth(&frame, FrameParams::default().with_project(project)));
 
-    // RMS of z against the true z along the ray of each pixel, away from the border and not too grazing.
+    // Returns the RMS error of z along the ray of each pixel, away from the border and where the wall is not too
+    // grazing.
     let rms = |z: &[f32]| {
         let inner = (0..z.len())
             .filter(|&i| truth.points.z()[i] < 1.6)
@@ -104,8 +105,8 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     let raw = frame.deproject().unwrap();
     let along_ray = smoothed.to_depth_m(&camera).unwrap();
     assert!(rms(&along_ray) < 0.5 * rms(raw.positions().z()), "{} {}", rms(&along_ray), rms(raw.positions().z()));
-    // Moved along their rays, points have that depth themselves; moved along normals, their z undershoots the
-    // correction on a wall at 53°.
+    // Points that moved along their rays have this depth themselves. If they move along normals instead, their z
+    // undershoots the correction on a wall at 53°.
     assert!((rms(&along_ray) / rms(smoothed.points.z()) - 1.0).abs() < 1e-3);
     assert!(
         rms(&along_ray) < 0.8 * rms(along_normals.points.z()),

@@ -1,4 +1,5 @@
-//! The standard errors of points: calibrated on simulated frames, the same in flight, and refused where there are none.
+//! Standard errors of points: calibrated on simulated frames, equal in flight, and refused if they cannot be
+//! computed.
 
 use std::sync::Arc;
 
@@ -35,7 +36,7 @@ fn two_thirds_of_the_points_are_within_one_sigma_and_most_within_two() {
                 session.smooth(&frame, &mut smoothed).unwrap();
                 let sigma_m = smoothed.sigma.as_ref().unwrap();
                 calibration.add(&truth, &smoothed.points, sigma_m);
-                // Holes have none, and every point has one.
+                // Every point has a standard error, and no hole has one.
                 let is_stated = |i: usize| sigma_m[i].is_finite() && sigma_m[i] > 0.0;
                 assert!((0..sigma_m.len()).all(|i| is_stated(i) == smoothed.points.is_finite(i)));
                 assert!(smoothed.neighbours.is_none() && smoothed.normals.is_none());
@@ -44,7 +45,7 @@ fn two_thirds_of_the_points_are_within_one_sigma_and_most_within_two() {
         let report = calibration.report();
         for range in &report[..4] {
             assert!(range.pixels > 20_000, "{name} {range:?}");
-            // 68 and 95 %, to 8 points: the aim is 6 on the whole suite.
+            // The ideal is 68 and 95 %, here to about 8 percentage points; the aim on the whole suite is 6.
             assert!((0.60..0.77).contains(&range.within_one), "{name} {range:?}");
             assert!((0.88..0.99).contains(&range.within_two), "{name} {range:?}");
         }
@@ -94,7 +95,7 @@ fn results_in_flight_depth_in_metres_and_clouds_have_the_same() {
             assert!(same(found.sigma.as_ref().unwrap(), expected.sigma.as_ref().unwrap()), "{settings}");
             assert!(found.frames.is_none() && found.status == expected.status, "{settings}");
         }
-        // Errors fall as frames are averaged.
+        // Standard errors fall as frames are averaged.
         let median = |smoothed: &Smoothed| {
             let mut sigma_m = smoothed.sigma.clone().unwrap();
             sigma_m.retain(|sigma_m| sigma_m.is_finite());
@@ -108,7 +109,7 @@ fn results_in_flight_depth_in_metres_and_clouds_have_the_same() {
             "{settings}: {ratio}"
         );
     }
-    // The same frame as a cloud.
+    // Smooth the same frame as depth and as a cloud.
     let (mut of_depth, mut of_cloud) = (Smoothed::default(), Smoothed::default());
     session("engine=cpu").smooth(&*frames[0], &mut of_depth).unwrap();
     let cloud: OrganizedCloud = frames[0].deproject().unwrap();
@@ -126,7 +127,7 @@ fn sigma_needs_a_grid_and_a_session_and_holes_have_none() {
     let options = SmootherOptions::new(Engine::Cpu, Outputs::POINTS.with_sigma(true));
     let error = Smoother::open_with(FrameParams::default(), &options, (64, 48)).map(drop).unwrap_err();
     assert!(error.to_string().contains("session"), "{error}");
-    // All holes, and a single point.
+    // A cloud of holes only, and one with a single point.
     let mut z = vec![[f32::NAN; 3]; 64 * 48];
     z[100] = [0.0, 0.0, 1.0];
     for points in [vec![[f32::NAN; 3]; 64 * 48], z] {
@@ -138,7 +139,7 @@ fn sigma_needs_a_grid_and_a_session_and_holes_have_none() {
             assert_eq!(sigma_m.is_finite(), !matches!(status, Status::Hole | Status::TooFew));
         }
     }
-    // A video of a camera that moves.
+    // Smooth a video of a moving camera.
     let camera = Camera::new((160, 120), [131.25; 2], [79.5, 59.5]);
     let mut moving = Sequence::new(Event::MovingCamera, camera, DepthNoise::default(), 1);
     let mut tracked = Session::new("engine=cpu track=true".parse().unwrap()).unwrap();

@@ -1,5 +1,5 @@
-//! The filter over time (docs/method.md, section 16): equal to its reference, honest about what it carries over, and
-//! without trails.
+//! The temporal filter (docs/method.md, section 16): equal to its reference, honest about values that it carries
+//! over, and without trails.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use planish_tests::scenes::small_camera;
 pub const WIDTH: usize = 160;
 pub const HEIGHT: usize = 120;
 
-/// Numbers of a normal distribution, the same in every run.
+/// A generator of random numbers that are the same in every run.
 struct Random(u64);
 
 impl Random {
@@ -32,12 +32,12 @@ fn filter(params: TemporalParams) -> TemporalFilter {
     TemporalFilter::new(params, SensorModel::KINECT_V1).unwrap()
 }
 
-/// A wall at 2 m with the noise that is left after smoothing a Kinect's frames.
+/// Returns a wall at 2 m with the noise that remains after smoothing a Kinect's frames.
 fn noisy_wall(random: &mut Random) -> Vec<f32> {
     (0..WIDTH * HEIGHT).map(|_| (2.0 + 0.35 * 1.8e-3 * 4.0 * random.normal()) as f32).collect()
 }
 
-/// Smoothed frames of a camera at rest: a room, a bar that moves across it, and holes that come and go.
+/// Returns smoothed frames of a camera at rest: a room, a bar that moves across it, and holes that come and go.
 fn sequence(frames: u64) -> Vec<Vec<f32>> {
     let camera = small_camera();
     let (scene, pose) = Scene::room(5);
@@ -190,7 +190,7 @@ fn a_moving_edge_leaves_no_trail() {
 fn a_slow_surface_is_followed() {
     let mut random = Random(6);
     let mut filter = filter(TemporalParams::STEADY);
-    // A third of sigma per frame, which no single frame shows.
+    // The surface moves by a third of sigma per frame, which no single frame shows.
     let step_m = 0.0024;
     let mut lags = Vec::new();
     for t in 0..60 {
@@ -200,7 +200,7 @@ fn a_slow_surface_is_followed() {
         lags.push(mean - (2.0 - f64::from(step_m) * f64::from(t)));
     }
     let lag = lags[30..].iter().sum::<f64>() / 30.0;
-    // A mean of 16 frames would lag 15 steps behind.
+    // A mean of 16 frames would lag by 15 steps.
     assert!(lag < 1.5 * f64::from(step_m), "{lag}");
 }
 
@@ -212,7 +212,7 @@ fn holes_stay_holes_unless_they_are_to_be_held_and_then_they_are_flagged() {
         let hole = 60 * WIDTH + 80;
         for t in 0..40 {
             let mut smoothed = noisy_wall(&mut random);
-            // Seen for 20 frames, then a hole for four, then seen again.
+            // The pixel is seen for 20 frames, is a hole for four, and is then seen again.
             let is_hole = (20..24).contains(&t);
             if is_hole {
                 smoothed[hole] = 0.0;
@@ -252,8 +252,8 @@ fn exact_depth_and_coarse_steps_are_handled() {
         exact.smooth(WIDTH, HEIGHT, &mut smoothed).unwrap();
         assert_eq!(raw, smoothed, "frame {t}");
     }
-    // Depth in steps of 1 mm, far below the noise of the model: the noise that is learnt must not collapse, or a step
-    // would count as a new surface.
+    // Depth has steps of 1 mm, far below the noise of the model. The learnt noise must not collapse, or a step would
+    // count as a new surface.
     let mut random = Random(2);
     let mut filter = filter(TemporalParams::STEADY);
     for t in 0..200 {
@@ -281,7 +281,7 @@ fn bad_parameters_and_shapes_are_refused_and_any_shape_works() {
             assert!(depth_m.iter().all(|z| (z - 1.5).abs() < 1e-6), "{width} x {height}");
         }
     }
-    // A change of shape starts again, and so does a reset.
+    // A change of shape restarts the filter, and so does a reset.
     let mut depth_m = vec![1.5; 12];
     filter.smooth(4, 3, &mut depth_m).unwrap();
     filter.smooth(4, 3, &mut depth_m).unwrap();
@@ -291,7 +291,8 @@ fn bad_parameters_and_shapes_are_refused_and_any_shape_works() {
     assert_eq!(filter.frames(11), 1.0);
 }
 
-/// Frames of a camera at rest that looks at a wall, with a step of a few pixels that appears in the last frame.
+/// Returns frames of a resting camera in front of a wall at 2 m. A box of 30x30 pixels appears at 1.4 m in the last
+/// frame.
 pub fn video(frames: usize) -> Vec<Arc<DepthFrame>> {
     let mut random = Random(12);
     let camera = small_camera();
@@ -311,7 +312,7 @@ pub fn steady(engine: &str) -> Settings {
     format!("temporal=steady engine={engine}").parse().unwrap()
 }
 
-/// Standard deviation and mean of depth in the middle of a frame.
+/// Returns the standard deviation and the mean of depth in the right half of a frame.
 fn spread_of(depth_m: &[f32]) -> (f64, f64) {
     let middle = (20..100).flat_map(|v| (80..150).map(move |u| v * WIDTH + u));
     let values: Vec<f64> = middle.map(|i| f64::from(depth_m[i])).filter(|z| z.is_finite()).collect();
@@ -352,7 +353,7 @@ fn a_session_smooths_a_video_over_time_and_all_outputs_agree() {
             let ray = (((i % WIDTH) as f64 - 79.5) / 131.25) as f32;
             assert!(z.is_nan() || (x - ray * z).abs() < 2e-6, "pixel {i}: {x} is not on its ray at {z}");
         }
-        // A new object shows at once, without a trace of the wall.
+        // A new object is visible at once, without a trace of the wall.
         session.smooth(&*frames[19], &mut smoothed).unwrap();
         let depth_m = smoothed.depth_m.as_ref().unwrap();
         assert!((44..66).all(|v| (44..66).all(|u| (depth_m[v * WIDTH + u] - 1.4).abs() < 0.02)), "{engine}");
@@ -376,7 +377,7 @@ fn frames_in_flight_and_frames_one_by_one_give_the_same_video() {
         session.smooth(&**frame, &mut smoothed).unwrap();
         in_flight.submit(Arc::clone(frame), Smoothed::default()).unwrap();
         let received = in_flight.receive().unwrap().unwrap().into_smoothed();
-        // Only the requested outputs, although the filter needs more.
+        // The result has only the requested outputs, although the filter needs more.
         assert!(received.points.is_empty() && received.depth_m.is_none());
         assert_eq!(received, smoothed);
     }
@@ -436,7 +437,7 @@ fn a_cloud_with_a_pose_moves_along_its_rays() {
 fn a_video_keeps_its_sensor_and_starts_again_with_another_camera_or_after_a_gap() {
     let frames = video(9);
     let mut smoothed = Smoothed::default();
-    // The sensor that is estimated from the first frame serves all others.
+    // The sensor estimated from the first frame is used for all other frames.
     let mut session = Session::new("temporal=steady engine=cpu sensor=auto".parse().unwrap()).unwrap();
     for frame in &frames[..6] {
         session.smooth(&**frame, &mut smoothed).unwrap();

@@ -1,4 +1,5 @@
-//! A GPU that keeps the state of a video smooths it over time as the CPU does. On lavapipe or a real GPU.
+//! Temporal smoothing on a GPU, which keeps the state of the video, equals that on the CPU. On lavapipe or a real
+//! GPU.
 
 use std::sync::Arc;
 
@@ -8,7 +9,7 @@ use planish_tests::bits::bits;
 use planish_tests::data::skip;
 use planish_tests::engines::{TestEngine, test_adapter};
 
-/// No multiple of a tile's 16 pixels, nor of the four that share a word.
+/// Camera whose width and height are multiples neither of a tile's 16 pixels nor of the 4 pixels that share a word.
 const CAMERA: Camera = Camera::new((309, 230), [262.5; 2], [159.5, 119.5]);
 const EVERYTHING: Outputs = Outputs::ALL.with_depth(true).with_depth_m(true).with_frames(true);
 
@@ -20,7 +21,7 @@ fn has_adapter(test: &str) -> bool {
     test_adapter().is_some()
 }
 
-/// The frames of a simulated video, and the poses of its camera.
+/// Returns the frames of a simulated video, and the camera's pose for each frame.
 fn video(event: Event, frames: u64) -> Vec<(Arc<DepthFrame>, SensorPose)> {
     let mut sequence = Sequence::new(event, CAMERA, DepthNoise::default(), 2);
     let seen = |number| {
@@ -41,7 +42,7 @@ fn session(engine: Engine, outputs: Outputs) -> Session {
     session
 }
 
-/// Counts the pixels of two results that differ by more than engines may.
+/// Counts the pixels that differ between two results by more than the tolerance between engines.
 fn differing(found: &Smoothed, expected: &Smoothed) -> usize {
     let (found_frames, expected_frames) = (found.frames.as_ref().unwrap(), expected.frames.as_ref().unwrap());
     let (found_status, expected_status) = (found.status.as_ref().unwrap(), expected.status.as_ref().unwrap());
@@ -79,13 +80,13 @@ fn a_video_on_a_gpu_equals_that_on_the_cpu() {
             averaged += found.frames.as_ref().unwrap().iter().filter(|&&frames| frames > 4.0).count();
             carried += found.status.as_ref().unwrap().iter().filter(|&&status| status == Status::Carried).count();
         }
-        // The filter was on the device.
+        // The session filtered the CPU's frames, and the device filtered its own.
         assert!(on_cpu.temporal_filter().is_some() && on_gpu.temporal_filter().is_none());
         assert_eq!(on_gpu.camera_motion().is_some(), knows_pose);
         let averages = event != Event::MovingCamera || knows_pose;
         let is_used = carried > 0 && averaged > all / 3;
         assert!(is_used || !averages, "{event:?}: {carried} carried, {averaged} of {all} pixels average four frames");
-        // Different rounding sends single pixels to another side of a threshold.
+        // Different rounding puts single pixels on the other side of a threshold.
         assert!(off * 10_000 < all, "{event:?}, pose known: {knows_pose}: {off} of {all} pixels differ");
     }
 }
@@ -136,7 +137,7 @@ fn a_video_on_a_gpu_starts_again_where_it_must() {
     let mut smoothed = Smoothed::default();
     let mut most_frames = |session: &mut Session, frame: &DepthFrame| {
         session.smooth(frame, &mut smoothed).unwrap();
-        // Only what was asked for is there.
+        // The result has only the requested outputs.
         assert!(smoothed.points.is_empty() && smoothed.status.is_none() && smoothed.depth.is_some());
         smoothed.frames.as_ref().unwrap().iter().fold(0.0f32, |most, &frames| most.max(frames))
     };
@@ -146,7 +147,8 @@ fn a_video_on_a_gpu_starts_again_where_it_must() {
     session.restart_video();
     assert_eq!(most_frames(&mut session, third), 1.0);
     assert!(most_frames(&mut session, fourth) > 1.5);
-    // A gap in time, a pose that is suddenly known, other settings, a closed engine.
+    // The video restarts after a gap in time, with the first known pose, with other settings, and with a closed
+    // engine.
     session.set_frame_time(Some(0.0));
     assert!(most_frames(&mut session, first) > 1.5);
     session.set_frame_time(Some(60.0));
@@ -166,7 +168,7 @@ fn what_the_shaders_do_not_know_is_filtered_by_the_session() {
         return;
     }
     let frames = video(Event::SlowObject, 3);
-    // Points with a stated viewpoint, and a camera whose motion is estimated.
+    // The session filters points with a stated viewpoint, and frames of a camera whose motion is estimated.
     let mut turned: OrganizedCloud = frames[0].0.deproject().unwrap();
     turned.points.pose = SensorPose::from_viewpoint([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
     let mut smoothed = Smoothed::default();

@@ -1,4 +1,4 @@
-//! What a session returns for the frames of a video, and for frames that are not part of one.
+//! Outputs of a session for frames of a video, and for frames that are not part of a video.
 
 use planish::{
     Camera, DepthFrame, Engine, Error, FrameParams, OrganizedCloud, Outputs, Session, Settings, Smoothed, Smoother,
@@ -19,7 +19,7 @@ fn frames_are_counted_only_in_videos() {
     let mut single = Session::new(Settings::default()).unwrap();
     single.set_outputs(outputs);
     refused(single.smooth(&**frame, &mut smoothed).unwrap_err());
-    // A cloud without a grid is no frame of a video.
+    // A cloud without a grid is not a frame of a video.
     let mut session = Session::new(steady("cpu")).unwrap();
     session.set_outputs(outputs);
     session.smooth(&**frame, &mut smoothed).unwrap();
@@ -42,7 +42,7 @@ fn results_of_other_shapes_and_of_frames_without_ranges_are_complete() {
         assert_eq!(smoothed.depth.as_ref().unwrap().len(), width * width);
         assert!(smoothed.frames.as_ref().unwrap().iter().all(|&frames| frames == 1.0));
     }
-    // Terrain seen from above has no sensor to which ranges could be measured: it follows a camera's cloud.
+    // Terrain seen from above has no sensor from which ranges could be measured. Here it follows a camera's cloud.
     session.set_outputs(Outputs::POINTS.with_frames(true));
     let seen = |width: usize, height: usize, point: &dyn Fn(f32, f32) -> [f32; 3]| {
         let points: Xyz = (0..width * height).map(|i| point((i % width) as f32, (i / width) as f32)).collect();

@@ -31,7 +31,7 @@ fn frames(camera: Camera) -> Vec<DepthFrame> {
     (0..FRAMES).map(frame).collect()
 }
 
-/// Returns a recording of depth, and the frames in it.
+/// Writes a recording of depth; returns its path and its frames.
 fn recording(folder: &TempDir, camera: Camera) -> (PathBuf, Vec<DepthFrame>) {
     let (path, frames) = (folder.path().join("depth.mcap"), frames(camera));
     let mut writer = BagWriter::create(&path).unwrap();
@@ -63,7 +63,7 @@ fn a_recording_can_be_read_while_it_is_written_and_is_kept_without_an_end() {
     let mut writer = BagWriter::create(&path).unwrap();
     for (number, frame) in frames.iter().enumerate() {
         writer.add(&OwnedFrame::Depth(frame.clone())).unwrap();
-        // It ends without an end, which is an error after the last frame.
+        // The file has no end yet, which is an error after the last frame.
         let mut source = BagSource::open(&part, None, None, None).unwrap();
         let read = std::iter::from_fn(|| source.next_frame().ok().flatten()).count();
         assert_eq!(read, number + 1, "each frame is there at once");
@@ -76,7 +76,7 @@ fn a_recording_can_be_read_while_it_is_written_and_is_kept_without_an_end() {
     assert_eq!(read_all(&path).len(), FRAMES as usize);
     let survey = Survey::of(&path, &ReadOptions::default()).unwrap();
     assert_eq!(survey.topics[0].messages, Some(FRAMES), "it has a summary");
-    // Nobody would miss one without frames, or one that can be computed again.
+    // A recording without frames is removed, and so is one that can be computed again.
     drop(BagWriter::create(&folder.path().join("empty.mcap")).unwrap());
     BagWriter::create(&folder.path().join("empty.mcap")).unwrap().finish().unwrap();
     let mut writer = BagWriter::create(&folder.path().join("again.mcap")).unwrap().all_or_nothing();
@@ -100,7 +100,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         std::fs::write(&cut, &bytes[..length]).unwrap();
         let found = recover(&cut, &options).unwrap();
         assert!(!found.was_whole && !cut.exists() && found.damaged_chunks == 0, "{length}: {found:?}");
-        // Each frame is its camera_info and its image.
+        // Each frame is two messages: its camera_info and its image.
         assert!((before..=2 * FRAMES).contains(&found.messages), "{length}: {found:?}");
         before = found.messages;
         let read = if found.messages < 2 { Vec::new() } else { read_all(&found.path) };
@@ -109,7 +109,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
             let OwnedFrame::Depth(read) = read else { panic!("depth") };
             assert_eq!((&read.raw, read.timestamp_s), (&frame.raw, frame.timestamp_s));
         }
-        // Other programs look up the summary and its indices.
+        // Other programs need the summary and its indices.
         let whole = std::fs::read(&found.path).unwrap();
         let summary = mcap::Summary::read(&whole).unwrap().unwrap();
         assert_eq!(summary.stats.as_ref().unwrap().message_count, found.messages);
@@ -125,7 +125,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         assert!(recover(&found.path, &options).unwrap().was_whole);
     }
     assert_eq!(before, 2 * FRAMES);
-    // A chunk whose sizes are not written yet, as by programs that write them last.
+    // A chunk without its sizes, as left by programs that write the sizes last.
     let chunk = bytes.windows(9).rposition(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
     let mut unsized_chunk = bytes[..bytes.len() * 19 / 20].to_vec();
     unsized_chunk[chunk + 1..chunk + 9].fill(0xff);
@@ -135,7 +135,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     std::fs::write(&cut, &unsized_chunk).unwrap();
     let found = recover(&cut, &options).unwrap();
     assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
-    // Damaged recordings and those being written are left alone.
+    // Damaged recordings are not changed, and neither are those that another process still writes.
     let at = bytes.windows(9).position(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
     for (from, to, value) in [(at + 4, at + 5, 0x40), (at, at + 9, 0)] {
         let mut damaged = bytes.clone();
@@ -155,7 +155,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         writer.finish().unwrap();
         assert_eq!(read_all(&live).len(), 2);
     }
-    // A file with zeros at its end, as after a power failure, and one in another format.
+    // A file with zeros at its end, as after a power failure, and a file in another format.
     std::fs::write(&cut, [&bytes[..bytes.len() / 2], &[0; 5000]].concat()).unwrap();
     assert!(recover(&cut, &options).unwrap_err().to_string().contains("exists"));
     std::fs::remove_file(cut.with_extension("")).unwrap();
@@ -211,7 +211,8 @@ fn a_recording_in_several_files_is_one() {
     assert_eq!((told(&smoothed), &smoothed.others), (told(&survey), &survey.others));
     assert_eq!(of(&output).len(), 4);
 
-    // The metadata decide which files belong to it, and their order. Old versions write the folder before each name.
+    // The metadata list the files of the recording in order. Old versions of rosbag2 write the folder before each
+    // name.
     let list = |names: &[&str]| {
         let lines: String = names.iter().map(|name| format!("    - bag/{name}.mcap\n")).collect();
         let text = format!("rosbag2_bagfile_information:\n  relative_file_paths:\n{lines}  duration: 1\n");
@@ -223,7 +224,7 @@ fn a_recording_in_several_files_is_one() {
     list(&["b_0", "b_1"]);
     assert!(Survey::of(&bag, &ReadOptions::default()).unwrap_err().to_string().contains("b_1.mcap"));
 
-    // A file that was cut off costs its rest, not the files after it.
+    // A truncated file loses only its own rest, not the files after it.
     list(&["b_0", "b_2", "b_10"]);
     let bytes = std::fs::read(bag.join("b_0.mcap")).unwrap();
     std::fs::write(bag.join("b_0.mcap"), &bytes[..bytes.len() / 4]).unwrap();
@@ -283,7 +284,7 @@ fn clouds_come_back_with_all_their_fields() {
 fn each_topic_of_a_recording_is_a_video_of_its_own() {
     let folder = TempDir::new().unwrap();
     let frames = frames(small_camera());
-    // Depth, clouds, or both, of the same frames.
+    // Writes depth, clouds, or both, of the same frames.
     let written = |name: &str, has_depth: bool, has_clouds: bool| {
         let path = folder.path().join(name);
         let mut writer = BagWriter::create(&path).unwrap();
@@ -310,7 +311,7 @@ fn each_topic_of_a_recording_is_a_video_of_its_own() {
             smooth_bag(input, &output, &mut smoother, &options, &stop, &mut |_, _| ()).unwrap();
         }
         let mut source = BagSource::open(&output, Some(topic), None, None).unwrap();
-        // The camera of clouds is in the recording of depth only.
+        // Only the recording with depth has the camera of the clouds, so this ignores the camera.
         let measured = |frame: OwnedFrame| match frame {
             OwnedFrame::Depth(depth) => format!("{:?}", depth.raw),
             OwnedFrame::Cloud { cloud, .. } => format!("{:?}", cloud.points),
@@ -397,7 +398,7 @@ fn a_stopped_run_leaves_nothing_behind() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-/// Returns a record of MCAP.
+/// Returns an MCAP record.
 fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
 }
@@ -407,7 +408,7 @@ fn a_message_takes_no_more_than_the_limit_to_memory() {
     let folder = TempDir::new().unwrap();
     let (path, frames) = recording(&folder, small_camera());
     let survey = |bytes| Survey::of(&path, &ReadOptions::default().with_max_memory_bytes(bytes));
-    // It is there twice while it is read.
+    // A message is in memory twice while it is read.
     let message = 2 * frames[0].raw.len() as u64;
     let said = survey(2 * message).unwrap_err().to_string();
     assert!(said.contains("--max-memory"), "{said}");
@@ -421,7 +422,7 @@ fn an_attachment_that_ends_before_its_checksum_is_damage() {
     let folder = TempDir::new().unwrap();
     let (whole, _) = recording(&folder, small_camera());
     let path = folder.path().join("attached.mcap");
-    // Both times, a name and a media type of no letters, and the length of the data.
+    // The first 24 bytes are both times, an empty name and an empty media type. The length of the data follows.
     for data in [&[][..], &[0; 8], &[0; 11], &[255; 8], &[3, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]] {
         let attachment = record(9, &[&[0; 24], data].concat());
         let rest = &std::fs::read(&whole).unwrap()[MAGIC.len()..];
@@ -435,7 +436,7 @@ fn an_attachment_that_ends_before_its_checksum_is_damage() {
 fn a_record_that_reaches_beyond_its_chunk_is_damage() {
     let folder = TempDir::new().unwrap();
     let (whole, _) = recording(&folder, small_camera());
-    // A schema that says it is longer than the chunk around it, which is not compressed.
+    // This schema states more bytes than the uncompressed chunk that contains it.
     let (header, schema) = (record(1, &[0; 8]), record(3, &[1; 40]));
     let within = &schema[..20];
     let times_size_and_checksum = [[0; 16].as_slice(), &20u64.to_le_bytes(), &[0; 8], &20u64.to_le_bytes()].concat();
@@ -447,7 +448,8 @@ fn a_record_that_reaches_beyond_its_chunk_is_damage() {
     assert!(said.contains("beyond.mcap") && said.contains("damaged"), "{said}");
 }
 
-/// Written by Foxglove's SDK 0.30: two messages each of a camera, depth as it is and in a PNG, a JPEG and a cloud.
+/// Returns the path of a recording by Foxglove's SDK 0.30, with two messages each of a camera, raw depth, depth as
+/// PNG, a JPEG and a cloud.
 fn foxglove() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/mcap/foxglove.mcap")
 }
@@ -492,7 +494,7 @@ fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
     let counts: Vec<_> = report.topics.iter().map(|topic| (topic.smoothed, topic.failed)).collect();
     assert_eq!((counts, report.copied), (vec![(2, 0); 3], 4));
     let smoothed: Vec<DepthFrame> = frames(&output, "/depth/image").iter().map(depth).collect();
-    // A plane: each column has one depth.
+    // The scene is a plane with one depth per column.
     let spread = |frame: &DepthFrame| {
         let column: Vec<f64> = (1..24).map(|v| f64::from(frame.raw[32 * v + 16])).collect();
         let mean = column.iter().sum::<f64>() / 23.0;

@@ -1,4 +1,4 @@
-//! Every format there and back, and PCD against another implementation both ways.
+//! Round trips through every format, and files in the layout of other programs.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use planish_tests::data::{folder, general_cloud};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Any f32 that is not NaN, since those differ from themselves; NaN is tested by its bits elsewhere.
+/// Returns any f32 except NaN, which is not equal to itself. Other tests compare NaN by its bits.
 fn real() -> impl Strategy<Value = f32> {
     prop_oneof![any::<f32>().prop_filter("NaN", |x| !x.is_nan()), Just(f32::INFINITY), -10f32..10.0, Just(0.0)]
 }
@@ -32,7 +32,7 @@ fn values(len: usize) -> impl Strategy<Value = AttributeValues> {
     ]
 }
 
-/// Returns a point that is not where the sensor is: on a grid that would be a hole.
+/// Returns a point other than the sensor's position, which would be a hole on a grid.
 fn point() -> impl Strategy<Value = [f32; 3]> {
     [real(), real(), real()].prop_map(|point| if point == [0.0; 3] { [0.0, 0.0, 1.0] } else { point })
 }
@@ -43,7 +43,7 @@ fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
             values(points * count).prop_map(move |values| Attribute { name: name.clone(), count, values })
         });
     vec(attribute, 0..4).prop_map(|mut attributes| {
-        // Names are distinguished by their index, padding is not.
+        // The index makes names unique; padding keeps its name.
         for (k, attribute) in attributes.iter_mut().enumerate().filter(|(_, a)| a.name != "_") {
             attribute.name.push_str(&k.to_string());
         }
@@ -51,7 +51,7 @@ fn attributes(points: usize) -> impl Strategy<Value = Vec<Attribute>> {
     })
 }
 
-/// Returns an unorganized cloud or a grid, with any fields before, between and after x, y and z.
+/// Returns a cloud on a grid, with any fields before, between and after x, y and z.
 fn cloud() -> impl Strategy<Value = OrganizedCloud> {
     (1usize..9, 2usize..6).prop_flat_map(|(width, height)| {
         let n = width * height;
@@ -93,8 +93,8 @@ proptest! {
 
     #[test]
     fn ply_keeps_every_scalar_field_it_can_hold(mut cloud in cloud()) {
-        // No padding, no 64-bit integers, one value a property; the pose by another test, since it is written as a
-        // matrix.
+        // PLY has no padding, no 64-bit integers, and one value per property. Another test covers the pose, since it
+        // is written as a matrix.
         cloud.points.attributes.retain(|a| {
             a.name != "_" && a.count == 1 && !matches!(a.values, AttributeValues::I64(_) | AttributeValues::U64(_))
         });
@@ -198,7 +198,7 @@ fn formats_are_told_by_content_before_extension() {
 
 #[test]
 fn numpys_own_files_are_read() {
-    // As numpy.save writes a float64 array of shape (2, 3) and a float32 depth of shape (2, 2).
+    // A float64 array of shape (2, 3) and a float32 depth of shape (2, 2), as numpy.save writes them.
     let npy = |descr: &str, shape: &str, data: Vec<u8>| {
         let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
         while (header.len() + 11) % 64 != 0 {
@@ -223,7 +223,7 @@ fn numpys_own_files_are_read() {
     let cloud = DepthView::from_metres(&depth_m, &camera).unwrap().deproject().unwrap();
     assert_eq!(cloud.positions().get(2), [-0.25 * 2.5, 0.25 * 2.5, 2.5]);
     assert!(!cloud.positions().is_finite(1));
-    // The other byte order; three indices of which the first runs fastest.
+    // Big-endian values, and three indices of which the first varies fastest (Fortran order).
     let big_endian: Vec<u8> = [1u16, 2, 300, 4].iter().flat_map(|v| v.to_be_bytes()).collect();
     let (_, contents) = io::decode(&npy(">u2", "(2, 2)", big_endian), None).unwrap();
     assert_eq!(contents, Contents::Depth(DepthImage { width: 2, height: 2, raw: vec![1, 2, 300, 4] }));
@@ -250,7 +250,7 @@ fn numpys_own_files_are_read() {
     let half: Vec<u8> = [0x3c00u16; 8].iter().flat_map(|value| value.to_le_bytes()).collect();
     let (_, contents) = io::decode(&npy("<f2", "(2, 4, 1)", half), None).unwrap();
     assert_eq!(contents, Contents::DepthMetres { width: 4, height: 2, depth_m: vec![1.0; 8] });
-    // Points with fields, by columns and by records.
+    // Points with fields, as columns and as records.
     let rows: Vec<u8> =
         (0..20u8).flat_map(|i| [f32::from(i), 0.5, 1.5, 10.0, 20.0, 30.0]).flat_map(f32::to_le_bytes).collect();
     let (_, Contents::General(cloud)) = io::decode(&npy("<f4", "(20, 6)", rows), None).unwrap() else {
@@ -271,7 +271,7 @@ fn numpys_own_files_are_read() {
     assert_eq!(cloud.attribute("t").unwrap().values.get_f64(0), 1.5);
 }
 
-/// PCL has one field after the other, and in each all values of a point together.
+/// PCL stores one field after the other, and in each field all values of a point together.
 #[test]
 fn compressed_fields_of_several_values_are_laid_out_as_by_pcl() {
     let mut points = PointCloud::new([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter().collect());
@@ -315,7 +315,7 @@ fn the_same_kinect_frame_as_tiff_and_as_pcd_is_the_same_cloud() {
     let depth = planish::io::read_depth_frame(&tiff, Camera::kinect_v1()).unwrap().deproject().unwrap();
     for (i, (p, q)) in cloud.positions().iter().zip(depth.positions().iter()).enumerate() {
         assert_eq!(cloud.positions().is_finite(i), depth.positions().is_finite(i));
-        // The driver has its own principal point; z is the same.
+        // The driver uses another principal point, which does not change z.
         assert!(p[2].is_nan() || (p[2] - q[2]).abs() < 1e-6, "{p:?} {q:?}");
     }
 }
@@ -335,11 +335,11 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
     assert_eq!(names("# made by hand\n1 2 3 9 0 1\n4 5 6 0 1 0\n", Text).1, "red green blue");
     assert_eq!(names("1 2 3 0 0.6 0.8\n4 5 6 0 1 0\n", Text).1, "normal_x normal_y normal_z");
     assert_eq!(names("2\n1 2 3 -700 255 0 7\n4 5 6 -650.5 1 2 3\n", Text).1, "intensity red green blue");
-    // As PTS has them, whatever the values.
+    // After a line with the number of points, columns have the order of PTS, whatever their values.
     assert_eq!(names("2\n1 2 3 182 26 100 238\n4 5 6 7 1 2 3\n", Text).1, "intensity red green blue");
     assert_eq!(names("1 2 3 26 100 238 182\n4 5 6 7 1 2 3\n", Text).1, "red green blue intensity");
     assert_eq!(names("1 2 3 9 8\n", Text).1, "column_4 column_5");
-    // A last cell may be empty, and each line end with a separator; a line that is short is an error.
+    // A last cell may be empty, and lines may end with a separator. A line with too few cells is an error.
     let (blank, found) = names("x,y,z,class\n1,2,3,\n2,3,4,5\n", Csv);
     assert_eq!((blank.len(), found.as_str()), (2, "class"));
     assert_eq!((names("x,y,z,\n1,2,3,\n2,3,4,\n", Csv).0.len(), names("1,2,3,\n2,3,4,\n", Csv).0.len()), (2, 2));
@@ -360,7 +360,7 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
             format!("{:?} {:?}", cloud.positions, cloud.attributes)
         );
     }
-    // Empty cells, quotes, units, a byte order mark, line ends of Windows, comments behind numbers.
+    // Empty cells, quotes, units, a byte order mark, Windows line ends, comments after numbers.
     let (cells, found) = names("\u{feff}X [m];\"Y [m]\";Z (m);A b;c\r\n1;2;3;;5\r\n4;5;6;7;\r\n", Csv);
     assert_eq!(found, "A_b c");
     let values = |name: &str| format!("{:?}", cells.attribute(name).unwrap().values);
@@ -382,7 +382,7 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
         let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();
         assert!(error.contains(what), "{text:?}: {error}");
     }
-    // Without a known extension, as from standard input.
+    // The format is found without a known extension, as from standard input.
     for text in ["1 2 3\n4 5 6\n", "x,y,z\n1,2,3\n", &"0.25 0.5 0.125\n".repeat(1000)] {
         assert_eq!(io::decode(text.as_bytes(), None).unwrap().0, Text);
     }

@@ -1,4 +1,4 @@
-//! Every input of the fuzz targets: one for each way in which a file was found to be damaged, and sound ones.
+//! Every input of the fuzz targets: valid files, and one file for each kind of damage found so far.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -18,7 +18,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
     entries.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect()
 }
 
-/// Checks bytes as a target does.
+/// Checks bytes as the given fuzz target does.
 fn check(target: &str, bytes: &[u8]) {
     let format = match target {
         "camera" => return checks::check_camera(std::str::from_utf8(bytes).unwrap()),

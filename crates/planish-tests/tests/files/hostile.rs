@@ -11,7 +11,7 @@ fn error(bytes: &[u8], format: Format) -> String {
     io::decode(bytes, Some(format)).expect_err("a refusal").to_string()
 }
 
-/// Returns a valid header in which single lines are replaced.
+/// Returns a PCD file with this body, whose header is valid except for the replaced lines.
 fn pcd(changes: &[(&str, &str)], body: &str) -> Vec<u8> {
     let mut text = String::from("# .PCD v0.7\n");
     let defaults = [
@@ -108,7 +108,7 @@ fn files_that_are_something_else_are_refused() {
     assert!(nothing.contains("supported are PCD, PLY"), "{nothing}");
 }
 
-/// Valid files of every kind, to be damaged.
+/// Returns valid files of many formats, for tests that damage them.
 fn samples() -> Vec<(Format, Vec<u8>)> {
     let folder = tempfile::tempdir().unwrap();
     let mut cloud = PointCloud::new((0..40).map(|i| [i as f32, 1.0, 2.0]).collect::<Xyz>());
@@ -145,7 +145,7 @@ fn samples() -> Vec<(Format, Vec<u8>)> {
 fn every_truncation_of_every_format_is_an_error_or_whole() {
     for (format, bytes) in samples() {
         for end in 0..bytes.len() {
-            // Text may lose its last newline, or digits of its last number, and still be whole.
+            // Text may lose its last newline or the last digits of its last number and still be complete.
             let cut = io::decode(&bytes[..end], Some(format));
             assert!(cut.is_err() || end + 12 >= bytes.len(), "{format:?} cut at {end} of {}", bytes.len());
         }

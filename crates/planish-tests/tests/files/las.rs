@@ -10,7 +10,7 @@ use planish::PointCloud;
 use planish::io::{self, Contents, Encoding, Format};
 use planish_tests::data::{folder, general_cloud};
 
-/// Returns the records of a LAS file and its header.
+/// Returns the header and the point records of a LAS file.
 fn las_records(path: &Path) -> (las::Header, Vec<u8>) {
     let mut reader = las::Reader::from_path(path).unwrap();
     let records = reader.read_all().unwrap().raw_bytes().to_vec();
@@ -66,7 +66,7 @@ fn other_clouds_become_las_and_come_back() {
     cloud.set_attribute("depth", vec![1.5f64, 2.5, -3.5]);
     io::write_cloud(&path, &cloud, Encoding::Binary).unwrap();
     let Contents::General(copy) = io::read(&path).unwrap().1 else { panic!("points") };
-    // Without its hole.
+    // The file does not contain the hole.
     assert_eq!(copy.len(), 2);
     for (i, from) in [0, 2].into_iter().enumerate() {
         for axis in 0..3 {
@@ -93,7 +93,7 @@ fn through_las(cloud: &PointCloud) -> Result<PointCloud, planish::IoError> {
 
 #[test]
 fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
-    // Bytes that no record describes, and fields with the names of others.
+    // The file has bytes that no record describes, and a described field with the name of a standard field.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("odd.las");
     let mut builder = las::Builder::from((1, 4));
@@ -122,13 +122,13 @@ fn extra_bytes_of_las_keep_their_places_whatever_is_added() {
     assert_eq!(values(&copy, "intensity"), vec![9u16; 3].into());
     let rest = vec![0u8, 1, 2, 3, 1, 1, 2, 3, 2, 1, 2, 3];
     assert!(copy.attributes.iter().any(|attribute| attribute.values == rest.clone().into()), "{:?}", copy.attributes);
-    // And once more.
+    // Add another field to the copy.
     let mut twice = copy;
     twice.set_attribute("status", vec![4u8; 3]);
     let copy = through_las(&twice).unwrap();
     assert_eq!((values(&copy, "status"), values(&copy, "curvature")), (vec![4u8; 3].into(), vec![0.25f32; 3].into()));
 
-    // Enough fields for their descriptions to follow the points, and more than one record can hold.
+    // 400 fields, whose descriptions follow the points, and 9000, which are too many for one record.
     let mut wide = PointCloud::new([[1.0; 3], [2.0; 3]].into_iter().collect());
     (0..400).for_each(|i| wide.set_attribute(&format!("c{i}"), vec![i as f32, 0.5]));
     let mut copy = through_las(&wide).unwrap();
@@ -155,7 +155,7 @@ fn scaled_extra_bytes_are_numbers_everywhere_and_the_same_bytes_in_las() {
     let path = folder.path().join("scaled.las");
     let mut builder = las::Builder::from((1, 4));
     builder.point_format = las::point::Format::new(6).unwrap();
-    // An i32 in hundredths; two u16, the second in halves from 100 on; an i64 that no f64 holds.
+    // An i32 in hundredths; two u16, the second in halves with an offset of 100; an i64 that f64 cannot represent.
     builder.point_format.extra_bytes = 4 + 4 + 8;
     let mut data = Vec::new();
     let mut describe = |name: &[u8], number: u8, options: u8, scales_and_offsets: [f64; 6]| {
@@ -191,7 +191,7 @@ fn scaled_extra_bytes_are_numbers_everywhere_and_the_same_bytes_in_las() {
     let copy = folder.path().join("copy.las");
     io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
     assert_eq!(las_records(&copy).1, las_records(&path).1);
-    // Numbers of another type are numbers as well.
+    // Values of another type are rounded to the scale of the field.
     let mut cloud = cloud;
     cloud.set_attribute("temperature", vec![535.0625f32, -1.0, 2.0]);
     io::write_cloud(&copy, &cloud, Encoding::Binary).unwrap();
@@ -208,7 +208,7 @@ fn damaged_las_files_are_refused() {
             let error = io::decode(&bytes[..cut], None).unwrap_err().to_string();
             assert!(error.len() < 300, "{name} {cut}: {error}");
         }
-        // States more points than the file contains.
+        // This header states more points than the file contains.
         let mut lying = bytes.clone();
         lying[107..111].copy_from_slice(&u32::MAX.to_le_bytes());
         assert!(io::decode(&lying, None).is_err(), "{name}");
@@ -220,7 +220,7 @@ fn damaged_las_files_are_refused() {
 
 #[test]
 fn layers_larger_than_their_chunk_are_refused_before_anything_is_allocated() {
-    // Point formats from 6 on are compressed in layers, whose sizes are behind the first point of a chunk.
+    // Point formats from 6 on are compressed in layers, whose sizes follow the first point of a chunk.
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.laz");
     let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
@@ -236,7 +236,7 @@ fn layers_larger_than_their_chunk_are_refused_before_anything_is_allocated() {
         lying[sizes_at + 4 * layer..][..4].copy_from_slice(&0xffff_fff0u32.to_le_bytes());
         let error = io::decode(&lying, Some(Format::Laz)).unwrap_err().to_string();
         assert!(error.contains("but its layers need"), "{error}");
-        // The same where the file is read in parts.
+        // The error is the same if the file is read in parts.
         fs::write(&file, &lying).unwrap();
         let error = io::read_in_parts(&file, 1 << 20, |_| ()).unwrap_err().to_string();
         assert!(error.contains("a.laz") && error.contains("but its layers need"), "{error}");
@@ -259,7 +259,7 @@ fn headers_shorter_than_their_versions_are_refused() {
     }
 }
 
-/// Returns a thousand points in LAZ.
+/// Returns a LAZ file of 1000 points.
 fn compressed() -> Vec<u8> {
     let cloud = PointCloud::new((0..1000).map(|i| [i as f32, 0.5 * i as f32, (i % 7) as f32]).collect());
     io::encode_cloud(Format::Laz, &cloud, Encoding::Binary).unwrap()
@@ -285,7 +285,7 @@ fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
     let mut reader = Cursor::new(&bytes);
     reader.set_position(points_at as u64);
     let chunk = ChunkTable::read_from(reader, &description).unwrap()[0];
-    // The first layer and the chunk claim as much more.
+    // The first layer and the chunk both state this number of additional bytes.
     let more = 0x7000_0000u32;
     let layer_at = points_at + 8 + usize::from(u16::from_le_bytes([bytes[105], bytes[106]])) + 4;
     let layer = number(layer_at) + more;
@@ -299,7 +299,7 @@ fn a_chunk_that_ends_beyond_the_file_is_refused_though_its_layers_fill_it() {
     assert!(error.contains("a chunk of") && error.contains("in a file of"), "{error}");
 }
 
-/// Returns points in LAZ of this point format, with another table of chunks.
+/// Returns a LAZ file in the given point format, with a changed table of chunks.
 fn with_table(format: u8, chunk_size: Option<u32>, change: impl Fn(&mut ChunkTableEntry)) -> Vec<u8> {
     let mut builder = las::Builder::from((1, 4));
     builder.point_format = las::point::Format::new(format).unwrap();

@@ -1,4 +1,4 @@
-//! Real frames that were saved without their holes are smoothed on their grid again.
+//! Real frames that were saved without their holes: smoothing rebuilds their grid.
 
 use planish::io::{self, Contents, Encoding};
 use planish::{OrganizedCloud, Outputs, PointCloud, PointsView, Session, Smoothed};
@@ -11,7 +11,7 @@ fn smoothed(session: &mut Session, cloud: &PointCloud) -> Smoothed {
     smoothed
 }
 
-/// Returns the rectangle of all pixels that have a point.
+/// Returns the smallest rectangle that contains all pixels with a point.
 fn without_empty_borders(cloud: &OrganizedCloud) -> OrganizedCloud {
     let (width, points) = (cloud.width(), cloud.positions());
     let valid = || (0..points.len()).filter(|&i| points.is_finite(i)).map(|i| (i % width, i / width));
@@ -28,7 +28,7 @@ fn a_frame_saved_without_its_holes_is_smoothed_as_before() {
         let mut session = Session::new("engine=cpu".parse().unwrap()).unwrap();
         session.set_outputs(Outputs::POINTS.with_status(true));
         let mut expected = Smoothed::default();
-        // Cells begin at the first pixel: a grid can only be rebuilt from the first one with a point on.
+        // Cells begin at the first pixel, but a rebuilt grid begins with the first column and row that have a point.
         let whole = without_empty_borders(&frame.cloud);
         session.smooth(&whole, &mut expected).unwrap();
         let pixels: Vec<usize> = (0..expected.points.len()).filter(|&i| whole.positions().is_finite(i)).collect();

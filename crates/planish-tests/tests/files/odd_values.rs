@@ -59,7 +59,7 @@ fn general(contents: Contents) -> PointCloud {
     }
 }
 
-/// Finite points in f64.
+/// Returns the finite points in f64.
 fn finite(cloud: &PointCloud) -> Vec<[f64; 3]> {
     let point = |i: usize| [0, 1, 2].map(|axis| cloud.coordinate(axis, i));
     (0..cloud.len()).map(point).filter(|point| point.iter().all(|value| value.is_finite())).collect()
@@ -72,7 +72,7 @@ fn check(cloud: &PointCloud, (extension, encoding, error_m): (&str, Encoding, f6
         assert!(error.to_string().len() > 20 && !path.exists(), "{error}");
         return;
     }
-    // Few points do not show how many columns a lidar's .bin has.
+    // A few points do not show the number of columns of a lidar's .bin, so state it.
     let options = ReadOptions::default().with_columns((extension == "bin").then_some(4));
     let read = io::read_with(&path, &options);
     let read = general(read.unwrap_or_else(|error| panic!("{error}: {cloud:?}")).1);
@@ -81,7 +81,8 @@ fn check(cloud: &PointCloud, (extension, encoding, error_m): (&str, Encoding, f6
     for (meant, got) in meant.iter().zip(&got) {
         for axis in 0..3 {
             let origin_m = cloud.origin_m[axis];
-            // Four bytes round coordinates; by default only those up to 1000 m are written so.
+            // Coordinates in four bytes are rounded. By default, only coordinates up to 1000 m are written in four
+            // bytes.
             let size = match cloud.position_columns.precision {
                 _ if extension == "bin" => meant[axis].abs(),
                 Precision::F32 => meant[axis].abs(),

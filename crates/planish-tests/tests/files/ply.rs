@@ -7,7 +7,7 @@ use planish::{AttributeValues, PointCloud, SensorPose};
 
 #[test]
 fn a_ply_states_pose_and_grid_as_pcl_does() {
-    // As PCL 1.13 writes an organized cloud with a sensor pose; its faces and cameras follow the vertices.
+    // An organized cloud with a sensor pose, as PCL 1.13 writes it. Its faces and cameras follow the vertices.
     let camera: String = ["view_px", "view_py", "view_pz"]
         .into_iter()
         .map(str::to_owned)
@@ -31,7 +31,7 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
         (0..7).all(|k| (a.viewpoint()[k].abs() - b.viewpoint()[k].abs()).abs() <= tolerance)
     };
     assert!(near(&cloud.points.pose, &pose, 1e-6), "{:?}", cloud.points.pose);
-    // Far from the origin f32 would move the sensor.
+    // Far from the origin, a position in f32 would move the sensor.
     for position_m in [pose.position_m, [437_512.25, 5_417_233.125, 312.0625]] {
         cloud.points.pose.position_m = position_m;
         for encoding in [Encoding::Ascii, Encoding::Binary] {
@@ -40,7 +40,8 @@ fn a_ply_states_pose_and_grid_as_pcl_does() {
             assert!(near(&again.points.pose, &cloud.points.pose, 1e-6), "{encoding:?}: {:?}", again.points.pose);
         }
     }
-    // MeshLab means other axes by the same names, and has a focal length; a damaged camera harms no vertex.
+    // MeshLab uses the same names for other axes, but states a focal length. A damaged camera does not affect the
+    // vertices.
     let replaced = |from: &str, to: &str| {
         fs::write(&path, text.replace(from, to)).unwrap();
         planish::io::read_organized(&path).map(|cloud| cloud.points.pose)
@@ -85,12 +86,12 @@ fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
     let written = fs::read_to_string(&path).unwrap();
     assert!(written.contains("property float nx") && !written.contains("normal_x"), "{written}");
     assert!(written.ends_with("1 2 3 1 0 1\n"), "{written}");
-    // As earlier versions wrote them: the later ones stay.
+    // Clouds by earlier versions also have the field nx; normal_x takes precedence.
     cloud.set_attribute("nx", vec![9.0f32]);
     io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
     assert!(fs::read_to_string(&path).unwrap().ends_with("1 2 3 1 0 1\n"));
     cloud.attributes.retain(|attribute| attribute.name != "nx");
-    // Words may be parted by tabs.
+    // Tabs may separate the words of a header.
     fs::write(&path, text.replace("property float x", "property\tfloat\tx")).unwrap();
     assert!(io::read(&path).is_ok());
     let pcd = folder.path().join("n.pcd");

@@ -1,4 +1,4 @@
-//! Formats of scanners, lidars, meshes and NumPy archives.
+//! Formats of scanners and lidars, meshes and NumPy archives.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -35,7 +35,7 @@ fn decode(bytes: &[u8], format: Format) -> Result<PointCloud, String> {
     }
 }
 
-/// Two scans, one turned and far away, the second with colours; a point of the first is invalid.
+/// Returns an E57 file with two scans: the first turned, far away and with an invalid point; the second with colours.
 fn two_scans() -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
@@ -48,7 +48,7 @@ fn two_scans() -> Vec<u8> {
     let first = [position(), vec![Record { name: RecordName::CartesianInvalidState, data_type: state }]].concat();
     let mut scan = writer.add_pointcloud("{first}", first).unwrap();
     scan.set_name(Some("cellar".into()));
-    // A quarter turn about z.
+    // A rotation of 90° about z.
     let half = 0.5f64.sqrt();
     scan.set_transform(Some(Transform {
         rotation: Quaternion { w: half, x: 0.0, y: 0.0, z: half },
@@ -97,7 +97,7 @@ fn scans_of_an_e57_are_one_cloud_in_the_frame_of_the_file_and_are_written_back_e
     io::write_cloud(&output, &cloud, Encoding::Binary).unwrap();
     let again = read(&output).1;
     assert_eq!((again.len(), again.valid_points(), again.origin_m), (4, 3, cloud.origin_m));
-    // A NaN does not equal itself.
+    // Compare as text, because NaN is not equal to NaN.
     assert_eq!(format!("{:?}", again.attributes), format!("{:?}", cloud.attributes));
     let reader = e57::E57Reader::from_file(&output).unwrap();
     let scans = reader.pointclouds();
@@ -114,7 +114,8 @@ fn scans_of_an_e57_are_one_cloud_in_the_frame_of_the_file_and_are_written_back_e
 
 #[test]
 fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
-    // Two scanners, one turned by a quarter about x, each with a floor 1.5 m below it in the file's frame, 100 m apart.
+    // Two scanners, 100 m apart, each with a floor 1.5 m below it in the file's frame. The second scanner is turned
+    // by 90° about x.
     let half = 0.5f64.sqrt();
     let scanners = [[0.0, 0.0, 1.5], [100.0, 0.0, 1.5]];
     let mut bytes = Cursor::new(Vec::new());
@@ -130,7 +131,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
         }));
         for i in 0..900 {
             let (u, v) = (0.1 * f64::from(i % 30) - 1.5, 0.1 * f64::from(i / 30) - 1.5);
-            // For the second scan, (u, v, -1.5) rotated back by 90°.
+            // The points of the second scan are (u, v, -1.5) rotated back by 90°.
             let p = if number == 0 { [u, v, -1.5] } else { [u, -1.5, -v] };
             scan.add_point(p.map(RecordValue::Double).to_vec()).unwrap();
         }
@@ -145,7 +146,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
     let options = planish::SmootherOptions::new(planish::Engine::Cpu, outputs);
     let mut smoother = planish::Smoother::open_clouds(planish::CloudParams::default(), &options).unwrap();
     smoother.smooth(planish::IntoFrame::into_frame(&cloud).unwrap(), &mut smoothed).unwrap();
-    // A result that faces away everywhere is turned.
+    // Turn all normals away from their scanners; `apply` must turn them back.
     let normals = smoothed.normals.as_mut().unwrap();
     for i in 0..normals.len() {
         let n = normals.get(i);
@@ -160,7 +161,7 @@ fn normals_of_an_e57_are_in_the_frame_of_the_points_and_face_their_scanner() {
         let AttributeValues::F32(up) = &cloud.attribute("normal_z").unwrap().values else { panic!("f32") };
         assert!(up.iter().all(|z| *z > 0.999), "up in the file's frame");
     }
-    // In the file they are in the frames of the scans, as the points are.
+    // The file has normals in the frames of the scans, like the points.
     let mut reader = e57::E57Reader::from_file(&path).unwrap();
     let scans = reader.pointclouds();
     let place = scans[1]
@@ -196,7 +197,7 @@ fn arrays_that_name_the_same_are_all_kept() {
     assert_eq!(twice.attributes, read_once.attributes);
     assert_eq!(twice.attribute("blue").unwrap().values, vec![3u8, 6, 9].into());
     assert_eq!(twice.attribute("colors"), cloud.attribute("colors"));
-    // In any order, however often.
+    // The order of the arrays does not matter.
     cloud.attributes.reverse();
     io::write_cloud(&first, &cloud, Encoding::Binary).unwrap();
     let other_order = read(&first).1;
@@ -265,7 +266,7 @@ fn real_e57_files_are_read_or_refused() {
     assert!(format == Format::E57 && cloud.rgb().is_some() && cloud.valid_points() == cloud.len() && cloud.len() > 1);
     let error = read("corrupt_crc.e57").err().unwrap();
     assert!(error.contains("damaged E57") && error.len() < 400, "{error}");
-    // A file that other readers failed on.
+    // A file that other readers could not read.
     assert!(read("read_error.e57").is_ok_and(|(_, contents)| contents.shape().0 > 1000));
     // Whatever the contents, reading must not panic.
     let _ = read("empty_pc.e57");
@@ -399,7 +400,7 @@ fn arrays_of_numpy_users_become_normals_colours_and_points_in_any_order() {
     assert_eq!(again.rgb().unwrap(), cloud.rgb().unwrap());
     assert_eq!(again.attribute("normal_y"), cloud.attribute("normal_y"));
 
-    // Columns first, as numpy keeps a transposed array.
+    // Column-major order, as in a transposed numpy array.
     let header = "{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }";
     let mut npy = [b"\x93NUMPY\x01\x00", &(118u16).to_le_bytes()[..], format!("{header:<117}\n").as_bytes()].concat();
     npy.extend([1.0f32, 2.0, 10.0, 20.0, 100.0, 200.0].into_iter().flat_map(f32::to_le_bytes));
@@ -437,7 +438,8 @@ fn texts_and_records_beside_the_points_of_an_npz_are_left_out_and_said() {
     assert!(notes[2].contains("[3]") && notes[2].contains("2 points"), "{notes:?}");
 }
 
-/// Returns an E57 file of `scans` scans with a point each, whose `fields` fields have other names in every scan.
+/// Returns an E57 file of `scans` scans with one point and `fields` fields each; the names of the fields differ in
+/// every scan.
 fn with_many_fields(scans: usize, fields: usize) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();

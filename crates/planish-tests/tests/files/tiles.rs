@@ -19,8 +19,8 @@ fn read(path: &Path) -> PointCloud {
     }
 }
 
-/// Returns a wavy field far from the origin, four times as dense on one side, with repeated points and a stray one, in
-/// an order that jumps.
+/// Returns a wavy field far from the origin, denser on one side, with repeated points and a stray point, in scattered
+/// order.
 fn field(points: usize) -> PointCloud {
     let position = |i: usize| {
         let i = (i * 7919) % points;
@@ -69,7 +69,7 @@ fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, settings: &str) -> P
     result
 }
 
-/// Smooths a file in tiles into another, in a share of the memory that it takes whole.
+/// Smooths a file in tiles into another, with 1 / `share` of the memory that the whole file needs.
 fn in_tiles(input: &Path, output: &Path, settings: &str, share: u64) -> TilesReport {
     in_tiles_by(cpu(), input, output, settings, share)
 }
@@ -84,7 +84,8 @@ fn in_tiles_by(smoother: SmootherOptions, input: &Path, output: &Path, settings:
     report
 }
 
-/// Points to a step of the file's coordinates, normals to the rounding of f32, all else equal.
+/// Asserts that two clouds agree: points to about a step of the file's coordinates, almost all normals to 1e-3, and
+/// all other fields exactly.
 fn assert_same(found: &PointCloud, expected: &PointCloud, step_m: f64, what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");
     assert!((0..found.len()).all(|i| found.positions.is_finite(i) == expected.positions.is_finite(i)), "{what}");
@@ -93,7 +94,7 @@ fn assert_same(found: &PointCloud, expected: &PointCloud, step_m: f64, what: &st
     let far =
         |i: usize| (0..3).map(|k| (coordinate(found, k, i) - coordinate(expected, k, i)).abs()).fold(0.0, f64::max);
     let steps: Vec<f64> = (0..found.len()).map(|i| far(i) / step_m).collect();
-    // Rounding to a step may go either way.
+    // Coordinates between two steps may be rounded to either.
     let differing = steps.iter().filter(|&&steps| steps > 0.5).count();
     let farther = steps.iter().filter(|&&steps| steps > 1.5).count();
     assert!(differing * 5 < found.len() && farther == 0, "{what}: {differing} {farther}");
@@ -140,14 +141,14 @@ fn tiles_give_what_the_whole_cloud_gives() {
         assert_same(&found, &expected, 1e-5, &what);
         assert_eq!(found.len() < cloud.len(), settings.contains("remove_isolated"), "{what}");
         assert_eq!((report.points, report.status_counts.iter().sum()), (cloud.len(), cloud.len()), "{what}");
-        // The stray point, at most.
+        // Only a few points, such as the stray point, may reach beyond the halo of their tile.
         assert!(report.reaching_beyond < 30, "{report:?}");
         fs::remove_file(folder.path().join("expected.las")).unwrap();
         assert_only(folder.path(), &[&las, &laz, &out]);
     }
 }
 
-/// Returns the same file with the bytes of every vertex's values turned around; all have 4 bytes.
+/// Returns the same PLY file in big-endian byte order; all of its values must have 4 bytes.
 fn big_endian(ply: &[u8]) -> Vec<u8> {
     let end = b"end_header\n";
     let at = ply.windows(end.len()).position(|window| window == end).unwrap() + end.len();
@@ -160,16 +161,16 @@ fn big_endian(ply: &[u8]) -> Vec<u8> {
 fn ply_in_tiles_is_the_same_with_its_holes_types_and_pose() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
-    // Doubles, since it is far from the origin.
+    // This cloud is written as doubles, because it is far from the origin.
     let far = field(30_000);
     let mut near = field(90_000);
     near.origin_m = [0.0; 3];
-    // More holes than a tile holds, one after another.
+    // More consecutive holes than a tile has points.
     for i in (3..80_000).step_by(3).chain(50_000..80_000) {
         near.positions.as_mut_slices()[1][i] = f32::NAN;
     }
     near.attributes.retain(|attribute| attribute.name == "deviation");
-    // From below: normals turn round.
+    // The sensor is below, which reverses the normals.
     near.pose = SensorPose::from_viewpoint([30.0, 15.0, -50.0, 1.0, 0.0, 0.0, 0.0]);
     io::write_cloud(&file("far.ply"), &far, Encoding::Binary).unwrap();
     io::write_cloud(&file("near.ply"), &near, Encoding::Binary).unwrap();
@@ -221,7 +222,7 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
 fn the_largest_tile_decides_the_number_of_neighbours() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
-    // Noise of about half the spacing, on waves.
+    // Waves with noise of about half the spacing.
     let noise =
         |i: usize| 0.1 * [1, 7, 31, 101].map(|k| ((k * i) as f64 * 0.414_213_562).fract() - 0.5).iter().sum::<f64>();
     let spread = |i: usize, k: f64| ((i as f64 + 0.5) * k).fract();
@@ -242,14 +243,14 @@ fn the_largest_tile_decides_the_number_of_neighbours() {
     let expected = folder.path().join("expected.las");
     io::write_cloud(&expected, &whole(&read(&input), &format!("neighbours={count}")), Encoding::Binary).unwrap();
     assert_same(&read(&out), &read(&expected), 1e-5, "chosen");
-    // One pass, whatever the noise.
+    // Only one pass is allowed, whatever the noise.
     let two = TileOptions::new(parsed("passes=2"), cpu(), 1 << 20);
     let error = smooth_tiles(&input, &out, &two, &Progress::default()).unwrap_err().to_string();
     assert!(error.contains("passes = 2 is not allowed: 1 for a file that is smoothed in tiles"), "{error}");
     let even = TileOptions::new(parsed("even=true"), cpu(), 1 << 20);
     let error = smooth_tiles(&input, &out, &even, &Progress::default()).unwrap_err().to_string();
     assert!(error.contains("even = true is not allowed: only for a file that fits into memory"), "{error}");
-    // Light has half as many.
+    // The preset `light` has half as many neighbours.
     let light = in_tiles(&input, &out, "preset=light", 3).params;
     assert_eq!(light, parsed(&format!("neighbours={}", count.div_ceil(2))).cloud_params().unwrap());
 }
@@ -262,7 +263,7 @@ fn a_real_scan_in_tiles_is_the_same() {
     in_tiles(&input, &out, BY_DENSITY, 4);
     let expected = folder.path().join("expected.laz");
     io::write_cloud(&expected, &whole(&read(&input), BY_DENSITY), Encoding::Binary).unwrap();
-    // Its coordinates are whole hundredths of a foot, and so is what differs.
+    // Coordinates of this file are whole hundredths of a foot, and so are the differences.
     assert_same(&read(&out), &read(&expected), 0.01, "autzen");
 }
 
@@ -276,12 +277,13 @@ fn tiles_on_a_gpu_give_what_the_whole_cloud_gives_there() {
     let cloud = field(16_000);
     io::write_cloud(&las, &cloud, Encoding::Binary).unwrap();
     let gpu = TestEngine::gpu(false).options(Outputs::ALL);
-    // The smaller one cannot hold a whole tile.
+    // `in_parts` cannot hold a whole tile.
     let in_parts = TestEngine { bounds_checks: false, ..TestEngine::in_parts(2500) }.options(Outputs::ALL);
     for (settings, smoother) in [(BY_DENSITY, &gpu), ("radius=0.6", &gpu), (BY_DENSITY, &in_parts)] {
         let report = in_tiles_by(smoother.clone(), &las, &out, settings, 3);
         assert_eq!((report.engine, report.points), (Engine::Gpu, cloud.len()));
-        // Radii by density are known, including the stray point's.
+        // With radii by density, points such as the stray one reach beyond their halo; with a fixed radius, no point
+        // does.
         let by_density = settings == BY_DENSITY;
         assert!(report.reaching_beyond < 30 && (report.reaching_beyond > 0) == by_density, "{report:?}");
         let expected = folder.path().join("expected.las");
@@ -316,7 +318,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     assert!(smooth(&cut, &options(Engine::Cpu, needed)).contains("truncated"));
     assert!(bytes_in_memory(&cut).is_none() && bytes_in_memory(Path::new("none.las")).is_none());
     assert_only(folder.path(), &[&input, &cut]);
-    // Without a point there is nothing to smooth, and a file all the same.
+    // A file without points has nothing to smooth, but its output is written.
     io::write_cloud(&input, &PointCloud::new(Default::default()), Encoding::Binary).unwrap();
     smooth_tiles(&input, &out, &options(Engine::Cpu, needed), &Progress::default()).unwrap();
     assert_eq!(read(&out).len(), 0);
@@ -326,7 +328,8 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
 fn normals_in_tiles_face_the_sensor_of_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("hall.las"), folder.path().join("out.las"));
-    // The floor and the ceiling of a hall around the origin: a far tile alone would be seen from above.
+    // The floor and the ceiling of a hall around the origin. A distant tile on its own would count as seen from
+    // above.
     let spread = |i: usize, k: f64| 200.0 * ((i as f64 + 0.5) * k).fract() - 100.0;
     let position = |i: usize| {
         let z = if i.is_multiple_of(2) { -5.0 } else { 6.0 };
@@ -354,7 +357,7 @@ fn what_a_file_in_tiles_says_is_kept_or_noted() {
     let report = in_tiles(&input, &out, BY_DENSITY, 3);
     assert!(report.tiles > 1, "{report:?}");
     assert_eq!(report.notes, ["other elements than vertices are dropped: face (1)"]);
-    // Above the field, on a map.
+    // The assumed sensor is above the field, in map coordinates.
     let sensor = report.assumed_sensor_m.unwrap();
     assert!(sensor[2] > 150.0 && (sensor[0] - 637_030.0).abs() < 50.0, "{sensor:?}");
     assert!(fs::read_to_string(&out).unwrap().contains("comment by hand\n"));
@@ -386,8 +389,8 @@ fn a_file_in_parts_has_every_point_once() {
 fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
     let folder = tempfile::tempdir().unwrap();
     let (input, out) = (folder.path().join("a.las"), folder.path().join("out.las"));
-    // A pole on a border of the tiles, with as many points as small tiles hold, and a point at the file's origin, as
-    // real files have them.
+    // A pole on a border of the tiles has as many points as small tiles hold. One more point is at the file's origin,
+    // as in real files.
     let mut cloud = field(12_000);
     let pole = (0..1500).map(|i| [30.0, 15.0, 0.001 * i as f32]);
     cloud = PointCloud::new(cloud.positions.iter().chain(pole).chain([[-637_000.0, -849_000.0, -100.0]]).collect());
@@ -415,7 +418,7 @@ fn late_returns_of_old_files_and_impossible_scales_do_not_panic() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     let input = file("a.las");
-    // An old file; its header counts five returns, and its records hold eight.
+    // The header of an old file counts five returns, but its records can state seven.
     let mut builder = las::Builder::from((1, 2));
     builder.point_format = las::point::Format::new(1).unwrap();
     let mut writer = las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();

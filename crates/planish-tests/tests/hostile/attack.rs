@@ -1,4 +1,4 @@
-//! Mutated files through every subcommand with usual and extreme options.
+//! Mutated files as inputs of every subcommand, with usual and extreme options.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,14 +13,16 @@ use super::numbers::Numbers;
 use super::program::{self, Ended};
 use super::samples::{CAMERA, Kind, Sample, samples};
 
-/// Limits of a run: time, address space, and memory beyond `--max-memory`.
+/// Maximum duration of a run.
 const LONGEST: Duration = Duration::from_secs(20);
+/// Address space of a run in KiB, unless it is a run with little memory.
 const ADDRESS_SPACE_KIB: u64 = 3 << 19;
+/// Maximum memory of a run beyond `--max-memory`, in bytes.
 const BEYOND_BYTES: u64 = 100 << 20;
-/// The default of `--max-memory`.
+/// The default of `--max-memory`, in bytes.
 const USUAL_BYTES: u64 = 2 << 30;
 
-/// Options with a value that may be extreme.
+/// Options with usual and extreme values.
 const OPTIONS: [(&str, &[&str]); 22] = [
     ("--preset", &["paper", "fast", "light", "strong", "none"]),
     ("--strength", &["0", "1", "0.3", "-1", "nan", "1e9"]),
@@ -55,7 +57,7 @@ struct Attack {
     address_space_kib: u64,
 }
 
-/// Changes files, runs the command on each, and lists what went wrong.
+/// Changes files, runs the command on each, and panics with a list of the faults.
 pub fn run(files: usize, seed: u64) {
     let sound = tempfile::tempdir().unwrap();
     let samples = samples(sound.path());
@@ -106,7 +108,7 @@ impl<'a> Case<'a> {
         let mut numbers = Numbers::new(seed, number as u64);
         let sample = &samples[number % samples.len()];
         let mut bytes = sample.bytes.clone();
-        // One in twenty is sound, so that options are tested too.
+        // One file in twenty stays sound, so that options are tested too.
         if !numbers.one_in(20) {
             let other = &samples[numbers.below(samples.len())];
             mutate(&mut bytes, &sample.name, &other.bytes, &mut numbers);
@@ -120,7 +122,7 @@ impl<'a> Case<'a> {
             _ => folder.path().to_owned(),
         };
         if matches!(sample.kind, Kind::Rig | Kind::List) {
-            // The changed file names these.
+            // The changed file refers to these files.
             copy_folder(&sound.join(within.file_name().unwrap()), &within);
         }
         fs::create_dir_all(&within).unwrap();
@@ -145,7 +147,7 @@ impl<'a> Case<'a> {
         if ended.too_long {
             return Err(format!("took over {LONGEST:?}"));
         }
-        // If a new thread gets no memory, libraries below planish end the process.
+        // If there is no memory for a new thread, libraries below planish end the process.
         let of_threads = ["Fatal glibc error", "failed to allocate an alternative stack"];
         let has_little = self.attack.address_space_kib < ADDRESS_SPACE_KIB;
         if has_little && of_threads.iter().any(|fault| printed.contains(fault)) {
@@ -171,7 +173,7 @@ impl<'a> Case<'a> {
         Ok(ended)
     }
 
-    /// Reads everything that was written.
+    /// Checks that every file that was written is whole.
     fn check_outputs(&self, out: &Path) -> Result<(), String> {
         for entry in fs::read_dir(out).unwrap().map(Result::unwrap) {
             let path = entry.path();
@@ -179,7 +181,7 @@ impl<'a> Case<'a> {
                 self.check_outputs(&path)?;
                 continue;
             }
-            // Without memory a recording is left as it is, for `planish recover`.
+            // If memory runs out, an unfinished recording stays for `planish recover`.
             let has_little = self.attack.address_space_kib < ADDRESS_SPACE_KIB;
             if has_little && path.extension().is_some_and(|extension| extension == "part") {
                 continue;
@@ -189,7 +191,7 @@ impl<'a> Case<'a> {
         Ok(())
     }
 
-    /// Keeps the file for a person.
+    /// Saves the changed file for inspection, and returns a description of the fault.
     fn keep(&self, fault: &str) -> String {
         let name = self.input.file_name().unwrap().to_str().unwrap();
         let kept = std::env::temp_dir().join(format!("planish-hostile-{}-{}-{name}", self.seed, self.number));
@@ -204,7 +206,7 @@ impl<'a> Case<'a> {
     }
 }
 
-/// Refuses a file that is not whole.
+/// Returns an error if a file is not whole.
 pub fn check_output(path: &Path, scratch: &Path) -> Result<(), String> {
     let name = path.file_name().unwrap().to_str().unwrap();
     if name.contains(".tmp") || name.starts_with('.') {
@@ -217,12 +219,12 @@ pub fn check_output(path: &Path, scratch: &Path) -> Result<(), String> {
             let text = fs::read_to_string(path).map_err(|e| e.to_string())?;
             serde_json::from_str::<serde_json::Value>(&text).map(drop).map_err(|e| e.to_string())
         }
-        // Few points do not show how many columns a lidar's .bin has.
+        // A few points do not show the number of columns of a lidar's .bin.
         "bin" => io::read_with(path, &io::ReadOptions::default().with_columns(Some(4)))
             .map(drop)
             .or_else(|_| io::read(path).map(drop))
             .map_err(|e| e.to_string()),
-        // Lists of data sets, reports.
+        // Lists of data sets, and reports.
         "txt" | "yaml" | "md" | "svg" | "1" => Ok(()),
         "glb" => io::read(path).map(drop).map_err(|e| e.to_string()),
         "mcap" => {

@@ -42,11 +42,11 @@ const COMMANDS: [&[&str]; 18] = [
     &["demo", "--out", "out/demo"],
 ];
 
-/// Ends processes at random times and lists the faults.
+/// Ends processes at random times, and panics with a list of the faults.
 pub fn run(runs: usize, seed: u64) {
     let inputs = tempfile::tempdir().unwrap();
     write_inputs(inputs.path());
-    // How long each command takes, which is when it can be ended.
+    // Duration of each command in microseconds, within which it is ended; 0 if not measured yet.
     let took = COMMANDS.map(|_| AtomicU64::new(0));
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let ended_early = AtomicUsize::new(0);
@@ -73,7 +73,7 @@ pub fn run(runs: usize, seed: u64) {
     assert!(ended_early > runs / 4, "only {ended_early} of {runs} ended early");
 }
 
-/// Ends one process; returns whether it had not finished.
+/// Ends one process at a random time; returns true if it had not finished.
 fn end_one(inputs: &Path, command: &[&str], took: &AtomicU64, numbers: &mut Numbers) -> Result<bool, String> {
     let arguments: Vec<_> = command.iter().map(|word| word.replace("IN/", &format!("{}/", inputs.display()))).collect();
     let folder = tempfile::tempdir().unwrap();
@@ -117,7 +117,7 @@ fn end_one(inputs: &Path, command: &[&str], took: &AtomicU64, numbers: &mut Numb
     let killed = ended.status.code().is_none();
     check_all(&folder.join("out"), !killed).map_err(|fault| format!("signal {signal}, {}: {fault}", ended.status))?;
     recover_all(&folder.join("out"))?;
-    // It can simply be started again, but these want new or empty folders.
+    // The command can be run again, unless it requires a new or empty folder.
     if !["record", "stream", "rig"].contains(&command[0]) {
         finish("again")?;
     }
@@ -141,7 +141,7 @@ fn check_all(folder: &Path, all: bool) -> Result<(), String> {
     Ok(())
 }
 
-/// Completes recordings that were cut off, whose frames must all be readable.
+/// Completes unfinished recordings, and checks that they are whole.
 fn recover_all(folder: &Path) -> Result<(), String> {
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
         let path = entry.path();
@@ -152,7 +152,7 @@ fn recover_all(folder: &Path) -> Result<(), String> {
         let recovered = Command::new(program::planish()).arg("recover").arg(&path).output().unwrap();
         let said = String::from_utf8_lossy(&recovered.stderr).into_owned();
         if !recovered.status.success() {
-            // Only a header was written.
+            // A recording with only a header cannot be completed.
             if is_large { Err(said) } else { Ok(()) }?;
             continue;
         }

@@ -1,8 +1,8 @@
 //! The command under attack: mutated files through every subcommand, and processes that end at random times.
 //!
-//! Whatever happens, a run ends soon, with little memory, with a plain sentence if it fails, and its outputs are whole
-//! or absent. `cargo test -p planish-tests --test hostile -- --ignored` runs the long versions, with the seed in
-//! `PLANISH_HOSTILE_SEED` or 2. A fault names its case; `PLANISH_HOSTILE_ONLY=CASE` runs it alone.
+//! Every run must end soon and use little memory. If it fails, it prints a plain sentence; its outputs are whole or
+//! absent. `cargo test -p planish-tests --test hostile -- --ignored` runs the long versions, with the seed in
+//! `PLANISH_HOSTILE_SEED` (default: 2). A fault names its case; `PLANISH_HOSTILE_ONLY=CASE` runs only that case.
 
 #![cfg(target_os = "linux")]
 

@@ -1,8 +1,8 @@
-//! Changes of a file's bytes: of single ones, of numbers in text and in binary fields, of whole parts.
+//! Changes of a file's bytes: single bytes, numbers in text and in binary fields, and whole parts.
 
 use super::numbers::Numbers;
 
-/// Numbers and signs at which readers err.
+/// Numbers and characters that readers often handle wrongly.
 const WORDS: [&[u8]; 22] = [
     b"-1",
     b"0",
@@ -28,7 +28,7 @@ const WORDS: [&[u8]; 22] = [
     b"x",
 ];
 
-/// Changes a file. In two of three cases its checksums are corrected, so that readers continue.
+/// Changes a file. In two of three cases, the checksums of PNG and E57 files are corrected, so that readers continue.
 pub fn mutate(bytes: &mut Vec<u8>, name: &str, other: &[u8], numbers: &mut Numbers) {
     for _ in 0..1 + numbers.below(3) {
         change(bytes, other, numbers);
@@ -47,7 +47,7 @@ fn change(bytes: &mut Vec<u8>, other: &[u8], numbers: &mut Numbers) {
         bytes.extend_from_slice(&other[..other.len().min(1000)]);
         return;
     }
-    // Headers are at the beginning, the tables of some formats at the end.
+    // Headers are at the beginning of files, and the tables of some formats at the end.
     let (at, len) = (numbers.below(bytes.len()), bytes.len());
     let at = match numbers.below(5) {
         0 | 1 => at % 400.min(len),
@@ -110,7 +110,7 @@ fn field(bytes: &mut [u8], at: usize, numbers: &mut Numbers) {
     }
 }
 
-/// Makes the checksums of a PNG's chunks right.
+/// Corrects the checksums of a PNG's chunks.
 fn mend_png(bytes: &mut [u8]) {
     let mut at = 8;
     while let Some(stated) = bytes.get(at..at + 4) {
@@ -123,7 +123,7 @@ fn mend_png(bytes: &mut [u8]) {
     }
 }
 
-/// Makes the checksums of E57's pages of 1024 bytes right.
+/// Corrects the checksums of an E57's pages of 1024 bytes.
 fn mend_e57(bytes: &mut [u8]) {
     for page in bytes.chunks_exact_mut(1024) {
         let sum = checksum(&page[..1020], 0x82f6_3b78).to_be_bytes();
@@ -131,7 +131,7 @@ fn mend_e57(bytes: &mut [u8]) {
     }
 }
 
-/// CRC-32 with a reversed polynomial.
+/// Returns the CRC-32 for a reversed polynomial.
 fn checksum(bytes: &[u8], polynomial: u32) -> u32 {
     !bytes.iter().fold(!0, |mut sum, byte| {
         sum ^= u32::from(*byte);

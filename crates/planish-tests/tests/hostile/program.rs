@@ -8,10 +8,10 @@ use std::sync::OnceLock;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Returns the command that the environment variable `PLANISH_COMMAND` names, or this build's.
+/// Returns the command that the environment variable `PLANISH_COMMAND` names, or otherwise the command of this build.
 ///
-/// The latter is compiled first unless it is newer than all sources. Cargo passes tests only the programs of their
-/// package, but `cargo test --workspace` has compiled it.
+/// The command of this build is compiled first unless it is newer than all sources. Cargo passes a test only the
+/// programs of the test's package, but `cargo test --workspace` has compiled the command already.
 pub fn planish() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -40,7 +40,7 @@ fn modified(path: &Path) -> Option<SystemTime> {
     fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }
 
-/// Returns when the newest source in a folder was modified.
+/// Returns the modification time of the newest source in a folder and its subfolders.
 fn newest(folder: &Path) -> Option<SystemTime> {
     let is_source = |path: &Path| path.extension().is_some_and(|extension| extension == "rs" || extension == "wgsl");
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
@@ -57,7 +57,7 @@ pub struct Ended {
     pub stdout: String,
     pub stderr: String,
     pub peak_bytes: u64,
-    /// It had to be killed.
+    /// True if the process was killed because it took too long.
     pub too_long: bool,
 }
 
@@ -74,7 +74,8 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
     command.args(["-c", &script]).arg(planish()).args(arguments).current_dir(folder);
     command.stdin(stdin.map_or(Stdio::null(), |path| File::open(path).unwrap().into()));
     command.stdout(File::create(folder.join("stdout")).unwrap()).stderr(File::create(folder.join("stderr")).unwrap());
-    // Tests in the background inherit that SIGHUP and SIGINT are ignored, which the command respects.
+    // Tests in the background ignore SIGHUP and SIGINT. The command would inherit that and respect it, so this resets
+    // both.
     // SAFETY: `signal` may be called between fork and exec.
     unsafe {
         command.pre_exec(|| {
@@ -84,7 +85,7 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
             Ok(())
         })
     };
-    // `wait4` waits for it and returns its memory.
+    // `wait4` waits for the process and returns its memory.
     #[allow(clippy::zombie_processes)]
     let child = command.spawn().unwrap();
     Running { id: i32::try_from(child.id()).unwrap(), folder: folder.to_owned() }
@@ -113,7 +114,7 @@ impl Running {
         }
     }
 
-    /// Waits until it ends, and kills it after `longest`.
+    /// Waits until the process ends, and kills it after `longest`.
     pub fn wait(self, longest: Duration) -> Ended {
         let start = Instant::now();
         let id = self.id;
@@ -144,9 +145,9 @@ impl Running {
         }
     }
 
-    /// Sends a signal to it; it may have ended.
+    /// Sends a signal to the process, which may have ended.
     pub fn signal(&self, number: i32) {
-        // SAFETY: nothing has waited for this process, so its number is still its own.
+        // SAFETY: nothing has waited for this process, so its ID has not been reused.
         unsafe { libc::kill(self.id, number) };
     }
 }

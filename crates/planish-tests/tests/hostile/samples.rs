@@ -1,4 +1,4 @@
-//! Small sound files of everything that the command reads, to be changed.
+//! Small sound files of every kind that the command reads, for tests that change them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ pub enum Kind {
     Settings,
     Rig,
     Calibration,
-    /// Of several clouds.
+    /// Poses of several clouds.
     Poses,
     /// A data set's `depth.txt`.
     List,
@@ -41,7 +41,7 @@ impl Sample {
     }
 }
 
-/// Writes the files that stay sound into `folder`, and returns those to be changed.
+/// Writes the files that stay sound into `folder`, and returns the files to change.
 pub fn samples(folder: &Path) -> Vec<Sample> {
     let camera = Camera::new(SIZE, [26.25; 2], [15.5, 11.5]);
     let (scene, pose) = Scene::tabletop(1);
@@ -100,7 +100,7 @@ pub fn samples(folder: &Path) -> Vec<Sample> {
     samples
 }
 
-/// Formats that planish reads but does not write, and camera files: the inputs of the fuzz targets.
+/// Returns inputs of the fuzz targets: files in formats of other programs, recordings and camera files.
 fn written_by_others() -> Vec<Sample> {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus");
     let kinds = [
@@ -115,7 +115,7 @@ fn written_by_others() -> Vec<Sample> {
             let mut paths: Vec<PathBuf> =
                 fs::read_dir(corpus.join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
             paths.sort();
-            // Most PCD files there are damaged already.
+            // Most PCD files of the corpus are already damaged.
             paths.retain(|path| *folder != "pcd" || path.to_str().unwrap().contains("valid-"));
             assert!(!paths.is_empty(), "{folder}");
             for path in paths {

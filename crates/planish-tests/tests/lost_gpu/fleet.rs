@@ -1,4 +1,4 @@
-//! Fleets over a GPU and the CPU, and what becomes of frames when the GPU is lost.
+//! Fleets of a GPU and the CPU, and their frames after the loss of the GPU.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -38,14 +38,16 @@ fn params() -> FrameParams {
     FrameParams::default()
 }
 
-/// Whether it is the result of that frame, by whichever engine: noise of other frames is a thousand times as much.
+/// Returns true if a result belongs to the expected frame, whatever the engine. The noise of other frames is a
+/// thousand times the tolerance.
 fn is_result_of(found: [&[f32]; 3], expected: &Xyz) -> bool {
     let off = found[2].iter().zip(expected.z()).filter(|(a, b)| (*a - *b).abs() > 1e-5).count();
     let holes = found[2].iter().zip(expected.z()).filter(|(a, b)| a.is_nan() != b.is_nan()).count();
     100 * (off + holes) < expected.len()
 }
 
-/// Plays frames repeatedly until a report arrives, then all once more.
+/// Plays frames repeatedly until a warning is reported or 30 s have passed. Then it finishes the round and plays all
+/// frames once more.
 struct Recorded {
     frames: Vec<Arc<DepthFrame>>,
     next: usize,
@@ -99,7 +101,7 @@ fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
     let mut fleet = Fleet::open(params(), &SmootherOptions::default(), &devices, shape).unwrap();
     assert_eq!(fleet.engine(), Engine::Gpu);
     let (mut submitted, mut received, start) = (0, 0, Instant::now());
-    // A device that was left out for its pace is tried again after a second: then the loss shows.
+    // The fleet tries a device that it left out for its pace again after a second; only then does it notice the loss.
     while received < FRAMES || fleet.in_flight() > 0 || fleet.members()[0].lost.is_none() {
         assert!(start.elapsed() < Duration::from_secs(30), "{:?}", fleet.members());
         let is_enough = submitted >= FRAMES && fleet.members()[0].lost.is_some();

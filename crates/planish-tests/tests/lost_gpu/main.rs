@@ -1,4 +1,5 @@
-//! Behaviour when a GPU is lost. A separate process, one test at a time: every device in it is destroyed.
+//! Behaviour when a GPU is lost. These tests have their own process and run one at a time, because the loss destroys
+//! every device of the process.
 
 mod fleet;
 mod rig;
@@ -7,7 +8,7 @@ mod video;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Keeps the other tests away from the devices for as long as it is held.
+/// Returns a lock that keeps the other tests away from the devices while it is held.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)

@@ -1,4 +1,4 @@
-//! A rig on a GPU, and one whose GPU is lost.
+//! A rig whose GPU is lost.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -72,7 +72,7 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
     );
     assert_eq!(warnings.len(), 2, "{warnings:?}");
     assert!(warnings[0].contains("once more") && warnings[1].contains("CPU"), "{warnings:?}");
-    // Each camera's result, computed by both engines.
+    // Each camera's results, from the GPU and later from the CPU, equal those of the CPU alone.
     for (i, frame) in frames.iter().enumerate() {
         let mut alone = Smoothed::default();
         Smoother::open(options.params[i].at_resolution_of(frame), Engine::Cpu, (160, 120))

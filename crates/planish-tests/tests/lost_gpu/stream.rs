@@ -11,7 +11,7 @@ use planish_tests::engines::test_adapter;
 use planish_tests::scenes::small_camera;
 use planish_tests::sources::OneByOne;
 
-/// Counts frames and keeps their time stamps.
+/// Counts frames and keeps their timestamps.
 struct Seen(Arc<AtomicU64>, Arc<Mutex<Vec<u64>>>);
 
 impl Sink for Seen {

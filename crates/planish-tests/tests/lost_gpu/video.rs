@@ -1,4 +1,4 @@
-//! A video whose GPU, and the state on it, is lost with frames in flight.
+//! A video that loses its GPU, and the state on it, with frames in flight.
 
 use std::sync::Arc;
 
@@ -46,8 +46,8 @@ fn a_video_starts_again_on_what_takes_over_and_no_result_lacks_an_output() {
             let counts = smoothed.frames.as_ref().unwrap();
             averaged.push(counts.iter().sum::<f32>() / counts.iter().filter(|&&count| count > 0.0).count() as f32);
         }
-        // Results that were ready before the loss are kept; the next one starts again, and later ones follow by their
-        // own poses.
+        // Results that were ready before the loss are kept. The next result restarts the video, and later results
+        // continue it by their own poses.
         let starts = averaged.iter().filter(|&&count| count < 1.01).count();
         let going_on = averaged.iter().filter(|&&count| count > 1.5).count();
         assert!(starts <= 2 && starts + going_on == averaged.len(), "{averaged:?}");

@@ -10,7 +10,7 @@ use planish::{
 
 const SHAPE: (usize, usize) = (32, 24);
 
-/// Returns a wall at this distance.
+/// Returns a wall at the given distance in metres.
 fn wall(z_m: f32) -> Arc<OrganizedCloud> {
     let points: Xyz = (0..SHAPE.0 * SHAPE.1).map(|i| [0.002 * (i % 32) as f32, 0.002 * (i / 32) as f32, z_m]).collect();
     Arc::new(OrganizedCloud::from_positions(SHAPE.0, SHAPE.1, points).unwrap())
@@ -64,7 +64,7 @@ fn what_is_wrong_with_a_frame_is_said_at_once_or_in_its_place() {
     for z_m in [1.0, 2.0] {
         assert!((middle(&fleet.receive().unwrap().unwrap()) - z_m).abs() < 1e-5);
     }
-    // Full, while nothing can be received yet.
+    // Fill the fleet before any result is received; a further frame is refused.
     (0..fleet.max_in_flight()).for_each(|_| fleet.submit_in_place(wall(1.0)).unwrap());
     assert!(matches!(fleet.submit_in_place(wall(1.0)), Err(Error::Engine(EngineError::Full { in_flight: 12 }))));
     let depth = SmootherOptions::new(Engine::Cpu, Outputs::DEPTH);
@@ -87,7 +87,7 @@ fn a_device_that_is_lost_hands_its_frames_to_the_others() {
         assert!((middle(&view) - (1.0 + 0.01 * i as f32)).abs() < 1e-5, "{i}");
     }
     assert_eq!(fleet.members()[1].lost, Some(lost()));
-    // The last one too: every frame reports it, and nothing waits forever.
+    // If the last device is lost too, every frame reports the loss, and no call waits forever.
     fleet.submit_in_place(wall(1.0)).unwrap();
     lose_fleet_device(&fleet, 0, &lost());
     let result = fleet.receive();

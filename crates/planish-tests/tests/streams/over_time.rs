@@ -1,4 +1,4 @@
-//! Streams that are smoothed over time: what they report.
+//! Reports of streams with temporal smoothing.
 
 use planish::Camera;
 use planish::simulate::{DepthNoise, Event, Sequence};
@@ -16,7 +16,7 @@ fn a_stream_over_time_reports_how_much_less_it_flickers() {
     let mut seen = Vec::new();
     for frame in Frames::start(Box::new(still()), steady.clone()).unwrap() {
         let frame = frame.unwrap();
-        // Only points were asked for.
+        // Only points were requested.
         assert!(frame.smoothed.frames.is_none() && frame.smoothed.status.is_none());
         seen.push(frame.flicker);
     }
@@ -26,7 +26,7 @@ fn a_stream_over_time_reports_how_much_less_it_flickers() {
     let (statistics, _) = run(still(), &steady, Seen::default());
     let mean = statistics.flicker.unwrap();
     assert!(mean.smoothed_m < 0.4 * mean.measured_m && mean.smoothed_m > last.smoothed_m, "{mean:?}");
-    // A camera that moves without a known pose is noticed, although each point has a little of its past.
+    // A camera that moves without a known pose is detected, although each point averages a little of its past.
     let camera = Camera::new((320, 240), [262.5; 2], [159.5, 119.5]);
     let mut moving = Sequence::new(Event::MovingCamera, camera, DepthNoise::default(), 2);
     let frames = (0..12).map(|number| Ok(moving.frame(number).unwrap().frame.clone())).collect();

@@ -1,4 +1,4 @@
-//! Rigs: the ways to smooth them agree with the engines they are made of.
+//! Rigs: each way to smooth them agrees with the engines that it uses.
 
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{RigSmoother, RigWay, merged_params};
@@ -32,7 +32,7 @@ fn cpu() -> SmootherOptions {
     SmootherOptions::new(Engine::Cpu, Outputs::POINTS.with_normals(true).with_status(true))
 }
 
-/// Bit by bit, NaN being NaN.
+/// Returns true if all coordinates are equal; NaN counts as equal to NaN.
 fn same(a: &Xyz, b: &Xyz) -> bool {
     let same =
         |a: &[f32], b: &[f32]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || a.is_nan() && b.is_nan());
@@ -60,7 +60,7 @@ fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
     let case = suite(2, PoseErrors::default()).case(2).unwrap();
     let rig = rig_of(&case);
     let results = smooth(&case, RigWay::Merged, &cpu());
-    // All points by hand.
+    // Transform all points by hand.
     let mut all = Xyz::default();
     let mut pixels = Vec::new();
     for (i, camera) in case.cameras.iter().enumerate() {
@@ -86,7 +86,7 @@ fn merged_is_what_the_general_engine_gives_for_all_points_in_the_rig_s_frame() {
         let (back, fused) = (pose.to_world(vector(&results[i].points, p)), vector(&smoothed.points, k));
         let off = [0, 1, 2].map(|axis| back[axis] - fused[axis]);
         worst = worst.max(dot(off, off).sqrt());
-        // Towards the camera.
+        // Normals face the camera.
         let normals = results[i].normals.as_ref().unwrap();
         assert!(!normals.is_finite(p) || dot(vector(normals, p), vector(&results[i].points, p)) <= 1e-6);
     }
@@ -111,7 +111,8 @@ fn reports(errors: PoseErrors) -> Vec<RigReport> {
 #[test]
 fn surfaces_that_several_cameras_see_are_better_for_it() {
     let [each, merged, views] = reports(PoseErrors::default())[..] else { panic!("three ways") };
-    // Measured: 0.265 and 0.245 mm for each and merged. Without bends, which merged points do not have, each had 0.436.
+    // Measured: 0.265 mm for `Each` and 0.245 mm for `Merged`. Without bends, which merged points do not have, `Each`
+    // had 0.436 mm.
     assert!(each.overlap_rmse_mm < 0.28 && views.overlap_rmse_mm < 0.24, "{each:?} {views:?}");
     assert!(merged.overlap_rmse_mm < 0.25, "{merged:?}");
     assert!(merged.overlap_rmse_mm < 0.95 * each.overlap_rmse_mm, "{each:?} {merged:?}");
@@ -139,7 +140,7 @@ fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
         let holes: Vec<[f32; 3]> =
             raw.iter().zip(found.points.iter()).filter(|(raw, _)| **raw == 0).map(|(_, p)| p).collect();
         assert!(!holes.is_empty() && holes.iter().all(|p| p[0].is_nan()), "{}", way.name());
-        // Nothing at all is nothing, not an error.
+        // A moment without any frame has no results, but is not an error.
         assert!(smoother.smooth(&[None, None]).unwrap().iter().all(Option::is_none));
         assert!(smoother.smooth(&[None]).is_err());
     }
@@ -181,7 +182,7 @@ fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
             (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max)
         };
         let far = (0..fused[0].len()).filter(|&i| apart(i) > 1e-5).count();
-        // Rounding moves single points over a limit.
+        // Rounding puts single points on the other side of a limit.
         assert!(far * 1000 <= fused[0].len(), "{}: {far} of {}", way.name(), fused[0].len());
         assert!(fused.iter().all(|cloud| cloud.attribute("camera").is_some() && cloud.attribute("rgb").is_some()));
     }
@@ -190,7 +191,8 @@ fn organized_clouds_in_another_frame_than_their_camera_s_fuse_to_the_same() {
 #[test]
 fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_same() {
     let cases: Vec<RigCase> = (1..=4).map(|seed| suite(3, PoseErrors::default()).case(seed).unwrap()).collect();
-    // The second camera gives smaller frames from the third moment on, and the first one none in the second.
+    // The second camera gives smaller frames from the fourth moment on, and the first camera gives no frame in the
+    // second.
     let small: Vec<DepthFrame> = cases.iter().map(|case| half(&case.cameras[1].frame)).collect();
     let moments = || {
         (0..6).map(|i| {
@@ -210,7 +212,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
         Some(adapter) => {
             let gpu = GpuOptions::default().with_adapter(adapter.index.to_string());
             engines.push((cpu().with_engine(Engine::Gpu).with_gpu(gpu), Vec::new()));
-            // Spread over both.
+            // Frames are spread over both devices.
             engines.push((cpu(), vec![FleetDevice::Gpu(adapter.index.to_string()), FleetDevice::Cpu]));
         }
         None => skip("moments in flight on a GPU: no adapter"),
@@ -257,7 +259,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
             assert!(fused.positions == expected.positions);
             for name in ["camera", "normal_x", "normal_y", "normal_z", "status"] {
                 let values = |cloud: &PointCloud| match &cloud.attribute(name).unwrap().values {
-                    // Points that are on no surface have no normal: NaN is NaN.
+                    // Points that are on no surface have NaN as normal, so compare bits.
                     AttributeValues::F32(values) => values.iter().map(|value| value.to_bits()).collect(),
                     AttributeValues::U8(values) => values.iter().map(|&value| value.into()).collect::<Vec<u32>>(),
                     _ => panic!("{name} has another type"),
@@ -266,7 +268,7 @@ fn moments_in_flight_come_in_order_whatever_the_engine_and_fused_they_are_the_sa
             }
         }
         assert!(!fuses.receive_fused(&mut fused).unwrap());
-        // The same, one put together while the next goes up.
+        // `next_fused` gives the same clouds; it fuses a moment while the next one is uploaded.
         let mut next = open();
         let mut received = 0;
         let mut check = |fused: &PointCloud| {
@@ -292,7 +294,7 @@ fn in_a_cloud(smoothed: &Smoothed) -> PointCloud {
     cloud
 }
 
-/// Every second pixel of every second row.
+/// Returns every second pixel of every second row, with the intrinsics scaled to match.
 fn half(frame: &DepthFrame) -> DepthFrame {
     let Camera { width, height, .. } = frame.camera;
     let pixels = (0..height).step_by(2).flat_map(|v| (0..width).step_by(2).map(move |u| v * width + u));

@@ -1,8 +1,8 @@
-//! Eight live cameras for ten minutes, one of them unplugged for a while: too long for the gate, and more than a few
-//! cores can smooth.
+//! Eight live cameras for ten minutes, one of them unplugged for a while. The test takes too long for `.ci/run`, and
+//! more than a few cores.
 //!
-//! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` is how long,
-//! `PLANISH_ENDURANCE_PX` the width of the frames.
+//! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` sets the
+//! duration in seconds, `PLANISH_ENDURANCE_PX` the width of the frames in pixels.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,7 +18,8 @@ const CAMERAS: usize = 8;
 const UNPLUGGED: usize = 3;
 const INTERVAL: Duration = Duration::from_nanos(1_000_000_000 / 30);
 
-/// Plays frames repeatedly at their due times; drops frames requested too late, and has none while it is unplugged.
+/// Plays frames repeatedly at their due times; drops frames that are requested too late, and gives no frames while
+/// unplugged.
 struct Live {
     frames: Vec<DepthFrame>,
     start: Instant,
@@ -65,7 +66,7 @@ impl Source for Live {
     }
 }
 
-/// Puts every moment together.
+/// Fuses every moment and counts the points.
 struct Fused(Arc<AtomicU64>);
 
 impl RigSink for Fused {
@@ -79,7 +80,7 @@ impl RigSink for Fused {
     }
 }
 
-/// Memory of this process in MB, where the system says.
+/// Returns the resident memory of this process in MiB, or `None` if the system does not report it.
 fn resident_mb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
@@ -140,7 +141,7 @@ fn eight_cameras_lose_nothing_but_the_frames_of_the_one_that_is_unplugged_and_me
         let expected = if i == UNPLUGGED { 5.0 / 6.0 } else { 1.0 } * duration.as_secs_f64() * 30.0;
         assert!(camera.frames_out as f64 > 0.98 * expected - 90.0, "{camera:?}");
     }
-    // After the first fifth everything is open.
+    // After the first fifth of the time everything is open, so memory must stay about constant.
     let settled = &memory[memory.len() / 5..];
     let (least, most) = (settled.iter().min(), settled.iter().max());
     assert!(least.zip(most).is_none_or(|(least, most)| most - least < 50 + least / 10), "{memory:?}");

@@ -1,4 +1,4 @@
-//! A stream of a rig that is stopped while all its points are smoothed as one cloud gives that moment up.
+//! A rig's stream that is stopped while it smooths all points as one cloud abandons that moment.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +11,7 @@ use planish::source::{OwnedFrame, Source};
 use planish::{Camera, DepthFrame, Engine, Error, Outputs, SmootherOptions};
 use planish_tests::rigs::rig_of;
 
-/// Delivers one frame and reports it.
+/// Delivers one frame, and reports that it was requested.
 struct Once {
     frame: Option<DepthFrame>,
     has_given: Arc<AtomicBool>,
@@ -38,7 +38,7 @@ fn a_moment_of_merged_points_is_given_up_when_the_stream_is_stopped() {
         Box::new(Once { frame: Some(frame.clone().with_timestamp_s(0.0)), has_given: Arc::clone(&has_given) })
     };
     let sources = case.cameras.iter().map(|camera| source(&camera.frame)).collect();
-    // Everything within 30 cm: minutes of work.
+    // A radius of 30 cm takes minutes of work.
     let options = RigOptions::new(&rig, RigWay::Merged, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
     let params = options.params.clone();
     let options = options.with_params(params, merged_params().with_radius_m(0.3));
@@ -47,7 +47,7 @@ fn a_moment_of_merged_points_is_given_up_when_the_stream_is_stopped() {
             while !has_given.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_millis(1));
             }
-            // By then the moment is being smoothed.
+            // After half a second, the moment is being smoothed.
             thread::sleep(Duration::from_millis(500));
             stop.store(true, Ordering::Relaxed);
         });

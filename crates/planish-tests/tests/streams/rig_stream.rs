@@ -1,4 +1,4 @@
-//! A stream of several cameras survives what cameras and sinks do.
+//! Streams of several cameras survive failures of cameras and sinks.
 
 use std::collections::VecDeque;
 use std::sync::atomic::AtomicBool;
@@ -24,7 +24,7 @@ struct Script {
 
 #[derive(Clone)]
 enum Step {
-    /// A frame with this time stamp, this long after the start.
+    /// A frame with this timestamp in seconds, delivered this long after the start.
     Frame(f64, Duration),
     Unreadable,
     Gone,
@@ -60,7 +60,7 @@ impl Source for Script {
     }
 }
 
-/// Frame `i` of 50 a second, live ones at that pace.
+/// Returns frame `i` of 50 per second; a live camera delivers them at that rate.
 fn frame(i: u32) -> Step {
     Step::Frame(f64::from(i) / 50.0, Duration::from_millis(20 * u64::from(i)))
 }
@@ -69,11 +69,11 @@ fn script(steps: Vec<Step>, is_live: bool) -> Box<dyn Source> {
     Box::new(Script { steps: steps.into(), start: None, is_live, ended: Arc::default() })
 }
 
-/// Keeps the moments.
+/// A sink that keeps the moments.
 #[derive(Clone, Default)]
 struct Kept(Arc<Mutex<Vec<Moment>>>);
 
-/// Its time, and which cameras it has.
+/// Time of a moment in seconds, and true for each camera with a frame.
 type Moment = (f64, Vec<bool>);
 
 impl RigSink for Kept {
@@ -160,7 +160,7 @@ fn time_stamps_of_no_clock_are_refused_and_so_is_the_arrival_of_recordings() {
     assert!(error.to_string().contains("recordings"), "{error}");
 }
 
-/// Fails at once, as where the disk is full.
+/// A sink that fails at once, as if the disk were full.
 struct Full;
 
 impl RigSink for Full {
@@ -208,23 +208,23 @@ fn frames_that_cannot_be_read_and_a_camera_that_goes_are_reported_and_the_others
     assert_eq!((moments.len(), statistics.complete, statistics.cameras[1].unreadable), (12, 4, 2));
     assert!(warnings.len() == 2 && warnings.iter().all(|warning| warning.contains("right")), "{warnings:?}");
     assert!(warnings[1].contains("continue"), "{warnings:?}");
-    // All of them: an error.
+    // If all cameras are gone, the stream returns an error.
     let (result, ..) = stream(vec![script(vec![Step::Gone], false), script(vec![Step::Gone], false)]);
     assert!(matches!(result, Err(Error::Device(DeviceError::Gone { .. }))));
-    // Live cameras beside recordings.
+    // Live cameras cannot be mixed with recordings.
     let (result, ..) = stream(vec![script(vec![frame(0)], true), script(vec![frame(0)], false)]);
     assert!(matches!(result, Err(Error::Param(_))));
 }
 
 #[test]
 fn live_cameras_are_matched_and_clocks_with_nothing_in_common_are_told() {
-    // At half the pace, so that frames are matched on a busy machine too.
+    // Frames come at half the pace, so that they are matched on a busy machine too.
     let slow = |i: u32| match frame(i) {
         Step::Frame(time_s, after) => Step::Frame(time_s, 2 * after),
         other => other,
     };
     let left = (0..40).map(slow).collect();
-    // Unplugged from frame 10 to 20.
+    // The right camera is unplugged from frame 10 until frame 20.
     let right = (0..40).filter(|i| !(10..20).contains(i)).map(slow).collect();
     let (result, moments, warnings) = stream(vec![script(left, true), script(right, true)]);
     let statistics = result.unwrap();
@@ -232,7 +232,7 @@ fn live_cameras_are_matched_and_clocks_with_nothing_in_common_are_told() {
     assert!(both >= 10 && statistics.cameras[1].missing >= 5, "{both} {statistics:?}");
     assert!(moments.windows(2).all(|pair| pair[0].0 < pair[1].0), "{moments:?}");
     assert!(warnings.is_empty(), "{warnings:?}");
-    // An hour apart.
+    // The clocks of the cameras are an hour apart.
     let late = |i: u32| match frame(i) {
         Step::Frame(time_s, after) => Step::Frame(time_s + 3600.0, after),
         other => other,
@@ -262,7 +262,7 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
         panic!("the field camera")
     };
     assert!(cameras[..768].iter().all(|&camera| camera == 0) && cameras[768..].iter().all(|&camera| camera == 1));
-    // The right one is a metre to the right.
+    // The right camera is a metre to the right of the left one.
     assert!((cloud.positions.x()[768] - cloud.positions.x()[0] - 1.0).abs() < 1e-6);
     let list = std::fs::read_to_string(fused.join("points.txt")).unwrap();
     assert!(list.lines().count() == 3 && list.contains("0.040000 000002.pcd"), "{list}");
@@ -275,6 +275,6 @@ fn fused_clouds_and_each_camera_s_own_are_saved() {
     );
     let saved = Rig::read(&own.join("rig.json")).unwrap();
     assert_eq!(saved.cameras[1].pose, rig.cameras[1].pose);
-    // It refuses to replace existing files.
+    // A sink refuses to replace existing files.
     assert!(FusedSink::create(&fused, SinkFormat::Pcd, &rig).is_err());
 }

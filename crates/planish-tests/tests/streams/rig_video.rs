@@ -1,4 +1,4 @@
-//! Rigs whose cameras' results are smoothed over time.
+//! Temporal smoothing of each camera of a rig.
 
 use planish::evaluate::{RigCase, RigSuite};
 use planish::rig::{RigOptions, RigSmoother, RigWay, merged_params};
@@ -13,7 +13,7 @@ use planish_tests::rigs::{frames_of, rig_of};
 
 const MOMENTS: usize = 8;
 
-/// Moments of a rig that stands still, with new noise in every moment.
+/// Returns moments of a rig at rest, with new noise in every moment.
 fn moments() -> Vec<RigCase> {
     let suite = RigSuite { camera: Camera::new((160, 120), [131.25; 2], [79.5, 59.5]), ..RigSuite::new(2) };
     let first = suite.case(3).unwrap();
@@ -49,7 +49,7 @@ fn same(a: &Xyz, b: &Xyz) -> bool {
     a.iter().zip(b.iter()).all(|(a, b)| a.map(f32::to_bits) == b.map(f32::to_bits) || a[2].is_nan() && b[2].is_nan())
 }
 
-/// RMS distance to the mean depth over the second half of the moments, of the pixels of the first camera.
+/// Returns the RMS distance in metres to the mean depth over the second half of the moments, for one camera.
 fn wander_m(results: &[Smoothed]) -> f64 {
     let half = &results[MOMENTS / 2..];
     let (mut sum, mut count) = (0.0, 0.0);
@@ -57,7 +57,7 @@ fn wander_m(results: &[Smoothed]) -> f64 {
         let z: Vec<f64> = half.iter().map(|smoothed| f64::from(smoothed.points.z()[i])).collect();
         let mean = z.iter().sum::<f64>() / z.len() as f64;
         let square = z.iter().map(|z| (z - mean).powi(2)).sum::<f64>();
-        // Pixels at edges jump.
+        // Skip pixels at edges, whose depth jumps.
         if square.is_finite() && square < 1e-4 {
             (sum, count) = (sum + square, count + z.len() as f64);
         }
@@ -79,7 +79,7 @@ fn each_camera_has_the_video_of_a_session_of_its_own() {
     let mut sessions = [session(), session()];
     for (t, moment) in moments.iter().enumerate() {
         let mut frames = frames_of(moment);
-        // A camera misses a moment and continues its video.
+        // A camera that misses a moment continues its video.
         if t == 5 {
             frames[1] = None;
         }
@@ -95,7 +95,7 @@ fn each_camera_has_the_video_of_a_session_of_its_own() {
             assert!(found.normals.is_none() && found.depth_m.is_none());
         }
     }
-    // After a gap in time, and when asked to, videos begin again.
+    // Videos restart after a gap in time, and when `restart_videos` is called.
     for restart in [false, true] {
         let newest = |rig: &mut RigSmoother, moment: &RigCase| {
             let result = landed(rig.smooth(&frames_of(moment)).unwrap());

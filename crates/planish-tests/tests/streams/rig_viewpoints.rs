@@ -1,4 +1,4 @@
-//! Views from places where no camera stands: surfaces become no worse, and other ways take no notice.
+//! Views from places without a camera: surfaces do not become worse, and other ways ignore these views.
 
 use planish::evaluate::{RigCase, RigEvaluation, RigReport, RigSuite};
 use planish::rig::{Rig, RigSmoother, RigWay, Viewpoint, merged_params};
@@ -15,7 +15,7 @@ fn case(seed: u64) -> RigCase {
     RigSuite { camera: camera(), ..RigSuite::new(CAMERAS) }.case(seed).unwrap()
 }
 
-/// Returns the rig with a viewpoint between every two cameras side by side.
+/// Returns the rig with a viewpoint between every two adjacent cameras.
 fn with_viewpoints(rig: Rig) -> Rig {
     let side_by_side = rig.cameras.windows(2);
     let between = side_by_side.map(|two| Viewpoint::between(&two[0].pose, &two[1].pose, camera()).unwrap());
@@ -43,7 +43,7 @@ fn report(of: impl Fn(Rig) -> Rig) -> RigReport {
 #[test]
 fn surfaces_are_no_worse_whether_one_camera_sees_them_or_several() {
     let (without, with) = (report(|rig| rig), report(with_viewpoints));
-    // Measured: 0.235 and 0.244 mm. Without bends, 0.355 and 0.356 mm.
+    // Measured: 0.235 mm without and 0.244 mm with viewpoints. Without bends: 0.355 and 0.356 mm.
     assert!(without.overlap_rmse_mm < 0.24 && with.overlap_rmse_mm < 0.248, "{without:?} {with:?}");
     assert!(with.overlap_rmse_mm < 1.05 * without.overlap_rmse_mm, "{without:?} {with:?}");
     assert!(with.single_rmse_mm < 1.01 * without.single_rmse_mm, "{without:?} {with:?}");
@@ -55,7 +55,7 @@ fn valid_points(of: &Smoothed) -> usize {
     (0..of.points.len()).filter(|&i| of.points.is_finite(i)).count()
 }
 
-/// Bit by bit.
+/// Returns true if points and status are equal bit by bit.
 fn same(a: &[Option<Smoothed>], b: &[Option<Smoothed>]) -> bool {
     let bits = |of: &Smoothed| of.points.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
     a.len() == b.len()

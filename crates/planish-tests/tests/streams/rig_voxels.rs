@@ -24,7 +24,7 @@ fn smoother(case: &RigCase, way: RigWay, voxel_m: Option<f64>) -> RigSmoother {
     smoother.with_voxel_m(voxel_m)
 }
 
-/// By the public functions, one after another.
+/// Returns the expected fused cloud, computed by the public functions one after another.
 fn by_hand(case: &RigCase) -> PointCloud {
     let rig = rig_of(case);
     let clouds: Vec<PointCloud> = case.cameras.iter().map(|camera| camera.frame.deproject().unwrap().points).collect();
@@ -57,7 +57,7 @@ fn fused_points_are_the_smoothed_centroids_with_moments_in_flight_too() {
         assert!(found.positions == expected[i].positions && cameras_of(found) == cameras_of(&expected[i]), "{i}");
         assert_eq!((0..3u8).map(|camera| cameras_of(found).contains(&camera)).collect::<Vec<_>>(), [true; 3]);
     };
-    // The poses of all cases are the same.
+    // All cases have the same poses.
     let mut smoother = smoother(&cases[0], RigWay::Merged, Some(VOXEL_M));
     let mut fused = PointCloud::new(Xyz::default());
     let mut received = 0;
@@ -73,7 +73,7 @@ fn fused_points_are_the_smoothed_centroids_with_moments_in_flight_too() {
         received += 1;
     }
     assert_eq!(received, cases.len());
-    // One at a time, and received as each camera's own in between.
+    // Receive one moment fused, and the next as the results of each camera.
     smoother.submit_in_place(&frames_of(&cases[1])).unwrap();
     smoother.submit(&frames_of(&cases[2])).unwrap();
     assert!(smoother.receive_fused(&mut fused).unwrap());
@@ -118,7 +118,7 @@ fn report(way: RigWay, voxel_m: Option<f64>) -> RigReport {
 fn each_camera_s_points_lie_on_the_surface_of_the_voxels() {
     let each = report(RigWay::Each, None);
     let thinned = report(RigWay::Merged, Some(0.005));
-    // Measured: 0.241 and 0.265 mm.
+    // Measured: 0.241 mm in voxels and 0.265 mm for `Each`.
     assert!(thinned.overlap_rmse_mm < 0.94 * each.overlap_rmse_mm, "{each:?} {thinned:?}");
     assert!(thinned.ghosting_mm < 0.2 * each.ghosting_mm, "{each:?} {thinned:?}");
     assert!(thinned.overlap_facet_deg < each.overlap_facet_deg, "{each:?} {thinned:?}");

@@ -25,7 +25,7 @@ fn frame(camera: Camera, number: u64) -> DepthFrame {
     frame
 }
 
-/// Delivers the given frames; some of them are errors.
+/// A source that delivers the given frames and errors, and calls a function with each frame's number.
 pub struct Given(std::vec::IntoIter<Result<DepthFrame, &'static str>>, Box<dyn FnMut(u64) + Send>, u64);
 
 impl Given {
@@ -50,7 +50,7 @@ impl Source for Given {
     }
 }
 
-/// Keeps the time stamps and depths it sees; fails at one, takes its time.
+/// A sink that keeps the index and timestamp of each frame; it takes a while per frame and may fail at one.
 #[derive(Default, Clone)]
 pub struct Seen {
     frames: Arc<Mutex<Vec<(u64, f64)>>>,
@@ -121,7 +121,7 @@ fn every_frame_of_a_finite_source_comes_in_order_on_every_engine() {
 
 #[test]
 fn a_live_source_drops_what_comes_too_fast_and_counts_it() {
-    // 2,000 frames per second are more than the reference smooths.
+    // The reference cannot smooth 2,000 frames per second.
     let seen = Seen::default();
     let source = Paced::new(Box::new(Given::frames(100)), 2000.0).unwrap();
     let (statistics, _) = run(source, &options(Engine::Reference), seen.clone());
@@ -129,7 +129,7 @@ fn a_live_source_drops_what_comes_too_fast_and_counts_it() {
     assert!(statistics.dropped > 0 && statistics.frames_out > 0);
     assert_eq!(statistics.frames_out + statistics.dropped, 100);
     let times: Vec<_> = seen.frames.lock().unwrap().iter().map(|(_, time)| *time).collect();
-    // The last frame is the newest for ever.
+    // No newer frame replaces the last frame, so it is always smoothed.
     assert!(times.is_sorted() && times.last() == Some(&99.0), "{times:?}");
 }
 
@@ -144,7 +144,7 @@ fn a_frame_that_cannot_be_read_is_told_and_the_stream_goes_on() {
     assert!(warnings.len() == 1 && warnings[0].contains("there is none"), "{warnings:?}");
 }
 
-/// Clouds as files have them: without a camera.
+/// A source of clouds without a camera, as in files.
 struct Clouds(std::vec::IntoIter<OrganizedCloud>);
 
 impl Source for Clouds {
@@ -153,7 +153,7 @@ impl Source for Clouds {
     }
 }
 
-/// Keeps the points it sees.
+/// A sink that keeps the points it receives.
 #[derive(Default, Clone)]
 struct Points(Arc<Mutex<Vec<String>>>);
 
@@ -198,7 +198,7 @@ fn windows_are_adapted_by_the_first_frame_that_says_how_coarse_it_is() {
         assert_eq!((statistics.unreadable, statistics.frames_out, warnings.len()), (1, 4, 1), "{warnings:?}");
         points.0.lock().unwrap().clone()
     };
-    // The nominal window, for frames of any resolution.
+    // A fixed stride keeps the nominal window at any resolution.
     let fixed = FrameParams::default().with_stride(5);
     let (adapted, given) = (streamed(FrameParams::default()), streamed(fixed));
     let [expected_adapted, expected_given] = [FrameParams::default().at_resolution_of(&cloud), fixed].map(alone);
@@ -232,7 +232,7 @@ impl Source for Still {
     }
 }
 
-/// Holds its first frame until it is let go.
+/// A sink that holds its first frame until it gets a message.
 struct Held {
     go: Receiver<()>,
     written: Arc<Mutex<Vec<u64>>>,
@@ -245,7 +245,7 @@ impl Sink for Held {
 
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
         if self.written.lock().unwrap().is_empty() {
-            // Should the stream wait for this sink, it fails below and does not hang.
+            // If the stream waits for this sink, the test fails below and does not hang.
             let _ = self.go.recv_timeout(Duration::from_secs(60));
         }
         self.written.lock().unwrap().push(frame.index);
@@ -272,8 +272,8 @@ fn a_sink_that_is_too_slow_for_a_live_stream_holds_nothing_up() {
     let options = options(Engine::Cpu).with_max_frames(Some(FRAMES));
     let statistics =
         stream::Stream::new(source, options).with_sinks(vec![Box::new(sink)]).with_events(tell).run().unwrap();
-    // All frames were smoothed before the sink had written one; it received the frame it was writing and the waiting
-    // ones.
+    // All frames were smoothed before the sink had written one. The sink received only the frame that it held and the
+    // waiting ones.
     assert_eq!((statistics.frames_out, written_by_then, warnings), (FRAMES, Some(0), 1));
     let written = written.lock().unwrap().len() as u64;
     assert!((1..=9).contains(&written), "{written}");
@@ -346,7 +346,7 @@ fn a_recording_in_tum_layout_comes_back_identical() {
         assert!(found.raw.iter().zip(&expected.raw).all(|(found, raw)| *found == 5 * raw));
     }
     assert!(source.next_frame().unwrap().is_none());
-    // A camera without a unit leaves the layout's own.
+    // If the camera states no depth unit, the unit of the layout is used.
     let other = Camera::new((0, 0), [500.0, 525.0], [319.5, 239.5]);
     let mut source = TumSource::open(folder.path(), Some(other), None).unwrap();
     let Some(OwnedFrame::Depth(found)) = source.next_frame().unwrap() else { panic!("a depth frame") };
@@ -368,7 +368,7 @@ fn a_recording_in_tum_layout_keeps_finer_units_and_counts_what_is_too_far() {
         assert_eq!(recorder.depth_units_per_metre(), Some(found.camera.depth_units_per_metre));
         (found.camera.depth_units_per_metre, found.raw[0], recorder.too_far())
     };
-    // A D405 has tenths of millimetres, an L515 quarters.
+    // A D405 measures tenths of a millimetre, an L515 quarters.
     assert_eq!(record(10_000.0, 65_534), (10_000.0, 65_534, 0));
     assert_eq!(record(4000.0, 14_001), (4000.0, 14_001, 0));
     assert_eq!(record(1000.0, 13_106), (5000.0, 65_530, 0));
@@ -390,9 +390,9 @@ fn a_recording_of_libfreenect_comes_back_to_a_disparity_step() {
     assert!(source.next_frame().unwrap().is_none());
 }
 
-/// Depths differ by no more than half a step of the disparity, and a millimetre of rounding.
+/// Asserts that depths differ by at most half a step of the disparity and a millimetre of rounding.
 fn assert_disparity_steps(found: &DepthFrame, expected: &DepthFrame) {
-    // The furthest that 11 bits reach and the nearest.
+    // Nearest and farthest depth in metres that 11 bits of disparity represent.
     let reach = disparity_depth_m(0)..9.9;
     for (found, expected) in found.raw.iter().zip(&expected.raw) {
         let z = f64::from(*expected) * 1e-3;

@@ -1,4 +1,4 @@
-// The part of the component that knows planish and no ROS: a depth image in 16UC1 or 32FC1, as sensor_msgs has it.
+// The part of the component that uses planish but not ROS: a depth image in 16UC1 or 32FC1, as in sensor_msgs.
 #ifndef SMOOTH_DEPTH_HPP
 #define SMOOTH_DEPTH_HPP
 
@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-/// Smooths the data of an image message. `intrinsics` are fx, fy, cx, cy. Returns an error's text, or nothing.
+/// Smooths the data of an image message. `intrinsics` are fx, fy, cx, cy. Returns an error message, or an empty text.
 inline std::string smooth_depth(planish::Session &session, const std::string &encoding, std::size_t width,
                                 std::size_t height, std::size_t step, const std::vector<std::uint8_t> &data,
                                 const double (&intrinsics)[4], std::vector<std::uint8_t> &smoothed) {

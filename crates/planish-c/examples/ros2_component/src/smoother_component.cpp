@@ -1,4 +1,5 @@
-// A component that smooths depth images in the process of the camera's node: no second process, no copy over the network.
+// A component that smooths depth images in the process of the camera's node, without a second process or a copy over
+// the network.
 #include <memory>
 #include <mutex>
 #include <rclcpp/rclcpp.hpp>

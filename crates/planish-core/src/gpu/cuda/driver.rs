@@ -1,4 +1,4 @@
-//! CUDA's driver library, loaded at run time: memory of a device, kernels, and copies on a stream.
+//! CUDA's driver library, loaded at run time: device memory, kernels, and copies on a stream.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
 use std::ptr;
@@ -17,7 +17,7 @@ const LIBRARY: &str = "nvcuda.dll";
 
 /// An address in device memory.
 pub(super) type DevicePointer = u64;
-/// A handle of the driver's.
+/// A driver handle.
 type Handle = *mut c_void;
 
 const DEVICE_MEMORY: c_uint = 2;
@@ -25,7 +25,7 @@ const CAPABILITY_MAJOR: c_int = 75;
 const CAPABILITY_MINOR: c_int = 76;
 const DEVICE_ORDINAL: c_int = 9;
 const OUT_OF_MEMORY: c_int = 2;
-/// An event that takes no time stamps.
+/// Flag of an event without timestamps.
 const NO_TIMING: c_uint = 2;
 /// The legacy default stream, on which the driver clears and uploads.
 const DEFAULT_STREAM: usize = 0;
@@ -88,11 +88,11 @@ functions! {
     error_name = "cuGetErrorName"(c_int, *mut *const c_char);
 }
 
-/// The driver, and a device's primary context, which PyTorch, CuPy and JAX use too.
+/// The driver, and a device's primary context, which PyTorch, CuPy and JAX also use.
 pub(super) struct Cuda {
     functions: Functions,
     context: Handle,
-    /// CUDA's number of the device.
+    /// The device's CUDA number.
     pub(super) device: c_int,
     pub(super) name: String,
     /// The compute capability: 90 for 9.0.
@@ -103,38 +103,40 @@ pub(super) struct Cuda {
 
 // SAFETY: the driver's functions may be called from any thread; the context is set around each call.
 unsafe impl Send for Cuda {}
-// SAFETY: the same.
+// SAFETY: same as `Send`.
 unsafe impl Sync for Cuda {}
 
-/// Device memory; freed at the end, when the device has done all that uses it.
+/// Device memory. Dropping it frees the memory after the device has finished all work that uses it.
 pub(super) struct Memory {
     cuda: Arc<Cuda>,
     pub(super) address: DevicePointer,
 }
 
-/// A compiled kernel with its entry point; no stream may run it any more at its end.
+/// A compiled kernel with its entry point. No stream may still run it when it is dropped.
 pub(super) struct Kernel {
     cuda: Arc<Cuda>,
     module: usize,
     function: usize,
 }
 
-/// A point in the work of a stream, which may end before the event does.
+/// A point in the work of a stream. The stream may be destroyed before the event.
 pub(super) struct Event {
     cuda: Arc<Cuda>,
     event: usize,
 }
 
-/// Blocks of a launch, and threads of a block.
+/// The size of a launch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
+    /// Number of blocks along x, y and z.
     pub(super) blocks: [u32; 3],
+    /// Number of threads of a block along x and y.
     pub(super) threads: [u32; 2],
 }
 
 impl Cuda {
-    /// Loads the driver, and opens a device by its index or a part of its name; `None` is the device of the calling
-    /// thread's context, or else the first.
+    /// Loads the driver, and opens a device by its index or a part of its name. `None` opens the device of the
+    /// calling thread's context, or the first device if the thread has no context.
     pub(super) fn open(wanted: Option<&str>) -> Result<Self, String> {
         // SAFETY: loading the driver's library has no other effects.
         let library = unsafe { Library::new(LIBRARY) }.map_err(|_| format!("no CUDA driver ({LIBRARY})"))?;
@@ -213,7 +215,7 @@ impl Cuda {
             return Ok(());
         }
         let mut name = ptr::null();
-        // SAFETY: the name is a text of the driver's, or null.
+        // SAFETY: the name is null or a static string of the driver, which ends in a zero.
         let name = unsafe {
             (self.functions.error_name)(code, &mut name);
             if name.is_null() { "an unknown error".into() } else { CStr::from_ptr(name).to_string_lossy() }
@@ -221,7 +223,7 @@ impl Cuda {
         Err(format!("{what}: {name} ({code})"))
     }
 
-    /// Runs a body in the device's context, whatever the thread's is.
+    /// Runs a body in the device's context, and then restores the thread's context.
     pub(super) fn within<T>(&self, body: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
         let mut current = ptr::null_mut();
         // SAFETY: the context is retained for as long as this lives.
@@ -257,8 +259,8 @@ impl Cuda {
     /// Launches a kernel on a stream.
     ///
     /// # Safety
-    /// The arguments point to values of the types of the kernel's parameters, and addresses among them are valid until
-    /// the stream has run it.
+    /// Each argument must point to a value of the type of its kernel parameter. Addresses among these values must be
+    /// valid until the stream has run the kernel.
     pub(super) unsafe fn launch(
         &self,
         kernel: &Kernel,
@@ -276,7 +278,7 @@ impl Cuda {
         self.check("cuLaunchKernel", code)
     }
 
-    /// Allocates memory of the device, which is all zeros if that is wanted.
+    /// Allocates device memory, filled with zeros if `is_zero`.
     pub(super) fn allocate(self: &Arc<Self>, bytes: usize, is_zero: bool) -> Result<Memory, EngineError> {
         let mut address = 0;
         let mut is_full = false;
@@ -303,8 +305,14 @@ impl Cuda {
         Ok(memory)
     }
 
-    /// Copies parts from the host to addresses that have room for them, and waits for it.
-    pub(super) fn upload(&self, parts: impl Iterator<Item = (DevicePointer, impl AsRef<[u8]>)>) -> Result<(), String> {
+    /// Copies parts from the host to device addresses, which must have room for them, and waits for the copies.
+    ///
+    /// # Safety
+    /// The addresses must be in device memory that is at least as long as their parts.
+    pub(super) unsafe fn upload(
+        &self,
+        parts: impl Iterator<Item = (DevicePointer, impl AsRef<[u8]>)>,
+    ) -> Result<(), String> {
         self.within(|| {
             for (to, from) in parts {
                 let from = from.as_ref();
@@ -312,14 +320,14 @@ impl Cuda {
                 let code = unsafe { (self.functions.upload)(to, from.as_ptr().cast(), from.len()) };
                 self.check("cuMemcpyHtoD", code)?;
             }
-            // The copies above may end before the data arrive.
+            // The copies above may return before the data have arrived.
             // SAFETY: the default stream exists.
             let code = unsafe { (self.functions.synchronize)(DEFAULT_STREAM as Handle) };
             self.check("cuStreamSynchronize", code)
         })
     }
 
-    /// Creates an event that nothing has to wait for yet.
+    /// Creates an event. Waiting for it returns at once until it is recorded.
     pub(super) fn event(self: &Arc<Self>) -> Result<Event, String> {
         let mut event = ptr::null_mut();
         // SAFETY: the driver writes the handle.
@@ -330,7 +338,7 @@ impl Cuda {
     /// Copies rows of device memory to contiguous rows.
     ///
     /// # Safety
-    /// Both are valid until the stream has run the copy.
+    /// Both addresses must be valid, for the rows that are copied, until the stream has run the copy.
     pub(super) unsafe fn copy_rows(
         &self,
         (to, from): (DevicePointer, DevicePointer),
@@ -369,7 +377,7 @@ impl Cuda {
     /// Returns true if an address is in memory of this device.
     pub(super) fn has(&self, address: DevicePointer) -> bool {
         let mut ordinal = -1;
-        // SAFETY: the driver knows which addresses are its own; others are an error.
+        // SAFETY: the driver recognizes its own addresses, and returns an error for others.
         let found = self.within(|| unsafe {
             let code = (self.functions.pointer_attribute)(&mut ordinal, DEVICE_ORDINAL, address);
             self.check("cuPointerGetAttribute", code)
@@ -377,14 +385,14 @@ impl Cuda {
         found.is_ok() && ordinal == self.device
     }
 
-    /// Returns an error of this device.
+    /// Returns an error that names this device.
     pub(super) fn failed(&self, reason: String) -> EngineError {
         EngineError::Device { device: self.name.clone(), reason }
     }
 }
 
 impl Event {
-    /// Moves the event to the end of a stream's present work.
+    /// Moves the event to the end of the stream's work so far.
     pub(super) fn record(&self, stream: usize) -> Result<(), String> {
         let Self { cuda, event } = self;
         // SAFETY: the event is alive, and so is the stream of the present call.
@@ -393,7 +401,7 @@ impl Event {
         })
     }
 
-    /// Has a stream wait for the event.
+    /// Makes a stream wait for the event.
     pub(super) fn wait_on(&self, stream: usize) -> Result<(), String> {
         let Self { cuda, event } = self;
         // SAFETY: the event is alive, and so is the stream of the present call.
@@ -402,7 +410,7 @@ impl Event {
         })
     }
 
-    /// Waits for the event.
+    /// Blocks the calling thread until the event occurs.
     pub(super) fn synchronize(&self) -> Result<(), String> {
         let Self { cuda, event } = self;
         // SAFETY: the event is alive.
@@ -412,7 +420,7 @@ impl Event {
     }
 }
 
-// Nothing can be done about errors at the end of these.
+// Errors of these destructors cannot be reported, so they are ignored.
 
 impl Drop for Memory {
     fn drop(&mut self) {

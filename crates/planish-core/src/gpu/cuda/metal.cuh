@@ -1,5 +1,5 @@
-// Metal's types and functions for CUDA's compiler, as far as naga writes them (translate.rs). Every function is a
-// device function by NVRTC's option --device-as-default-execution-space.
+// Metal's types and functions for CUDA's compiler, as far as naga generates them (translate.rs). NVRTC's option
+// --device-as-default-execution-space makes every function a device function.
 
 namespace metal {
 
@@ -7,13 +7,13 @@ typedef unsigned int uint;
 
 template <class T, int N> struct Vector;
 
-// Components of a vector, in any order; becomes a vector V where one is needed.
+// Components of a vector in any order; converts to a vector V where one is needed.
 template <class V, class T, int SIZE, int... AT> struct Swizzle {
     T v[SIZE];
     operator V() const { return V(v[AT]...); }
 };
 
-// What vectors of all sizes have. `v` is the array of their components.
+// Members of vectors of all sizes. `v` is the array of their components.
 #define OPERATOR(OP)                                                   \
     friend Vector operator OP(Vector a, Vector b) {                    \
         for (int i = 0; i < SIZE; i++) a.v[i] = a.v[i] OP b.v[i];      \
@@ -100,7 +100,7 @@ typedef Vector<uint, 4> uint4;
 typedef Vector<bool, 2> bool2;
 typedef Vector<bool, 3> bool3;
 typedef Vector<bool, 4> bool4;
-// Local variables only: no buffer has these.
+// Used for local variables only; no buffer contains them.
 typedef float2 packed_float2;
 typedef float3 packed_float3;
 typedef int2 packed_int2;
@@ -133,7 +133,8 @@ inline uint extract_bits(uint bits, uint from, uint count) {
     return count == 0u ? 0u : (bits >> from) & (0xffffffffu >> (32u - count));
 }
 
-// Overloads instead of templates: components in any order become vectors only as arguments of these.
+// Overloads instead of templates, because a Swizzle converts to a vector only as an argument of a non-template
+// function.
 #define EACH(V, EXPRESSION)                                            \
     V of;                                                              \
     for (int i = 0; i < V::SIZE; i++) of[i] = EXPRESSION;              \
@@ -179,7 +180,7 @@ inline void threadgroup_barrier(mem_flags) { __syncthreads(); }
 
 } // namespace metal
 
-// The bits of a value as another type; of components in any order, those of their vector.
+// Returns the bits of a value as another type; for a Swizzle, those of its vector.
 template <class To, class From> inline To as_type(From from) {
     static_assert(sizeof(To) == sizeof(From), "the same bits");
     To to;

@@ -1,9 +1,9 @@
-//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed there, and the result is in that
-//! program's memory again.
+//! Frames that never leave the GPU: depth in a CUDA program's memory is smoothed there, and the result is written to
+//! the program's memory.
 //!
 //! The kernels are those of the GPU engine. They are translated to CUDA C++ ([`translate`]), compiled by NVRTC
-//! ([`nvrtc`]) and launched in the device's primary context ([`driver`]), on the caller's stream. The GPU never changes
-//! between contexts, the host does not wait, and neither Vulkan nor wgpu is involved.
+//! ([`nvrtc`]) and launched in the device's primary context ([`driver`]), on the caller's stream. The GPU does not
+//! switch contexts, the host does not wait, and neither Vulkan nor wgpu is involved.
 
 mod driver;
 mod functions;
@@ -27,50 +27,51 @@ use crate::outputs::Outputs;
 use crate::params::Params;
 use crate::settings::Settings;
 
-/// Frames that may be in flight.
+/// Maximum number of frames in flight.
 const FRAMES: u64 = 16;
 
-/// Kernels count the words of a buffer in 32 bits.
+/// Maximum number of words in a buffer; kernels count them in 32 bits.
 const MOST_WORDS: u64 = u32::MAX as u64;
 
-/// The shared memory of a block that every CUDA device has, the bytes of a buffer, and the blocks across and down.
+/// Limits of every CUDA device: bytes of shared memory per block, bytes per buffer, and blocks across and down.
 const LIMITS: WebGpuLimits = WebGpuLimits::new(48 << 10, WORD * MOST_WORDS, 65_535);
 
-/// Bytes of a word.
+/// Number of bytes in a word.
 const WORD: u64 = 4;
 
-/// Smooths depth images in CUDA's memory, for one camera. Calls return at once; the work is done in the order of the
-/// stream.
+/// Smooths depth images of one camera in CUDA memory. Calls return at once; the work runs in the order of the stream.
 pub struct CudaSmoother {
     passes: Vec<Pass>,
     frame: FrameSizes,
     /// The uniform of the kernels.
     batch: [u32; 4],
-    /// What every frame begins with: its header and the rays of its camera.
+    /// The first bytes of every frame: its header and the rays of its camera.
     head: Vec<u8>,
-    /// Buffers of a frame that is smoothed alone, whose output is the caller's.
+    /// Buffers for `smooth`, which writes its output to the caller's memory.
     alone: Buffers,
-    /// Buffers of the frames in flight, from the first of them on.
+    /// Buffers of the frames in flight, allocated by the first `submit`.
     ring: Option<Buffers>,
-    /// Frames handed over, launched, and received.
+    /// Number of frames submitted so far.
     submitted: u64,
+    /// Number of submitted frames whose kernels were launched.
     launched: u64,
+    /// Number of submitted frames whose results were received.
     received: u64,
-    /// The end of the last call's work.
+    /// Event at the end of the last call's work.
     last: Event,
     cuda: Arc<Cuda>,
 }
 
-/// GPU memory for one result; freed at the end, when the GPU has done all that uses it.
+/// GPU memory for one result. Dropping it frees the memory after the GPU has finished all work that uses it.
 pub struct CudaMemory {
     memory: Memory,
     bytes: usize,
-    /// The end of the work that writes it.
+    /// Event at the end of the work that writes the result.
     written: Event,
     cuda: Arc<Cuda>,
 }
 
-/// A kernel and how it is launched for one frame.
+/// A kernel with the parameters of its launch for one frame.
 struct Pass {
     kernel: Kernel,
     bindings: Vec<u32>,
@@ -78,7 +79,7 @@ struct Pass {
     threads: [u32; 2],
 }
 
-/// Bytes of one frame, and its shape.
+/// The shape of one frame, and the sizes of its buffers in bytes.
 struct FrameSizes {
     width: usize,
     height: usize,
@@ -88,7 +89,7 @@ struct FrameSizes {
     kept: [u64; 2],
 }
 
-/// Device memory of frames, one after another.
+/// Device memory for consecutive frames.
 struct Buffers {
     input: Memory,
     output: Option<Memory>,
@@ -96,12 +97,13 @@ struct Buffers {
 }
 
 impl CudaSmoother {
-    /// Opens a GPU for depth of a camera without distortion: u16 in its units, or f32 in metres. The outputs of the
-    /// settings may be points, normals, curvature and depth_m. The setting `adapter` is the index or a part of the name
-    /// of a CUDA device; without it, the device of the thread's context is taken, or else the first.
+    /// Opens a GPU for depth of a camera without distortion: u16 in the camera's units, or f32 in metres. The outputs
+    /// of the settings may be points, normals, curvature and depth_m. The setting `adapter` is the index or a part of
+    /// the name of a CUDA device. Without it, the device of the thread's context is used, or the first device if
+    /// there is no context.
     ///
     /// # Errors
-    /// If CUDA's driver or compiler (NVRTC) is missing, or a setting does not apply.
+    /// If CUDA's driver or compiler (NVRTC) is missing, or a setting is not supported.
     pub fn open(settings: &Settings, camera: &Camera, is_metres: bool) -> Result<Self, Error> {
         let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
         camera.validate()?;
@@ -154,25 +156,27 @@ impl CudaSmoother {
         })
     }
 
-    /// The name of the GPU.
+    /// Returns the name of the GPU.
     pub fn gpu_name(&self) -> &str {
         &self.cuda.name
     }
 
-    /// Channels of a result: three for points and normals each, one for curvature and depth_m each, in this order.
+    /// Returns the number of channels of a result: three each for points and normals, one each for curvature and
+    /// depth_m, in this order.
     pub fn channels(&self) -> usize {
         (self.frame.output / WORD) as usize / (self.frame.width * self.frame.height)
     }
 
-    /// Smooths an image at `depth`, whose rows begin every `row_stride` bytes, into `result`: a plane of f32 for each
-    /// channel, row by row. Both are addresses in device memory; everything happens on the stream.
+    /// Smooths the image at `depth`, whose rows begin every `row_stride` bytes, into `result`: one plane of f32 per
+    /// channel, row by row. Both are addresses in device memory. All work runs on the stream.
     ///
     /// # Safety
-    /// `depth` and `result` must be valid memory of this GPU, of that size, until the stream has run what this call
-    /// adds to it, and `stream` a stream of its primary context; 0 is the default one.
+    /// `depth` and `result` must point to valid memory of this GPU, large enough for the image and the result, until
+    /// the stream has run the work added by this call. `stream` must be a stream of the GPU's primary context; 0 is
+    /// the default stream.
     ///
     /// # Errors
-    /// If frames are in flight, the stride is too small, an address is not of this GPU's memory, or the GPU fails.
+    /// If frames are in flight, the stride is too small, an address is not in this GPU's memory, or the GPU fails.
     pub unsafe fn smooth(&mut self, depth: u64, row_stride: usize, result: u64, stream: usize) -> Result<(), Error> {
         if self.in_flight() > 0 {
             return Err(EngineError::Full { in_flight: self.in_flight() }.into());
@@ -187,15 +191,16 @@ impl CudaSmoother {
         })?)
     }
 
-    /// Hands an image over, as [`smooth`](Self::smooth) does; its result is received later, in the same order. Frames
-    /// that were handed over before the first is received are smoothed together, which takes less time for each.
+    /// Submits an image in the same form as [`smooth`](Self::smooth); its result is received later, in the same
+    /// order. Frames that are submitted before the first is received are smoothed together, which takes less time per
+    /// frame.
     ///
     /// # Safety
-    /// As of [`smooth`](Self::smooth).
+    /// Same as [`smooth`](Self::smooth).
     ///
     /// # Errors
-    /// If as many are in flight as can be, the stride is too small, the address is not of this GPU's memory, or the GPU
-    /// fails.
+    /// If the maximum number of frames is in flight, the stride is too small, the address is not in this GPU's memory,
+    /// or the GPU fails.
     pub unsafe fn submit(&mut self, depth: u64, row_stride: usize, stream: usize) -> Result<(), Error> {
         self.check_depth(depth, row_stride)?;
         if self.in_flight() == self.max_in_flight() {
@@ -207,20 +212,21 @@ impl CudaSmoother {
         let Some(ring) = &self.ring else { return Ok(()) };
         let slot = self.submitted % FRAMES;
         let samples = ring.input.address + slot * self.frame.input + self.head.len() as u64;
-        // The result of the frame that was in this slot before has been copied out by earlier work.
+        // The result of the slot's previous frame has been copied out by earlier work.
         // SAFETY: as the caller promises; the buffers live until the last call's work is done.
         self.add_to(stream, || unsafe { self.copy_in((samples, depth), row_stride, stream) })?;
         self.submitted += 1;
         Ok(())
     }
 
-    /// Smooths what was handed over, and copies the oldest result; false if none is in flight.
+    /// Smooths the submitted frames, and copies the oldest result to `result`. Returns false if no frame is in
+    /// flight.
     ///
     /// # Safety
-    /// As of [`smooth`](Self::smooth).
+    /// Same as [`smooth`](Self::smooth).
     ///
     /// # Errors
-    /// If the address is not of this GPU's memory, or the GPU fails.
+    /// If the address is not in this GPU's memory, or the GPU fails.
     pub unsafe fn receive(&mut self, result: u64, stream: usize) -> Result<bool, Error> {
         if self.in_flight() == 0 {
             return Ok(false);
@@ -235,7 +241,7 @@ impl CudaSmoother {
         // SAFETY: as the caller promises; the buffers live until the last call's work is done.
         let done = self.add_to(stream, || unsafe {
             while launched < self.submitted {
-                // Frames whose buffers are adjacent, up to the end of the ring.
+                // Launch frames with adjacent buffers together, up to the end of the ring.
                 let slot = launched % FRAMES;
                 let frames = (self.submitted - launched).min(FRAMES - slot).min(most);
                 self.launch(ring.of_frame(slot, &self.frame, output + slot * bytes), frames as u32, stream)?;
@@ -250,7 +256,7 @@ impl CudaSmoother {
         Ok(true)
     }
 
-    /// Forgets the frames in flight, whose results cannot be received any more.
+    /// Discards the frames in flight; their results cannot be received afterwards.
     pub fn forget(&mut self) {
         (self.launched, self.received) = (self.submitted, self.submitted);
     }
@@ -258,7 +264,7 @@ impl CudaSmoother {
     /// Allocates memory for a result.
     ///
     /// # Errors
-    /// If the GPU has too little.
+    /// If the GPU has too little free memory.
     pub fn new_result(&self) -> Result<CudaMemory, Error> {
         let bytes = self.frame.output as usize;
         let memory = self.cuda.allocate(bytes, false)?;
@@ -266,12 +272,12 @@ impl CudaSmoother {
         Ok(CudaMemory { memory, bytes, written, cuda: Arc::clone(&self.cuda) })
     }
 
-    /// Frames handed over and not yet received.
+    /// Returns the number of frames submitted and not yet received.
     pub fn in_flight(&self) -> usize {
         (self.submitted - self.received) as usize
     }
 
-    /// How many may be.
+    /// Returns the maximum number of frames in flight.
     pub const fn max_in_flight(&self) -> usize {
         FRAMES as usize
     }
@@ -284,7 +290,7 @@ impl CudaSmoother {
         self.check_memory("the depth", depth)
     }
 
-    /// Refuses memory of the host and of other GPUs.
+    /// Rejects memory of the host and of other GPUs.
     fn check_memory(&self, what: &'static str, address: u64) -> Result<(), Error> {
         if self.cuda.has(address) {
             return Ok(());
@@ -293,7 +299,7 @@ impl CudaSmoother {
         Err(FrameError::NotOnGpu { what, gpu, device: self.cuda.device }.into())
     }
 
-    /// Adds work to a stream, after that of the last call, which may have been added to another one.
+    /// Adds work to a stream, after the work of the last call, even if that was added to another stream.
     fn add_to(&self, stream: usize, work: impl FnOnce() -> Result<(), String>) -> Result<(), EngineError> {
         let added = self.cuda.within(|| {
             self.last.wait_on(stream)?;
@@ -304,20 +310,20 @@ impl CudaSmoother {
         added.map_err(|reason| self.cuda.failed(reason))
     }
 
-    /// Copies an image behind the header and rays of its frame.
+    /// Copies an image to its place after the header and rays of its frame.
     ///
     /// # Safety
-    /// As of [`Cuda::copy_rows`].
+    /// Same as [`Cuda::copy_rows`].
     unsafe fn copy_in(&self, pointers: (u64, u64), row_stride: usize, stream: usize) -> Result<(), String> {
         let size = (self.frame.row_bytes, self.frame.height);
         // SAFETY: as the caller promises.
         unsafe { self.cuda.copy_rows(pointers, row_stride, size, stream) }
     }
 
-    /// Launches the kernels for frames that lie side by side.
+    /// Launches the kernels for frames whose buffers are adjacent.
     ///
     /// # Safety
-    /// The buffers are valid until the stream has run the kernels.
+    /// The buffers must be valid until the stream has run the kernels.
     unsafe fn launch(&self, mut buffers: [DevicePointer; 4], frames: u32, stream: usize) -> Result<(), String> {
         let mut batch = self.batch;
         for Pass { kernel, bindings, blocks: [across, down], threads } in &self.passes {
@@ -327,7 +333,7 @@ impl CudaSmoother {
             };
             let mut arguments: Vec<*mut c_void> = bindings.iter().map(argument).collect();
             let grid = Grid { blocks: [*across, *down, frames], threads: *threads };
-            // SAFETY: the parameters of the bindings are of these types; as the caller promises.
+            // SAFETY: the bindings' parameters have these types; the caller guarantees the buffers.
             unsafe { self.cuda.launch(kernel, grid, &mut arguments, stream)? };
         }
         Ok(())
@@ -344,22 +350,22 @@ impl FrameSizes {
 }
 
 impl CudaMemory {
-    /// Its address.
+    /// Returns its address.
     pub fn address(&self) -> u64 {
         self.memory.address
     }
 
-    /// Its length in bytes.
+    /// Returns its length in bytes.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// CUDA's number of its GPU.
+    /// Returns the CUDA number of its GPU.
     pub fn device(&self) -> i32 {
         self.cuda.device
     }
 
-    /// States that the work of a stream up to now writes it.
+    /// Declares that the memory is written by the stream's work so far.
     ///
     /// # Errors
     /// If the GPU fails.
@@ -370,7 +376,7 @@ impl CudaMemory {
         Ok(self.written.record(stream).map_err(|reason| self.cuda.failed(reason))?)
     }
 
-    /// Has a stream wait until it is written.
+    /// Makes a stream wait until the memory is written.
     ///
     /// # Errors
     /// If the GPU fails.
@@ -384,13 +390,14 @@ impl CudaMemory {
 
 impl Drop for CudaSmoother {
     fn drop(&mut self) {
-        // Kernels are unloaded when nothing runs them any more. Of a device that is lost, nothing does.
+        // Kernels may be unloaded only when no stream runs them. On a lost device, none does.
         let _ = self.last.synchronize();
     }
 }
 
 impl Buffers {
-    /// Allocates the buffers of some frames, with the head of each; with an output unless the caller has one.
+    /// Allocates buffers for `frames` frames and uploads the head of each. The output is omitted if the caller has
+    /// one.
     fn new(
         cuda: &Arc<Cuda>,
         sizes: &FrameSizes,
@@ -406,11 +413,12 @@ impl Buffers {
             kept: [allocate(points)?, allocate(planes)?],
         };
         let heads = (0..frames).map(|frame| (buffers.input.address + frame * sizes.input, head));
-        cuda.upload(heads).map_err(|reason| cuda.failed(reason))?;
+        // SAFETY: a head is the beginning of a frame's input.
+        unsafe { cuda.upload(heads) }.map_err(|reason| cuda.failed(reason))?;
         Ok(buffers)
     }
 
-    /// Returns the addresses of a frame by their binding, beginning with 1.
+    /// Returns the buffer addresses of a frame by binding, starting with binding 1.
     fn of_frame(&self, slot: u64, sizes: &FrameSizes, output: DevicePointer) -> [DevicePointer; 4] {
         let [points, planes] = &self.kept;
         let kept = [points.address + slot * sizes.kept[0], planes.address + slot * sizes.kept[1]];
@@ -418,7 +426,7 @@ impl Buffers {
     }
 }
 
-/// Names the device in an error about its limits.
+/// Adds the device's name to an error about its limits.
 fn named(error: Error, name: &str) -> Error {
     match error {
         Error::Engine(EngineError::Limit { what, allowed, needed, .. }) => {
@@ -428,7 +436,7 @@ fn named(error: Error, name: &str) -> Error {
     }
 }
 
-/// Refuses settings that need more than the kernels.
+/// Rejects settings that the kernels do not cover.
 fn check(settings: &Settings, camera: &Camera, outputs: Outputs) -> Result<(), Error> {
     let refuse = |field, value: String, allowed| Err(ParamError { field, value, allowed }.into());
     let numbers = Outputs { points: false, normals: false, curvature: false, depth_m: false, ..outputs };

@@ -1,4 +1,4 @@
-//! NVRTC, CUDA's compiler as a library, loaded at run time. CUDA's toolkit includes it, and so does PyTorch's package.
+//! NVRTC, CUDA's compiler as a library, loaded at run time. It is part of CUDA's toolkit and of PyTorch's package.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::PathBuf;
@@ -8,22 +8,23 @@ use libloading::Library;
 
 use super::functions::functions;
 
-/// Major versions, newest first, with the names of their files.
+/// Major versions of NVRTC, newest first, with their file names.
 #[cfg(not(windows))]
 const LIBRARIES: [(i32, &str); 3] = [(13, "libnvrtc.so.13"), (12, "libnvrtc.so.12"), (11, "libnvrtc.so.11.2")];
 #[cfg(windows)]
 const LIBRARIES: [(i32, &str); 3] = [(13, "nvrtc64_130_0.dll"), (12, "nvrtc64_120_0.dll"), (11, "nvrtc64_112_0.dll")];
 
-/// Environment variables with the path of CUDA's toolkit, by its own convention.
+/// Environment variables that contain the path of CUDA's toolkit, by its own convention.
 const FOLDERS: [&str; 2] = ["CUDA_PATH", "CUDA_HOME"];
 
-/// Folders of the library in the toolkit.
+/// Folders of the library within the toolkit.
 #[cfg(not(windows))]
 const INSIDE: [&str; 2] = ["lib64", "lib"];
 #[cfg(windows)]
 const INSIDE: [&str; 2] = ["bin", "bin/x64"];
 
-/// Divisions and roots may differ in the last bits, and denormals are zero, as Vulkan's drivers have it.
+/// Compiler options. Divisions and roots may differ in the last bits, and denormals are flushed to zero, as in
+/// Vulkan's drivers.
 const OPTIONS: [&CStr; 6] = [
     c"--std=c++17",
     c"--device-as-default-execution-space",
@@ -33,7 +34,7 @@ const OPTIONS: [&CStr; 6] = [
     c"--disable-warnings",
 ];
 
-/// A program of the library's.
+/// A program handle of the library.
 type Program = *mut c_void;
 
 functions! {
@@ -58,8 +59,8 @@ pub(super) struct Nvrtc {
 }
 
 impl Nvrtc {
-    /// Loads the newest library whose code the driver runs, and which compiles for GPUs of this compute capability (90
-    /// for 9.0).
+    /// Loads the newest library whose code the driver can run and which compiles for GPUs of this compute capability
+    /// (90 for 9.0).
     pub(super) fn load(driver_major: i32, capability: i32) -> Result<Self, String> {
         let folders = FOLDERS.iter().filter_map(std::env::var_os).map(PathBuf::from);
         let folders: Vec<PathBuf> = folders.chain([PathBuf::from("/usr/local/cuda")]).collect();
@@ -83,7 +84,7 @@ impl Nvrtc {
         ))
     }
 
-    /// Compiles a source for a GPU of this compute capability: to its machine code, or to PTX if the library does not
+    /// Compiles a source for a GPU of this compute capability: to machine code, or to PTX if the library does not
     /// know the GPU.
     pub(super) fn compile(&self, source: &str, capability: i32) -> Result<Vec<u8>, String> {
         let target = self.target(capability);
@@ -96,7 +97,7 @@ impl Nvrtc {
         let source = CString::new(source).map_err(|error| error.to_string())?;
         let functions = &self.functions;
         let mut program = Held { functions, program: ptr::null_mut() };
-        // SAFETY: all texts end in a zero and outlive the calls; buffers have the sizes that the library states.
+        // SAFETY: all strings end in a zero and outlive the calls; buffers have the sizes that the library reports.
         unsafe {
             let name = c"planish.cu".as_ptr();
             check(
@@ -115,15 +116,15 @@ impl Nvrtc {
         }
     }
 
-    /// Returns the compute capability to compile for: the GPU's, or else the next lower one that the library knows.
+    /// Returns the compute capability to compile for: the GPU's, or the next lower one that the library knows.
     fn target(&self, capability: i32) -> Option<i32> {
         self.architectures().into_iter().filter(|known| *known <= capability).max()
     }
 
-    /// Returns the compute capabilities that it compiles for.
+    /// Returns the compute capabilities that the library compiles for.
     fn architectures(&self) -> Vec<i32> {
         let mut count = 0;
-        // SAFETY: the buffer has the length that the library states.
+        // SAFETY: the buffer has the length that the library reports.
         unsafe {
             if (self.functions.count_archs)(&mut count) != 0 {
                 return Vec::new();
@@ -137,7 +138,7 @@ impl Nvrtc {
     }
 }
 
-/// A program, destroyed at the end.
+/// A program, destroyed when dropped.
 struct Held<'a> {
     functions: &'a Functions,
     program: Program,
@@ -163,7 +164,7 @@ impl Held<'_> {
 impl Drop for Held<'_> {
     fn drop(&mut self) {
         if !self.program.is_null() {
-            // SAFETY: it is not used any more.
+            // SAFETY: the program is not used afterwards.
             unsafe { (self.functions.destroy)(&mut self.program) };
         }
     }

@@ -7,7 +7,7 @@ use crate::outputs::Outputs;
 use crate::params::{Edges, FrameParams, Project, Strength};
 use crate::sensor::SensorModel;
 
-/// Kernels of all degrees, edges, strides, projections and outputs, and of both kinds of depth.
+/// Returns the kernels of all degrees, edge settings, strides, projections and outputs, for both kinds of depth.
 fn sources() -> Vec<(String, CudaSource)> {
     let camera = Camera::kinect_v1();
     let (raw, metres) = (vec![0u16; camera.width * camera.height], vec![0f32; camera.width * camera.height]);
@@ -64,7 +64,7 @@ fn kernels_become_cuda_with_their_parameters() {
     }
 }
 
-/// Where CUDA's compiler is; the gate installs it and sets PLANISH_REQUIRE_NVRTC.
+/// Runs only if CUDA's compiler is installed; the gate installs it and sets PLANISH_REQUIRE_NVRTC.
 #[test]
 fn kernels_compile_for_old_and_new_gpus() {
     let nvrtc = match Nvrtc::load(12, 90) {
@@ -83,7 +83,7 @@ fn kernels_compile_for_old_and_new_gpus() {
     }
     let (_, first) = &sources[0];
     assert!(nvrtc.compile(&first.text, 75).unwrap().starts_with(elf));
-    // Of a GPU that is newer than the compiler, PTX for the driver.
+    // For a GPU newer than the compiler, the output is PTX for the driver.
     let ptx = nvrtc.compile(&first.text, 990).unwrap();
     assert!(String::from_utf8_lossy(&ptx).contains(".entry run") && ptx.ends_with(b"\0"));
     assert!(nvrtc.compile(&first.text, 10).unwrap_err().contains("capability 10"));

@@ -1,5 +1,5 @@
-//! Translates a kernel to CUDA C++. naga writes WGSL as Metal's C++, and `metal.cuh` defines Metal's words for CUDA's
-//! compiler. What differs between the two languages is the entry point, the suffix of float literals, and constants.
+//! Translates a kernel to CUDA C++. naga translates WGSL to Metal's C++, and `metal.cuh` defines Metal's names for
+//! CUDA's compiler. The translation here covers the entry point, the suffixes of float literals, and constants.
 
 use std::fmt::Write;
 
@@ -11,7 +11,7 @@ const METAL: &str = include_str!("metal.cuh");
 /// Name of the entry point.
 pub(super) const ENTRY_POINT: &str = "run";
 
-/// The Metal slot of the sizes of buffers, which kernels without checks of bounds do not read.
+/// The Metal slot of the buffer sizes, which kernels without bounds checks do not read.
 const SIZES_SLOT: u8 = 30;
 
 /// A kernel in CUDA C++. Its entry point is [`ENTRY_POINT`].
@@ -20,7 +20,7 @@ pub(super) struct CudaSource {
     pub(super) text: String,
     /// The bindings of its parameters, in order. Binding 0 is the uniform, passed by value; the others are addresses.
     pub(super) bindings: Vec<u32>,
-    /// Threads of a block, across and down.
+    /// Number of threads of a block, across and down.
     pub(super) threads: [u32; 2],
 }
 
@@ -54,7 +54,7 @@ pub(super) fn translate(wgsl: &str) -> Result<CudaSource, String> {
     of_metal(&metal, [across, down])
 }
 
-/// Translates what naga wrote.
+/// Translates naga's Metal output to CUDA C++.
 fn of_metal(metal: &str, threads: [u32; 2]) -> Result<CudaSource, String> {
     let unknown = |what: &str| format!("naga's Metal is not as expected: {what}");
     let (before, entry) = metal.split_once("kernel void ").ok_or_else(|| unknown("no kernel"))?;
@@ -87,20 +87,20 @@ fn of_metal(metal: &str, threads: [u32; 2]) -> Result<CudaSource, String> {
     Ok(CudaSource { text, bindings, threads })
 }
 
-/// The CUDA kernel around Metal's.
+/// The parts of the CUDA kernel that calls Metal's kernel.
 #[derive(Default)]
 struct Wrapper {
-    /// Of the CUDA kernel.
+    /// Parameters of the CUDA kernel.
     parameters: Vec<String>,
-    /// Declarations in its body.
+    /// Declarations in the body of the CUDA kernel.
     variables: String,
-    /// Of Metal's kernel.
+    /// Arguments passed to Metal's kernel.
     arguments: Vec<String>,
     bindings: Vec<u32>,
 }
 
 impl Wrapper {
-    /// Adds a parameter of Metal's kernel; `None` if it is of an unknown kind.
+    /// Adds a parameter of Metal's kernel. Returns `None` if its kind is unknown.
     fn add(&mut self, declaration: &str, attribute: &str) -> Option<()> {
         let name = declaration.split(' ').next_back()?;
         let kind = declaration.strip_suffix(name)?.trim_end();
@@ -135,7 +135,7 @@ impl Wrapper {
     }
 }
 
-/// Marks the literals of floats, which would be doubles.
+/// Appends `f` to float literals, which would otherwise be doubles.
 fn with_suffixes(metal: &str) -> String {
     let mut text = String::with_capacity(metal.len() + metal.len() / 16);
     let mut rest = metal;

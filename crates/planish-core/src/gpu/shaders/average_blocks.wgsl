@@ -1,4 +1,4 @@
-// The first pass where blocks are averaged, or pixels share cells (docs/method.md, sections 2 and 10).
+// The first pass if blocks are averaged or pixels share cells (docs/method.md, sections 2 and 10).
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn average_blocks(

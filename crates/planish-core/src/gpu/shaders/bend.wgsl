@@ -1,7 +1,8 @@
-// How surfaces bend: tensors H in 1/m, of a surface that is x·Hx/2 above its tangent plane at an offset x along it
-// (docs/method.md, section 10): uu, uv and vv along the tangents of its normal. For a window, only the trace of H is known.
+// The curvature of surfaces (docs/method.md, section 10). A tensor H in 1/m describes a surface whose height above
+// its tangent plane is x·Hx/2 at the in-plane offset x. Its components uu, uv and vv refer to the tangents of the
+// normal. For a window, only the trace of H is known.
 
-// H (a, b).
+// Returns H (a, b).
 fn bend_times(h: vec3<f32>, at: vec2<f32>) -> vec2<f32> {
     return vec2<f32>(fma(h.x, at.x, h.y * at.y), fma(h.y, at.x, h.z * at.y));
 }
@@ -10,7 +11,7 @@ fn place_along(frame: Tangents, x: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(dot(x, frame.u), dot(x, frame.v));
 }
 
-// The sum of the squares of all entries.
+// Returns the sum of the squares of all entries.
 fn bend_square(h: vec3<f32>) -> f32 {
     return fma(h.x, h.x, fma(h.z, h.z, 2.0 * h.y * h.y));
 }
@@ -21,7 +22,7 @@ fn along(frame: Tangents, m: Symmetric) -> vec3<f32> {
     return vec3<f32>(dot(frame.u, by_u), dot(frame.u, by_v), dot(frame.v, by_v));
 }
 
-// The same tensor along other tangents.
+// Returns the same tensor along the tangents `to`.
 fn turned(h: vec3<f32>, frame: Tangents, to: Tangents) -> vec3<f32> {
     let u = place_along(frame, to.u);
     let v = place_along(frame, to.v);
@@ -45,14 +46,14 @@ struct Around {
     windows: f32,
     // Sum of the variances along the planes.
     spreads: f32,
-    // How well the planes fit their own points, wherever p is.
+    // Sum of the planes' fits to their own points, regardless of the distance from p to the planes.
     fitting: f32,
     // Sum of the normals of the nearby planes, and their number.
     normals: vec3<f32>,
     count: f32,
 }
 
-// A sum plus a factor times x y^T + y x^T.
+// Returns a sum plus a factor times x y^T + y x^T.
 fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Symmetric {
     let x_row = factor * fma(vec3<f32>(x.x), y, y.x * x);
     let rest = factor * fma(x.yyz, y.yzz, y.yyz * x.yzz);
@@ -66,13 +67,13 @@ fn plus_products(sum: Symmetric, x: vec3<f32>, y: vec3<f32>, factor: f32) -> Sym
     );
 }
 
-// How the normals of the planes around a point turn.
+// The variation of the normals of the planes around a point.
 struct Turn {
     per_total: f32,
     mean_normal: vec3<f32>,
     // The variance of the normals.
     variance: f32,
-    // How far that is beyond what noise does, from 0 to 1.
+    // How far the variation exceeds that of noise, from 0 to 1.
     certain: f32,
 }
 
@@ -89,19 +90,20 @@ fn turn_of(around: Around, radius: f32, noise: f32) -> Turn {
 
 struct Measured {
     bend: vec3<f32>,
-    // Mean place of the planes along the tangents; the vote's normal applies there.
+    // Mean position of the planes along the tangents, where the vote's normal applies.
     centre: vec2<f32>,
-    // Weighted sum of how much higher the surface is at the point than the planes, which are fitted to it.
+    // Weighted sum of the heights of the surface at the point above the planes fitted to it.
     rise: f32,
 }
 
-// The bend of a surface along the tangents `frame` of its normal.
+// Returns the bend of a surface along the tangents `frame` of its normal.
 fn bend_around(around: Around, turn: Turn, frame: Tangents, radius: f32) -> Measured {
     let per_total = turn.per_total;
-    // In units of the radius, whose square may be as small as 1e-24 m².
+    // In units of the radius, since its square may be as small as 1e-24 m².
     let per_radius = 1.0 / radius;
     let scale = per_total * per_radius;
-    // A plane's place t, and its slope s, the sine of its angle: on a circle the slope grows with the place by 1/r.
+    // The planes' mean position t, and their mean slope s. A slope is the sine of an angle; on a circle of radius r,
+    // it is the position divided by r.
     let t = place_along(frame, around.offset) * scale;
     let s = -place_along(frame, turn.mean_normal);
     let squares = along(frame, around.offsets);

@@ -1,6 +1,6 @@
 // The means of blocks of points (docs/method.md, sections 2 and 10). The windows of this pass are the blocks.
 
-// The first valid point of the pixels in the middle of a block, which are a cell.
+// Returns the first valid point of the pixels in the middle of a block, which form a cell.
 fn middle_of(window: WindowOrigin) -> vec3<f32> {
     var p = candidate(window, WINDOW, WINDOW);
     for (var i = 1u; i < CELL * CELL && p.x == NO_POINT; i++) {
@@ -9,13 +9,14 @@ fn middle_of(window: WindowOrigin) -> vec3<f32> {
     return p;
 }
 
-// Maximum distance between a pixel's point, at this range, and the points of its block.
+// Returns the maximum distance between a pixel's point at this range and the points of its block.
 fn block_gate(frame: u32, range: f32) -> f32 {
     let gate_m = max(range * header(frame, BLOCK_LINEAR), polynomial_in_range(frame, BLOCK, range));
     return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
 }
 
-// The mean around p. The points count by how far they are from a plane, in units of its width: 0 in every unit for all alike.
+// Returns the mean around p. A point's weight decreases with its distance from a plane, in units of its width. With
+// `normal_per_width` and `height_in_widths` of 0, the plane has no effect.
 fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
     var sum = vec3<f32>(0.0);
     var total = 0.0;
@@ -32,6 +33,6 @@ fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: 
             total += weight;
         }
     }
-    // p itself has a weight.
+    // The total is positive, since p itself has a weight.
     return p + sum / total;
 }

@@ -1,5 +1,5 @@
-// The pixels of the blocks of a tile of cells, in workgroup memory (docs/method.md, section 10). Even and odd columns are
-// apart, so that the threads of a row read adjacent words.
+// The pixels of the blocks of a tile of cells, in workgroup memory (docs/method.md, section 10). Even and odd columns
+// are stored separately, so that the threads of a row read adjacent words.
 
 const PITCH: u32 = TILE_WIDTH * CELL + 2u * WINDOW;
 const TILE_AREA: u32 = PITCH * (TILE_HEIGHT * CELL + 2u * WINDOW);

@@ -1,10 +1,11 @@
-// The buffers that the kernels read and write, by the word (layout.rs).
+// The buffers that the kernels read and write as words (layout.rs).
 
 struct Batch {
     width: u32,
     height: u32,
-    // Distance between frames.
+    // Distance between input frames in words.
     input_words: u32,
+    // Distance between results in words.
     output_words: u32,
 }
 

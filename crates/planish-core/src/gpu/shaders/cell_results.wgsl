@@ -1,17 +1,18 @@
 // The results of the cells around a tile of pixels, in workgroup memory (docs/method.md, section 10).
 
-// Cells around a pixel that count: one before its own and two after it.
+// Number of cells that count before a pixel's own cell; two count after it.
 const BEFORE: u32 = 1u;
 const PITCH: u32 = TILE_WIDTH / CELL + 3u;
 const TILE_AREA: u32 = PITCH * (TILE_HEIGHT / CELL + 3u);
 
-// Points with certainties, and normals.
+// Points, and their certainties in w.
 var<workgroup> result_points: array<vec4<f32>, TILE_AREA>;
+// Normals; zero for a point without a normal.
 var<workgroup> result_normals: array<vec3<f32>, TILE_AREA>;
 
 struct CellResult {
     point: vec3<f32>,
-    // 0 without a normal.
+    // Zero for a point without a normal.
     normal: vec3<f32>,
     certainty: f32,
 }

@@ -1,4 +1,5 @@
-// Reads candidates directly from the kept samples, if their tile does not fit into workgroup memory (docs/method.md, section 10).
+// Reads candidates directly from the kept samples if their tile does not fit into workgroup memory (docs/method.md,
+// section 10).
 
 // Frame, and column and row of the cell in the middle of a window.
 struct WindowOrigin {

@@ -1,11 +1,12 @@
 // The smallest eigenvector of a symmetric 3x3 matrix (docs/method.md, section 4).
 //
-// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
-// their digits, so the isolated root is solved for first: the smallest for planar points, the largest for points along
-// a line. In the second case the other two come from the matrix restricted to the plane across the line (after Eberly,
-// "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary unit vector.
+// The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root, these lose half
+// their digits, so the isolated root is computed first: the smallest for planar points, the largest for points along
+// a line. In the second case, the other two are computed from the matrix restricted to the plane perpendicular to the
+// line (after Eberly, "A robust eigensolver for 3x3 symmetric matrices"). A zero matrix gives zeros and an arbitrary
+// unit vector.
 
-// If det(B)/2 exceeds this, the largest root is isolated and the smaller two are close.
+// Threshold of det(B)/2 above which the largest root is isolated and the smaller two are close.
 const LINE_LIKE: f32 = 0.9;
 
 struct Symmetric {
@@ -31,7 +32,8 @@ fn symmetric_times(m: Symmetric, v: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// cos(acos(x)/3) for x in [-1, 1], absolute error under 5e-7. Built-in acos and cos may be off by 1e-3.
+// Returns cos(acos(x)/3) for x in [-1, 1], with an absolute error under 5e-7. The built-in acos and cos may be off by
+// 1e-3.
 fn cos_third_acos(x: f32) -> f32 {
     // acos(|x|) = sqrt(1 - |x|) p(|x|): Abramowitz & Stegun 4.4.46.
     let magnitude = abs(x);
@@ -54,7 +56,7 @@ fn cos_third_acos(x: f32) -> f32 {
     return fma(c, s, 1.0);
 }
 
-// a b - c d
+// Returns a b - c d.
 fn minor(a: f32, b: f32, c: f32, d: f32) -> f32 {
     return fma(a, b, -(c * d));
 }
@@ -74,7 +76,7 @@ fn null_vector(b: Symmetric, value: f32) -> vec3<f32> {
             length_squared = other_squared;
         }
     }
-    // A zero matrix has no direction; any is valid.
+    // The rows of a zero matrix have no direction; any unit vector is valid.
     if length_squared > MIN_POSITIVE {
         return longest * (1.0 / sqrt(length_squared));
     }
@@ -97,7 +99,8 @@ fn tangents_of(n: vec3<f32>) -> Tangents {
     );
 }
 
-// The smaller two eigenvalues, from B restricted to the plane across `axis`, the eigenvector of the largest.
+// Returns the smaller two eigenvalues, from B restricted to the plane perpendicular to `axis`, the eigenvector of the
+// largest.
 fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let tangents = tangents_of(axis);
     let bu = symmetric_times(b, tangents.u);
@@ -108,7 +111,7 @@ fn across_line(b: Symmetric, axis: vec3<f32>) -> Smallest {
     let half_sum = (uu + vv) * 0.5;
     let half_difference = (uu - vv) * 0.5;
     let spread = sqrt(fma(half_difference, half_difference, uv * uv));
-    // The eigenvector of the smaller one, by the longer of the two rows' normals.
+    // The eigenvector of the smaller eigenvalue: the longer of the normals of the two rows.
     let reach = abs(half_difference) + spread;
     let along = select(vec2<f32>(-reach, uv), vec2<f32>(uv, -reach), half_difference >= 0.0);
     let length_squared = dot(along, along);
@@ -151,7 +154,7 @@ fn smallest_eigenvector(m: Symmetric) -> Smallest {
         let across = across_line(b, axis);
         return Smallest(vec3<f32>(fma(p, across.values.x, mean), fma(p, across.values.y, mean), alone), across.vector);
     }
-    // The other two lie around minus half of it, sqrt(3) sin apart from there.
+    // The other two roots are -half_alone ± sqrt(3 (1 - half_alone²)), since half_alone is a cosine.
     let spread = sqrt(max(3.0 * fma(-half_alone, half_alone, 1.0), 0.0));
     return Smallest(vec3<f32>(alone, fma(p, -half_alone - spread, mean), fma(p, -half_alone + spread, mean)), axis);
 }

@@ -5,20 +5,20 @@ struct Surface {
     normal: vec3<f32>,
     height: f32,
     width: f32,
-    // Along the tangents of the normal.
+    // Bend along the tangents of the normal: uu, uv and vv, in 1/m.
     bend: vec3<f32>,
     // From 0, if planes around the point fit, to 1, if none does.
     no_plane_fits: f32,
     certainty: f32,
 }
 
-// The fourth power of 1/(1 + variance).
+// Returns the fourth power of 1/(1 + variance).
 fn fit_by(variance: f32) -> f32 {
     let root = 1.0 / (1.0 + variance);
     return (root * root) * (root * root);
 }
 
-// The nine planes, weighed by how well they fit a point.
+// Sums the nine planes, weighted by how well they fit a point.
 fn vote(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f32, noise: f32) -> Around {
     let per_variance = 1.0 / (noise * noise);
     let gate = gate_of(radius * PLANE_REACH);
@@ -64,7 +64,7 @@ fn vote(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, radius: f
     return around;
 }
 
-// 0 where the planes fit, or hardly turn, to 1 where none does.
+// Returns 0 if enough planes fit or their normals hardly turn, up to 1 if none fits.
 fn lack_of_planes(around: Around) -> f32 {
     let lacking = clamp((FITTING_ENOUGH - around.fitting) / (FITTING_ENOUGH - FITTING_LEAST), 0.0, 1.0);
     let mean = length(around.normals) / max(around.count, NEAR_ENOUGH);
@@ -72,7 +72,7 @@ fn lack_of_planes(around: Around) -> f32 {
     return lacking * clamp((turning - TURNING_FLAT) / (TURNING_ROUND - TURNING_FLAT), 0.0, 1.0);
 }
 
-// A unit normal towards the sensor, and the sign by which it differs from a vote's.
+// A unit normal towards the sensor, and the sign, 1 or -1, that turned the vote's normal towards it.
 struct Facing {
     normal: vec3<f32>,
     sign: f32,
@@ -86,7 +86,7 @@ fn facing(normal: vec3<f32>, ray: vec3<f32>) -> Facing {
 fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray: vec3<f32>, radius: f32, noise: f32) -> Surface {
     let own = cell_index(cell);
     let own_normal = plane_vector(frame, FIRST_NORMAL, own);
-    // Without a plane every neighbour counts.
+    // Without a plane, every neighbour counts.
     if planes[plane_word(frame, FIRST_COUNT, own)] < 3.0 {
         let height = dot(plane_vector(frame, FIRST_CENTROID, own), own_normal);
         return Surface(own_normal, height, 1e18, vec3<f32>(0.0), 0.0, 0.0);
@@ -100,7 +100,7 @@ fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray
     if turn.certain > 0.0 {
         measured = bend_around(around, turn, tangents, radius);
     }
-    // Planes that disagree may lie further away than a point may move.
+    // Planes that disagree may be farther away than a point may move.
     let moved = clamp((around.height + measured.rise) / (around.total + STAY_WEIGHT), -radius, radius);
     let no_plane_fits = lack_of_planes(around);
     let certainty = around.total / (around.total + STAY_WEIGHT);
@@ -108,10 +108,10 @@ fn surface_of(frame: u32, cell: vec2<u32>, p: vec3<f32>, to_mean: vec3<f32>, ray
     if bend_square(measured.bend) == 0.0 {
         return surface;
     }
-    // In the middle of the planes, where this normal is, the slope differs from that at p.
+    // The vote's normal applies at the centre of the planes; the slope at p differs.
     let tilt = bend_times(measured.bend, measured.centre);
     let tilted = facing(found.normal + tilt.x * tangents.u + tilt.y * tangents.v, ray);
-    // The other way round it is the same surface.
+    // Flipping the normal flips the sign of the bend.
     let bend = turned(measured.bend, tangents, tangents_of(tilted.normal)) * tilted.sign;
     return Surface(tilted.normal, tilted.sign * surface.height, surface.width, bend, no_plane_fits, certainty);
 }

@@ -28,10 +28,10 @@ fn fit_first_planes(
     let gate = gate_of(radius);
     let sums = sums_of(window, p, gate);
     let plane = plane_of(ray, sums);
-    // Scaled, since the squares may be too large.
+    // Scaled, since the square of the ray may overflow.
     let direction = ray / max(max(abs(ray.x), abs(ray.y)), max(abs(ray.z), MIN_POSITIVE));
     let cosine = abs(dot(plane.normal, direction)) / sqrt(dot(direction, direction));
-    // Enough points, not on a line, on a plane that is not seen edge-on: each from 0 to 1.
+    // Enough points, not collinear, on a plane not seen edge-on: each from 0 to 1.
     let enough = clamp(sums.total - MIN_TOTAL, 0.0, 1.0);
     let facing = clamp((cosine - MIN_INCIDENCE_COSINE) / COSINE_FADE, 0.0, 1.0);
     let usable = enough * clamp(plane.off_line, 0.0, 1.0) * facing;

@@ -1,4 +1,5 @@
-// Weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and 3).
+// The weight of a candidate by its distance, and sums over candidates within the gate (docs/method.md, sections 2 and
+// 3).
 
 struct Gate {
     // Slope of the weight over the squared distance.
@@ -9,14 +10,14 @@ fn gate_of(radius: f32) -> Gate {
     return Gate(-GATE_FADE / (radius * radius));
 }
 
-// Weight of an offset by its square, before clamping to 0 to 1.
+// Returns the weight of an offset by its squared length, before clamping to 0 to 1.
 fn unclamped(gate: Gate, squared: f32) -> f32 {
     return fma(squared, gate.slope, GATE_FADE + 0.5);
 }
 
 // Sums over the neighbours, relative to p.
 struct Sums {
-    // How many.
+    // Number of neighbours.
     n: f32,
     // Sum of the weights.
     total: f32,

@@ -1,4 +1,4 @@
-// The points as the first pass has left them, in metres, so that the others need not read the input again.
+// The points kept by the first pass, in metres, so that later passes do not read the input again.
 
 fn point_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     if x < 0 || y < 0 || x >= i32(batch.width) || y >= i32(batch.height) {

@@ -1,4 +1,4 @@
-// The result in channels for the pass after this one.
+// Keeps the result in channels for the next pass.
 
 fn store(frame: u32, origin: vec2<u32>, cell: vec2<u32>, thread: u32, result: PixelResult) {
     if is_outside(cell) {

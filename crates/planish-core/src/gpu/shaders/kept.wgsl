@@ -4,42 +4,54 @@
 @group(0) @binding(3) var<storage, read_write> kept_points: array<f32>;
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
-// Points as measured, block means, and the means of the points on the surface. NO_POINT for a hole.
+// Measured points; NO_POINT for a hole, here and in the means.
 const KEPT_POINT: u32 = 0u;
+// Block means.
 const KEPT_MEAN: u32 = 3u;
+// Means of the points on the surface.
 const KEPT_SURFACE_MEAN: u32 = 6u;
 
-// First planes: the normal; the mean of the neighbours, relative to the point; the variance along the normal plus the
-// plane's uncertainty in m² (more, up to NOT_USABLE, if neighbours are too few, collinear, or on a plane seen edge-on);
-// the variance along the plane in m²; the curvature; the number of neighbours, negative if they are collinear; the
-// squared extent in m²; and how the window bends.
+// First plane: the normal.
 const FIRST_NORMAL: u32 = 0u;
+// First plane: the mean of the neighbours, relative to the point.
 const FIRST_CENTROID: u32 = 3u;
+// First plane: the variance along the normal plus the plane's uncertainty, in m². It is larger, up to NOT_USABLE, if
+// neighbours are too few, collinear, or on a plane seen edge-on.
 const FIRST_RESIDUAL: u32 = 6u;
+// First plane: the variance along the plane in m².
 const FIRST_SPREAD: u32 = 7u;
+// First plane: the curvature.
 const FIRST_CURVATURE: u32 = 8u;
+// First plane: the number of neighbours, negative if they are collinear.
 const FIRST_COUNT: u32 = 9u;
+// First plane: the squared extent in m².
 const FIRST_EXTENT: u32 = 10u;
+// First plane: the bend of the window in 1/m (window_bend.wgsl).
 const FIRST_BEND: u32 = 11u;
-// Surfaces found from them: the normal, the height over the point, the distance in metres within which neighbours
-// count, how it bends along the tangents of the normal, and how far no plane fits.
+// Surface found from the first planes: the normal.
 const SURFACE_NORMAL: u32 = 12u;
+// Surface: the height over the point in metres.
 const SURFACE_HEIGHT: u32 = 15u;
+// Surface: the distance in metres within which neighbours count.
 const SURFACE_WIDTH: u32 = 16u;
+// Surface: the bend along the tangents of the normal in 1/m.
 const SURFACE_BEND: u32 = 17u;
+// Surface: from 0, if planes around the point fit, to 1, if none does.
 const SURFACE_NO_PLANE_FITS: u32 = 20u;
-// How certain a surface is: from 0, if no plane near the point fits it, to 1.
+// Surface: the certainty, from 0, if no plane near the point fits it, to 1.
 const SURFACE_CERTAINTY: u32 = 21u;
 
-// Results of cells, in place of surfaces that are no longer needed: normal and point, 0 without a normal; status.
+// Result of a cell, in place of the surface, which is no longer needed: the normal; 0 without one.
 const RESULT_NORMAL: u32 = SURFACE_NORMAL;
+// Result of a cell: the point; 0 without a normal.
 const RESULT_POINT: u32 = SURFACE_BEND;
+// Result of a cell: the status.
 const RESULT_STATUS: u32 = SURFACE_NO_PLANE_FITS;
 
-// More than any variance, and its multiples are finite.
+// Exceeds every variance; its multiples are finite.
 const NOT_USABLE: f32 = 1e18;
 
-// Columns and rows of cells.
+// Returns the number of columns and rows of cells.
 fn grid_size() -> vec2<u32> {
     return (vec2<u32>(batch.width, batch.height) + (CELL - 1u)) / CELL;
 }
@@ -89,7 +101,7 @@ fn keep_vector(frame: u32, channel: u32, cell: u32, vector: vec3<f32>) {
     planes[at + 2u * cells] = vector.z;
 }
 
-// The standard deviation of depth at a range, between bounds whose squares are within f32, whatever the coordinates.
+// Returns the standard deviation of depth at a range, between bounds whose squares fit into f32 for all coordinates.
 fn noise_at(frame: u32, range: f32, radius: f32) -> f32 {
     return clamp(max(polynomial_in_range(frame, SIGMA, range), radius * MIN_NOISE), 1e-15, MAX_RADIUS_M);
 }

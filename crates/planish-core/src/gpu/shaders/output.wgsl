@@ -1,6 +1,7 @@
-// The result in its readback layout: channels of words for numbers, rows of packed bytes and half words for codes (layout.rs).
+// The result in its readback layout: channels of words for numbers, rows of packed bytes and half-words for codes
+// (layout.rs).
 //
-// Packed rows start at whole words, so a row of a tile is whole words too.
+// Packed rows start at whole words, so a row of a tile also consists of whole words.
 
 var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
@@ -8,7 +9,7 @@ fn store_word(frame: u32, channel: u32, pixel: u32, bits: u32) {
     output[frame * batch.output_words + channel * batch.width * batch.height + pixel] = bits;
 }
 
-// Stores packed rows of `shift`ed fields of `bits` bits each, after the channels; one thread per word.
+// Stores packed rows of fields of `bits` bits each, shifted by `shift`, after the channels; one thread per word.
 fn store_packed(frame: u32, rows_at: u32, origin: vec2<u32>, thread: u32, shift: u32, bits: u32) {
     let in_word = 32u / bits;
     let words_in_tile_row = TILE_WIDTH / in_word;

@@ -1,4 +1,4 @@
-// A point's result before it is stored. NaN is written by its bits and never computed.
+// A point's result before it is stored. NaN is written as bits and never computed.
 
 const NAN_BITS: u32 = 0x7fc00000u;
 
@@ -7,8 +7,8 @@ struct PixelResult {
     normal: vec3<u32>,
     curvature: u32,
     depth_m: u32,
-    // Frames: status in the low byte, the number of neighbours in the next, raw depth in the upper half. Unorganized
-    // clouds: status in the low byte, the clamped number of neighbours in the upper three.
+    // For frames: status in the low byte, number of neighbours in the next, raw depth in the upper half. For
+    // unorganized clouds: status in the low byte, clamped number of neighbours in the upper three.
     codes: u32,
 }
 

@@ -3,7 +3,7 @@
 struct Plane {
     // Unit normal, towards the sensor.
     normal: vec3<f32>,
-    // c·n: the foot of p on the plane is this times the normal.
+    // Height of the plane over p, c·n; the foot of p on the plane is the height times the normal.
     height: f32,
     // The mean of the neighbours, c.
     centroid: vec3<f32>,
@@ -11,36 +11,37 @@ struct Plane {
     spread: f32,
     // Variance along the normal, l0, in m².
     residual: f32,
-    // How little the points determine the normal: l2/(l1 - l0), at most MAX_DOUBT.
+    // Uncertainty of the normal, l2/(l1 - l0), at most MAX_DOUBT.
     doubt: f32,
     // Four times the largest variance, 4 l2, in m²: the square of the neighbourhood's in-plane extent.
     extent_squared: f32,
     // Surface variation l0/(l0+l1+l2).
     curvature: f32,
-    // How far the second extent exceeds a line's, relative to it: l1/(1e-4 l2) - 1.
+    // Excess of l1 over its limit for a line, relative to the limit: l1/(1e-4 l2) - 1.
     off_line: f32,
-    // The neighbours lie on a line; the rest means nothing.
+    // True if the neighbours are collinear; the other fields are then meaningless.
     is_degenerate: bool,
 }
 
 // The plane of a point, as found by one of the passes.
 struct LocalSurface {
     plane: Plane,
-    // How many neighbours.
+    // Number of neighbours.
     n: f32,
     // Maximum distance of a neighbour from the plane in metres; undefined if KEEPS_EDGES is false.
     width: f32,
-    // How the plane bends along the tangents of its normal: uu, uv, vv; undefined if BENDS is false.
+    // Bend along the tangents of the plane's normal: uu, uv, vv; undefined if BENDS is false.
     bend: vec3<f32>,
     // From 0, if planes around the point fit, to 1, if none does; undefined if BENDS is false.
     no_plane_fits: f32,
 }
 
-// `ray` leads from the sensor to p.
+// Returns the plane of the neighbours of p; `ray` leads from the sensor to p.
 fn plane_of(ray: vec3<f32>, sums: Sums) -> Plane {
     let inverse_total = 1.0 / max(sums.total, MIN_POSITIVE);
     let c = sums.e * inverse_total;
-    // Means of products less products of means. All are of the size of the neighbourhood, so little cancels.
+    // Means of products minus products of means. All values are as small as the neighbourhood, so cancellation is
+    // mild.
     let x_row = fma(sums.x_row, vec3<f32>(inverse_total), -(c.x * c));
     let rest = fma(sums.rest, vec3<f32>(inverse_total), -(c.yyz * c.yzz));
     let eigen = smallest_eigenvector(Symmetric(x_row.x, x_row.y, x_row.z, rest.x, rest.y, rest.z));

@@ -14,14 +14,14 @@ struct Fit {
     // In-plane axes, of unit length.
     u: vec3<f32>,
     v: vec3<f32>,
-    // Units of a, b and f in a metre.
+    // Number of units of a, b and f per metre.
     per_metre: f32,
     // The square of the extent in units of a and b.
     extent_squared: f32,
 }
 
-// Second pass over the window. Uses the gate of the first pass, in these units. Neighbours count within `width` of the
-// surface.
+// Second pass over the window. Uses the gate of the first pass, in the units of the fit. Neighbours count within
+// `width` of the surface.
 fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: LocalSurface, width: f32, bandwidth: f32) -> Fit {
     let plane = surface.plane;
     let tangents = tangents_of(plane.normal);
@@ -33,7 +33,7 @@ fn fit_of(window: WindowOrigin, p: vec3<f32>, radius_squared: f32, surface: Loca
     let gate = Gate(-GATE_FADE / (radius_squared * per_metre * per_metre));
     // Factor of f² in the weight of section 10.
     let narrowing = (bandwidth / width) * (bandwidth / width);
-    // Half the bend in these units, subtracted from f.
+    // Half the bend in the units of the fit, subtracted from f.
     let half_bend = surface.bend * (0.5 / per_metre);
     var s: Moments;
     var squares = 0.0;

@@ -3,13 +3,13 @@
 struct Projected {
     point: vec3<f32>,
     normal: vec3<f32>,
-    // Codes of Status.
+    // Code of `Status`.
     status: u32,
-    // The depth at which the ray meets the surface, over the measured one.
+    // Ratio of the depth at which the ray meets the surface to the measured depth.
     depth_scale: f32,
 }
 
-// The points of cells move along the normals of their planes.
+// Returns whether points move along their rays. The points of cells move along the normals of their planes.
 fn is_on_ray(frame: u32) -> bool {
     return !KEEPS_RESULTS && (header_bits(frame, FLAGS) & ON_RAY) != 0u;
 }

@@ -1,7 +1,7 @@
 // The point on the polynomial over the plane (docs/method.md, section 7).
 
-// `c` is c_00, c_10 and c_01 in the units of the fit. If the surface is farther away than the radius, or its height is
-// NaN, the plane is used.
+// Projects p onto the polynomial with the coefficients `c` (c_00, c_10 and c_01 in the units of the fit), or onto the
+// plane if the polynomial is farther away than the radius or its height is NaN.
 fn project_on_polynomial(frame: u32, p: vec3<f32>, plane: Plane, fit: Fit, c: vec3<f32>, radius: f32, n: f32) -> Projected {
     let height = c.x / fit.per_metre + plane.height;
     if !(height * height <= radius * radius) || !is_finite(bitcast<u32>(height)) {
@@ -26,8 +26,8 @@ fn surface_of(frame: u32, window: WindowOrigin, p: vec3<f32>, radius: f32, surfa
     let low_ridge = min(ridge, select(LOW_RIDGE, FEWEST_RIDGE, surface.n == 6.0));
     var fit: Fit;
     var c = vec3<f32>(0.0);
-    // If no plane fits, the polynomial of all neighbours replaces the first, provided that it is close to them. This is a
-    // loop because two copies of the fit would exceed the instruction cache.
+    // If no plane fits, a polynomial of all neighbours replaces the first, provided that it is close to them. This is
+    // a loop because two copies of the fit would exceed the instruction cache.
     let rounds = select(1u, 2u, BENDS && surface.no_plane_fits > 0.0);
     for (var round = 0u; round < rounds; round++) {
         let of_all = BENDS && round == 1u;

@@ -1,7 +1,7 @@
-// A depth in metres, and in raw units.
+// The depth of a result in metres and in raw units.
 
-// x y less the product as rounded to f32, from the upper and lower halves of both, whose products are exact. A driver
-// may compute fma() as a product and a sum, which would be 0 here.
+// Returns the rounding error of a product in f32: x y minus `product`. The products of the upper and lower halves of
+// x and y are exact. A driver may compute fma() as a product and a sum, which would return 0 here.
 fn product_error(x: f32, y: f32, product: f32) -> f32 {
     let upper = vec2<f32>(bitcast<f32>(bitcast<u32>(x) & 0xfffff000u), bitcast<f32>(bitcast<u32>(y) & 0xfffff000u));
     let lower = vec2<f32>(x, y) - upper;
@@ -14,7 +14,7 @@ fn with_depth(frame: u32, depth: f32, without: PixelResult) -> PixelResult {
         result.depth_m = bitcast<u32>(depth);
         let units = header(frame, UNITS_PER_METRE);
         let product = depth * units;
-        // Halves are rounded up, as the host does; round() rounds to even, and so does the product to f32.
+        // Round halves up, as the host does. round() rounds halves to even, and the product is itself rounded to f32.
         let rounded = round(product);
         let over = product - rounded;
         let error = product_error(depth, units, product);

@@ -1,17 +1,20 @@
 // The results of pixels from the surfaces of the cells around them (docs/method.md, section 10).
 
-// Sum of the shares of the cells around a pixel.
+// Sum of the shares of all cells around a pixel.
 const ALL_SHARES: f32 = 4.0;
 
-// The cells around a pixel that count: their first column and row in the tile, and how far the pixel is from it.
+// The cells around a pixel that count.
 struct CellsAround {
+    // Column and row of the first cell in the tile.
     first: vec2<u32>,
+    // Distance in pixels from the first cell to the pixel.
     from_first: vec2<u32>,
-    // Columns and rows: three for the first pixel of a cell, four for the second.
+    // Number of columns and rows: three for the first pixel of a cell, four for the second.
     size: vec2<u32>,
 }
 
-// How much a column or row of cells counts, by its distance from the pixel: linearly less up to a number of pixels.
+// Returns the weight of a column or row of cells, which falls linearly with its distance from the pixel, to 0 at
+// `reach` pixels.
 fn share_of(column: u32, from_first: u32, reach: f32) -> f32 {
     return 1.0 - abs(f32(CELL * column) - f32(from_first)) / reach;
 }
@@ -28,7 +31,7 @@ struct Voted {
     certain: f32,
     normal: vec3<f32>,
     height: f32,
-    // Place in the tile of the cell that counts most.
+    // Position in the tile of the cell with the largest weight.
     best: vec2<u32>,
 }
 
@@ -39,7 +42,7 @@ fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>
     let towards = ray * (-1.0 / SIDE_COSINE / max(length, LEAST_RAY_M));
     var voted: Voted;
     var most = 0.0;
-    // Cells less than three pixels away: three along an axis, or two.
+    // Cells less than three pixels away: two or three along each axis.
     let start = around.size - 3u;
     for (var row = start.y; row < 3u; row++) {
         let down = share_of(row, around.from_first.y, 3.0);
@@ -55,7 +58,8 @@ fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>
             let from_mean = (height - dot(to_mean, other.normal)) * per_noise;
             let root = 1.0 / fma(from_mean, from_mean, 1.0);
             let share = down * share_of(column, around.from_first.x, 3.0);
-            // Its product with the normal is the same whichever side that faces, unless that is exactly across the ray.
+            // The product of `side` and the normal does not depend on the normal's orientation, unless the normal is
+            // exactly perpendicular to the ray.
             let towards_side = select(dot(other.normal, towards), 1.0, length < LEAST_RAY_M);
             let side = clamp(abs(towards_side), LEAST_SIDE, 1.0) * select(1.0, -1.0, towards_side < 0.0);
             let fits = nearness * share * (root * root) * (root * root);
@@ -74,7 +78,7 @@ fn vote_of(around: CellsAround, p: vec3<f32>, ray: vec3<f32>, to_mean: vec3<f32>
     return voted;
 }
 
-// The mean of the surfaces around a point that are like its own.
+// The mean of the surfaces around a point that resemble its own.
 struct Mean {
     height: f32,
     normal: vec3<f32>,
@@ -110,7 +114,7 @@ fn mean_around(around: CellsAround, point: vec3<f32>, own_normal: vec3<f32>, noi
     return Mean(fma(0.5 * all_around, bend, heights) / (total + MEAN_STAY), normal);
 }
 
-// The offset from a point to the mean of the block means around it, less than two pixels away.
+// Returns the offset from a point to the mean of the block means less than two pixels away.
 fn offset_to_mean(frame: u32, pixel: vec2<u32>, p: vec3<f32>, gate: f32) -> vec3<f32> {
     let place = pixel % CELL;
     // Both cells of a row or column count equally.
@@ -138,7 +142,7 @@ fn step_onto(frame: u32, height: f32, normal: vec3<f32>, along: f32, ray: vec3<f
     return select(height * normal, along * ray, is_on_ray(frame));
 }
 
-// The result of a point that is on no surface around it, or too far away for squares in f32.
+// Returns the result of a point that is on no surface around it, or so far away that its square may overflow f32.
 fn unmoved(frame: u32, p: vec3<f32>, cell: u32, is_far: bool) -> PixelResult {
     let status = u32(planes[plane_word(frame, RESULT_STATUS, cell)]);
     let n = u32(abs(planes[plane_word(frame, FIRST_COUNT, cell)]));
@@ -174,17 +178,17 @@ fn result_of_pixel(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, local: vec2<
     }
     let around = cells_around(local);
     let voted = vote_of(around, p, ray, to_mean, radius, noise);
-    // Squares leave f32.
+    // Squares may overflow f32.
     let is_far = !(square(p) < MAX_RANGE_M * MAX_RANGE_M);
     if is_far || !(voted.total > LEAST_SURFACE_WEIGHT) {
         return unmoved(frame, p, own_cell, is_far);
     }
-    // Their squares must not vanish.
+    // Divided by the total first, so that squares do not underflow.
     let normals = voted.normal / voted.total;
     let length = sqrt(dot(normals, normals));
     let agreeing = min(length / AGREEING, 1.0);
     let trust = agreeing * agreeing;
-    // Equal surfaces that face both sides cancel.
+    // Normals of equal surfaces that face opposite sides cancel.
     let own_normal = select(normals / length, result_at(voted.best).normal, length < LEAST_NORMAL);
     let height = voted.height * trust / max(voted.certain, MIN_POSITIVE);
     let along = along_ray(height, own_normal, ray, radius);
@@ -194,7 +198,7 @@ fn result_of_pixel(frame: u32, origin: vec2<u32>, pixel: vec2<u32>, local: vec2<
     let mean = mean_around(around, p + first, own_normal, noise);
     let more = along_ray(mean.height * trust, mean.normal, ray, radius);
     let second = step_onto(frame, mean.height * trust, mean.normal, more, ray);
-    // Both steps together stay within the limits of one.
+    // The sum of both steps stays within the limits of one step.
     let left = max(min(radius, MAX_ALONG * sqrt(dot(ray, ray))) - sqrt(dot(first, first)), 0.0);
     let share = left / max(max(sqrt(dot(second, second)), left), MIN_POSITIVE);
     var result = no_result(u32(planes[plane_word(frame, RESULT_STATUS, best)]), u32(n));

@@ -1,4 +1,4 @@
-// The samples of the windows are the block means that a pass before this one has left.
+// The samples of the windows are the block means kept by an earlier pass.
 
 fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     let size = vec2<i32>(grid_size());
@@ -8,7 +8,7 @@ fn sample_at(frame: u32, x: i32, y: i32) -> vec3<f32> {
     return kept_at(frame, SAMPLES, u32(y * size.x + x));
 }
 
-// The measured point of a cell.
+// Returns the measured point of a cell.
 fn centre_of(frame: u32, cell: vec2<u32>, window: WindowOrigin) -> vec3<f32> {
     if is_outside(cell) {
         return vec3<f32>(NO_POINT);

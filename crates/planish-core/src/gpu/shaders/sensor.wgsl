@@ -1,8 +1,8 @@
 // Position of the sensor in the cloud's frame (docs/method.md, section 11).
 //
-// Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
-// once more. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
-// operations change no bit (up to 1e18 m).
+// Points are not transformed, so offsets between them are exact; transforming them into the sensor's frame would
+// round them again. A ray leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame,
+// these operations are exact (up to 1e18 m).
 
 fn header_vec3(frame: u32, field: u32) -> vec3<f32> {
     return vec3<f32>(header(frame, field), header(frame, field + 1u), header(frame, field + 2u));

@@ -1,4 +1,4 @@
-// The results of a tile of pixels or cells.
+// Computes the results of a tile of pixels or cells.
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn smooth_frames(

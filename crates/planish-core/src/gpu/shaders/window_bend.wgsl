@@ -1,10 +1,11 @@
-// How a window bends (docs/method.md, section 10).
+// The bend of a window (docs/method.md, section 10).
 
-// Half the width of the middle of a window. MIDDLE_SHARE is the spread of its samples over the spread of all.
+// Half the width of the middle of a window in samples. MIDDLE_SHARE is the spread of its samples divided by the
+// spread of all samples.
 const MIDDLE: u32 = WINDOW / 2u;
 
-// The sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the plane, which
-// is fitted to all of them.
+// Returns the sum of the principal curvatures in 1/m, from the mean height of the neighbours in the middle over the
+// plane, which is fitted to all neighbours.
 fn window_bend(window: WindowOrigin, p: vec3<f32>, gate: Gate, plane: Plane, radius: f32) -> f32 {
     var total = 0.0;
     var height = 0.0;

@@ -1,4 +1,5 @@
-// The candidates straight from the frame, for windows whose tile outgrows workgroup memory (docs/method.md, section 2).
+// Reads candidates directly from the frame if their tile does not fit into workgroup memory (docs/method.md, section
+// 2).
 
 // Frame, and column and row of a pixel's first candidate.
 struct WindowOrigin {

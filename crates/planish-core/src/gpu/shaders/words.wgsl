@@ -1,4 +1,5 @@
-// Helpers that kernels share: fields of the input's header, and finiteness by the bits. They need the uniform `batch`.
+// Helpers that kernels share: fields of the input's header, and a test for finite numbers by their bits. They need
+// the uniform `batch`.
 //
 // Points outside the image and points with a non-finite coordinate are NO_POINT in every coordinate, a finite number
 // beyond every radius. Vulkan lets shaders assume that NaN never occurs, so they never compute with it;

@@ -1,9 +1,9 @@
-//! A driver of OpenNI2 for the tests, which compile it: a camera in software, as a PrimeSense sensor behaves
+//! An OpenNI2 driver that the tests compile: a software camera that behaves like a PrimeSense sensor
 //! (OniDriverAPI.h).
 //!
 //! The device `planish-test` mirrors its images unless configured otherwise, maps depth to colour on request, and
-//! starts at 320x240. It is unplugged after the number of frames stated in the file PLANISH_TEST_UNPLUG when its depth
-//! starts, and plugged in again 0.3 s later.
+//! starts at 320x240. If the file named by the environment variable PLANISH_TEST_UNPLUG contains a number of frames
+//! when the depth stream starts, the device is unplugged after that many frames and plugged in again 0.3 s later.
 
 #![allow(non_snake_case, clippy::missing_safety_doc)]
 
@@ -105,7 +105,7 @@ fn text(text: &str) -> [c_char; 256] {
 fn run(stream: Pointer) {
     let stream = stream;
     let at = stream.0.cast::<Stream>();
-    // SAFETY: the stream lives until its thread was joined, and its mode does not change meanwhile.
+    // SAFETY: the stream lives until its thread is joined, and its mode does not change while the thread runs.
     let stream = unsafe { &*at };
     let VideoMode { width, height, .. } = stream.mode;
     let file = std::env::var_os("PLANISH_TEST_UNPLUG");
@@ -161,7 +161,7 @@ fn run(stream: Pointer) {
     }
 }
 
-/// Returns a property's value, as bytes.
+/// Returns the bytes of a property's value.
 unsafe fn bytes_of<T>(value: &T) -> Vec<u8> {
     unsafe { std::slice::from_raw_parts((&raw const *value).cast(), size_of::<T>()).to_vec() }
 }
@@ -173,7 +173,7 @@ impl Stream {
             match id {
                 // Cropping
                 0 => Some(bytes_of(&[0, 0, 0, self.mode.width, self.mode.height])),
-                // Fields of view, of a wider colour camera.
+                // Fields of view in radians; the colour camera's are wider.
                 1 => Some(bytes_of(&if is_color { 1.1f32 } else { 1.0 })),
                 2 => Some(bytes_of(&if is_color { 0.85f32 } else { 0.75 })),
                 3 => Some(bytes_of(&self.mode)),

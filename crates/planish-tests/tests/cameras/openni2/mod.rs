@@ -1,6 +1,7 @@
-//! The source `openni2`: a camera in software, by a driver that the test compiles (`driver.rs`), and recordings of it.
+//! The source `openni2`, tested with a software camera, whose driver the test compiles (`driver.rs`), and with its
+//! recordings.
 //!
-//! Debian's libopenni2-0 has the library; the gate has it (PLANISH_REQUIRE_OPENNI2).
+//! Debian's package libopenni2-0 contains the library. `.ci/run` requires it (PLANISH_REQUIRE_OPENNI2).
 
 mod recorder;
 
@@ -15,7 +16,7 @@ use planish::source::{Alignment, OpenNi2Source, OwnedFrame, Source, SourceOption
 use planish::{Camera, DepthFrame, DeviceError, Error};
 use recorder::OpenNi2;
 
-/// Returns the folder where Debian's OpenNI2 is.
+/// Returns the folder of Debian's OpenNI2 library, if installed.
 fn installed() -> Option<PathBuf> {
     let folders = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     let folder = folders.into_iter().find(|folder| folder.join("libOpenNI2.so.0").exists());
@@ -26,7 +27,8 @@ fn installed() -> Option<PathBuf> {
     folder
 }
 
-/// Copies OpenNI2 into a folder, with the driver for recordings and the test's driver.
+/// Copies the OpenNI2 library and its driver for recordings into a folder, compiles the test's driver there, and
+/// returns the library's path.
 fn set_up(folder: &Path, installed: &Path) -> PathBuf {
     let (library, drivers) = (folder.join("libOpenNI2.so.0"), folder.join("OpenNI2/Drivers"));
     fs::create_dir_all(&drivers).unwrap();
@@ -59,7 +61,7 @@ fn next(source: &mut OpenNi2Source) -> Result<Option<DepthFrame>, Error> {
     }))
 }
 
-/// Returns the number of a frame of the test's driver, whose every pixel is checked.
+/// Checks every pixel of a frame of the test's driver, and returns the frame's number.
 fn number_of(frame: &DepthFrame) -> usize {
     let Camera { width, height, .. } = frame.camera;
     let number = usize::from(frame.raw[0]) - 1000;
@@ -76,13 +78,13 @@ fn mode(width: usize, height: usize, fps: Option<u32>) -> Option<StreamMode> {
     Some(StreamMode { width, height, fps })
 }
 
-/// The environment variable that names the folder of the process that this test starts.
+/// Environment variable with the folder of the process that the test starts.
 const FOLDER: &str = "PLANISH_TEST_OPENNI2";
 
-/// The file in it that says after how many frames the driver unplugs its camera.
+/// Name of the file in the folder of [`FOLDER`] with the number of frames after which the driver unplugs its camera.
 const UNPLUG: &str = "unplug";
 
-/// Printed by the process at its end.
+/// Line that the process prints at its end.
 const DONE: &str = "OpenNI2: all done";
 
 #[test]
@@ -134,7 +136,7 @@ fn a_camera_streams_in_its_mode() {
     }
     let (before, last) = (source.dropped(), last.unwrap());
     std::thread::sleep(Duration::from_millis(400));
-    // The one that waits may be the oldest of them.
+    // The frame that already waits may be the oldest of those delivered meanwhile, so it is not checked.
     next(&mut source).unwrap();
     let number = number_of(&next(&mut source).unwrap().unwrap());
     assert_eq!(source.dropped() - before, (number - last - 2) as u64);
@@ -154,7 +156,7 @@ fn colour_comes_with_depth_that_is_mapped_to_it() {
         let mut source = open("", alignment, None).unwrap();
         let frames = std::iter::from_fn(|| next(&mut source).unwrap());
         let frame = frames.take(30).find(|frame| frame.rgb.is_some()).expect("a frame with colour");
-        // Depth is seen by the colour camera.
+        // Depth has the intrinsics of the colour camera, to which it is mapped.
         assert_eq!(frame.camera.fx, focal_length(640, 1.1));
         let (number, rgb) = (number_of(&frame), frame.rgb.unwrap());
         let expected = (0..640 * 480).map(|i| [(i % 640) as u8, (i / 640) as u8, rgb[2]]);
@@ -202,7 +204,7 @@ fn recordings_play(library: &Path, folder: &Path) {
     assert_eq!(source.dropped(), 0);
     drop(source);
     assert!(refused(open(uri, None, mode(320, 240, None))).contains("recording"));
-    // It does not state that depth was mapped to colour, but its user may.
+    // The recording does not state that its depth was mapped to colour, but the user may.
     let mut source = open(uri, Some(Alignment::Colour), None).unwrap();
     let frame = std::iter::from_fn(|| next(&mut source).unwrap()).find(|frame| frame.rgb.is_some()).unwrap();
     assert_eq!(frame.camera.fx, focal_length(320, 1.1));
@@ -216,7 +218,7 @@ fn recordings_play(library: &Path, folder: &Path) {
         assert!(said.contains(name), "{name}: {said}");
     }
     let bytes = fs::read(&file).unwrap();
-    // Truncated files: the complete part is read, then an error follows; a shorter file is not a recording at all.
+    // A truncated recording is read up to the cut, then an error follows. A shorter part is not a recording at all.
     let cut = folder.join("cut.oni");
     for share in [1, 5] {
         fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();
@@ -237,7 +239,7 @@ fn played(file: &Path) -> (String, usize) {
             Ok(Some(_)) => frames += 1,
             Ok(None) => return (String::new(), frames),
             Err(error) => {
-                // Told once: a stream ends.
+                // The error is returned once; then the stream ends.
                 assert!(source.next_frame().unwrap().is_none());
                 return (error.to_string(), frames);
             }

@@ -11,10 +11,10 @@ type Handle = *mut c_void;
 const COLOR: c_int = 2;
 const DEPTH: c_int = 3;
 
-/// OpenNI2, as the tests use it.
+/// The OpenNI2 library, with the functions that the tests use.
 pub struct OpenNi2(Library);
 
-/// Calls a function of OpenNI2 by its name, with the types of its arguments.
+/// Calls an OpenNI2 function by name, with typed arguments.
 macro_rules! oni {
     ($library:expr, $name:literal, $($argument:expr => $type:ty),*; $result:ty) => {
         // SAFETY: the signature matches the function in OniCAPI.h.
@@ -27,11 +27,11 @@ macro_rules! oni {
 
 impl OpenNi2 {
     pub fn load(library: &Path) -> Self {
-        // SAFETY: it runs nothing of note when it is loaded.
+        // SAFETY: loading the library has no side effects that matter here.
         Self(unsafe { Library::new(library) }.unwrap())
     }
 
-    /// Records depth and colour of a device for a time, in the modes that it starts with.
+    /// Records a device's depth and colour for the given time, in the modes in which they start.
     pub fn record(&self, uri: &str, file: &Path, time: Duration) {
         let ok = |status: c_int| assert_eq!(status, 0, "OpenNI2 fails");
         let (mut device, mut recorder): (Handle, Handle) = (std::ptr::null_mut(), std::ptr::null_mut());

@@ -1,6 +1,6 @@
-//! The source `realsense`: a camera in software, by librealsense's own means, and recordings of it.
+//! The source `realsense`, tested with a software device of librealsense and its recordings.
 //!
-//! PLANISH_LIBREALSENSE names the library; the gate has it (PLANISH_REQUIRE_REALSENSE).
+//! PLANISH_LIBREALSENSE names the library. `.ci/run` requires it (PLANISH_REQUIRE_REALSENSE).
 
 mod software_realsense;
 
@@ -50,7 +50,7 @@ fn camera() -> Camera {
     Camera::new(SHAPE, [425.0, 426.0], [427.5, 237.75])
 }
 
-/// Frames of a camera that moves in front of a table.
+/// Returns frames of a table that differ only by their noise.
 fn frames(count: usize) -> Vec<DepthFrame> {
     let (scene, pose) = Scene::tabletop(1);
     let simulator = DepthSimulator::new(DepthNoise::default(), camera(), 1);
@@ -62,7 +62,7 @@ fn timestamp_ms(i: usize) -> f64 {
     1.6e12 + 1000.0 / 30.0 * i as f64
 }
 
-/// Returns an image whose pixels state where they are, and the number of its frame.
+/// Returns a colour image that encodes the position of each pixel, divided by 4, and the number of its frame.
 fn color_image(number: usize) -> Vec<u8> {
     let (width, height) = COLOR_SHAPE;
     (0..width * height).flat_map(|i| [(i % width / 4) as u8, (i / width / 4) as u8, number as u8]).collect()
@@ -73,7 +73,7 @@ fn software_camera(color: bool) -> Option<SoftwareCamera> {
     library().map(|library| SoftwareCamera::new(library, "000123", depth_intrinsics(), color, 0.001))
 }
 
-/// Records frames; versions of librealsense since 2.58 ask for another name.
+/// Records frames to recording.db3; librealsense 2.58 and later require that extension instead of .bag.
 fn record(folder: &Path, frames: &[DepthFrame], color: bool) -> Option<PathBuf> {
     let camera = software_camera(color)?;
     let file = folder.join("recording.db3");
@@ -91,7 +91,7 @@ fn open(file: &Path, alignment: Option<Alignment>) -> Result<RealSenseSource, Er
     RealSenseSource::open(&RealSenseInput::Recording(file.to_path_buf()), None, alignment, None)
 }
 
-/// Runs the same check of several cases at once: recordings play in their own time, so that one alone mostly waits.
+/// Runs a check of several cases in parallel. Recordings play in real time, so a single check mostly waits.
 fn side_by_side<T: Copy + Send, const N: usize>(cases: [T; N], check: impl Fn(T) + Sync) {
     thread::scope(|scope| {
         for case in cases {
@@ -118,7 +118,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
                 assert_eq!(found.camera, camera());
                 assert!((found.timestamp_s.unwrap() - 1e-3 * timestamp_ms(i)).abs() < 1e-4);
                 assert_eq!(found.rgb.is_some(), color && alignment.is_none());
-                // The colour image of the same time, not the one before.
+                // The colour image must have the same time as the depth; it must not be the one before.
                 let number = found.rgb.map(|rgb| rgb.chunks_exact(3).map(|pixel| pixel[2]).max());
                 assert!(number.is_none_or(|number| number == Some(i as u8 + 1)), "frame {i}: {number:?}");
             }
@@ -140,12 +140,12 @@ fn colour_and_depth_are_mapped_to_one_image() {
     let found = next(&mut open(&file, Some(Alignment::Depth)).unwrap()).unwrap().unwrap();
     let rgb = found.rgb.unwrap();
     for (u, v) in [(424, 240), (300, 100), (600, 400)] {
-        // The colour camera is 15 mm to the left, so the point is shifted in its frame.
+        // The colour camera is 15 mm to the left of the depth camera, so the point is shifted in its frame.
         let x = (f64::from(u) - 427.5) / 425.0 + 0.015;
         let y = (f64::from(v) - 237.75) / 426.0;
         let expected = [(600.0 * x + 323.5) / 4.0, (601.0 * y + 237.75) / 4.0];
         let at = 3 * (848 * v + u) as usize;
-        // To within a pixel: a quarter here, plus truncation.
+        // The tolerance is a pixel, which is a quarter in these units, plus 1 for truncation.
         let seen = [rgb[at], rgb[at + 1]].map(f64::from);
         assert!(
             (seen[0] - expected[0]).abs() <= 1.25 && (seen[1] - expected[1]).abs() <= 1.25,
@@ -163,10 +163,10 @@ fn colour_and_depth_are_mapped_to_one_image() {
 fn depth_that_is_mapped_to_a_distorted_colour_image_stays_on_its_surface() {
     let folder = tempfile::tempdir().unwrap();
     let Some(library) = library() else { return };
-    // z = 1 + 0.3 x, in millimetres.
+    // A plane z = 1 m + 0.3 x, in millimetres.
     let plane = |i: usize| (1000.0 / (1.0 - 0.3 * (((i % 848) as f64) - 427.5) / 425.0)).round() as u16;
     let plane: Vec<u16> = (0..848 * 480).map(plane).collect();
-    // The distortion of a D455's colour camera, by the name that its library gives it.
+    // Distortion of a D455's colour camera, with the model that librealsense states for it.
     let coefficients = [-0.0559, 0.0668, -0.000_77, 0.000_44, -0.0213];
     let color = Intrinsics { model: 2, coefficients, ..intrinsics((640, 480), 320.0) };
     let camera = SoftwareCamera::new(library, "455", depth_intrinsics(), Some(color), 0.001);
@@ -187,7 +187,7 @@ fn depth_that_is_mapped_to_a_distorted_colour_image_stays_on_its_surface() {
         seen += 1;
     }
     assert!(seen > 100_000, "{seen}");
-    // A pixel there is 3 mm wide, of which the slope makes 1.
+    // A pixel is 3 mm wide at this distance, which the slope of 0.3 turns into 1 mm of depth.
     assert!(worst < 0.002, "{worst}");
 }
 
@@ -204,7 +204,7 @@ fn a_recording_that_begins_and_ends_without_colour_plays_whole() {
         }
         thread::sleep(Duration::from_millis(200));
     });
-    // Each frame's number, and whether it has colour.
+    // Returns the number of each frame, and true for each frame with colour.
     let played = |alignment| {
         let mut source = open(&file, alignment).unwrap();
         let frames = std::iter::from_fn(|| next(&mut source).unwrap());
@@ -232,7 +232,8 @@ fn a_recording_whose_colour_stops_plays_on_and_what_needs_colour_ends_with_the_r
         return;
     }
     let recorded = frames(40);
-    // How many images come first, and which frames have one.
+    // Each case has a name, the number of images before the first gap, and the condition under which a frame has an
+    // image.
     let cases = [
         ("stops", 10, (|i| i < 10) as fn(usize) -> bool),
         ("none", 0, |_| false),
@@ -305,11 +306,11 @@ fn live(
     alignment: Option<Alignment>,
     mode: Option<StreamMode>,
 ) -> Result<RealSenseSource, Error> {
-    // SAFETY: context and pipeline are of the same library, and given away.
+    // SAFETY: context and pipeline belong to the same library, and the source takes ownership of both.
     unsafe { planish::internal::start_realsense(camera.pipeline(), alignment, mode) }
 }
 
-/// A camera that delivers frames, 30 a second, until it is dropped.
+/// A thread that delivers 30 frames per second of a camera until it is dropped.
 struct Deliver {
     stop: Arc<AtomicBool>,
     thread: Option<thread::JoinHandle<usize>>,
@@ -349,7 +350,7 @@ fn a_live_camera_gives_the_newest_frame_and_counts_those_that_are_missing() {
     let Some(camera) = software_camera(false) else { return };
     let mut source = live(&camera, None, None).unwrap();
     assert!(source.is_live());
-    // Two of three numbers are missing.
+    // Two of every three frame numbers are missing.
     let delivers = Deliver::start(camera, frames(3), |number| number + 3);
     for i in 0..5 {
         assert!(next(&mut source).unwrap().is_some());
@@ -360,7 +361,7 @@ fn a_live_camera_gives_the_newest_frame_and_counts_those_that_are_missing() {
     next(&mut source).unwrap();
     assert!(source.dropped() >= before + 10, "15 frames came meanwhile, numbered by threes");
     drop(delivers);
-    // Nothing comes any more: the stream that ends does not wait for it, and a camera that is silent counts as gone.
+    // No more frames arrive. A stream that ends does not wait for one, and a camera that stays silent counts as gone.
     source.end_with(Arc::new(AtomicBool::new(true)));
     assert!(next(&mut source).unwrap().is_none());
     source.end_with(Arc::default());
@@ -376,7 +377,7 @@ fn modes_that_a_camera_lacks_are_refused() {
     assert!(live(&camera, None, mode(848, Some(30))).is_ok());
     let missing = refused(live(&camera, None, mode(1280, None)));
     assert!(missing.contains("1280x480"), "{missing}");
-    // It has no colour.
+    // The camera has no colour sensor.
     let color = refused(live(&camera, Some(Alignment::Colour), None));
     assert!(color.contains("colour"), "{color}");
 }
@@ -393,7 +394,7 @@ fn files_that_are_no_recordings_are_named() {
             Err(error) => return error.to_string(),
         };
         let said = (0..100).find_map(|_| source.next_frame().err()).map(|error| error.to_string());
-        // Told once: a stream ends.
+        // The error is returned once; then the stream ends.
         assert!(source.next_frame().unwrap().is_none());
         said.unwrap_or_default()
     };
@@ -405,7 +406,7 @@ fn files_that_are_no_recordings_are_named() {
         fs::write(&file, contents).unwrap();
         assert!(refused(&file).contains(name), "{name}: {}", refused(&file));
     }
-    // Cut off: the frames that are whole, or an error; in any case it ends.
+    // A truncated recording gives its complete frames or an error; it ends in both cases.
     let cut = folder.path().join("cut.db3");
     for share in [9, 5, 1] {
         fs::write(&cut, &bytes[..bytes.len() * share / 10]).unwrap();
@@ -418,7 +419,7 @@ fn files_that_are_no_recordings_are_named() {
     assert!(planish::source::open("realsense", &topic).is_err());
 }
 
-/// The figure of the README: run alone, on a machine with nothing else to do.
+/// Measures the frame rate in the README. Run it alone, on an otherwise idle machine.
 #[test]
 #[ignore = "a minute of measurement"]
 fn rates() {

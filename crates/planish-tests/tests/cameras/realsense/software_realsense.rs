@@ -1,4 +1,4 @@
-//! A RealSense in software, by librealsense's own means (rs_internal.h), and recordings of it.
+//! A RealSense in software, made with librealsense's software device (rs_internal.h), and its recordings.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::Path;
@@ -66,11 +66,12 @@ unsafe extern "C" {
     fn free(pointer: *mut c_void);
 }
 
-/// librealsense, as the tests use it.
+/// The librealsense library, with the functions that the tests use.
 pub struct RealSense(Library);
 
 impl RealSense {
-    /// Loads the library named by PLANISH_LIBREALSENSE; the Python package's also needs PLANISH_LIBPYTHON.
+    /// Loads the library named by PLANISH_LIBREALSENSE. The library of the Python package also needs
+    /// PLANISH_LIBPYTHON.
     pub fn load() -> Result<&'static Self, String> {
         static LOADED: OnceLock<Result<RealSense, String>> = OnceLock::new();
         LOADED.get_or_init(Self::open).as_ref().map_err(Clone::clone)
@@ -78,7 +79,7 @@ impl RealSense {
 
     fn open() -> Result<Self, String> {
         let file = std::env::var_os("PLANISH_LIBREALSENSE").ok_or("PLANISH_LIBREALSENSE names no library")?;
-        // SAFETY: neither runs anything of note when it is loaded.
+        // SAFETY: loading these libraries has no side effects that matter here.
         unsafe {
             if let Some(python) = std::env::var_os("PLANISH_LIBPYTHON") {
                 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_NOW};
@@ -93,7 +94,7 @@ impl RealSense {
         if error.is_null() {
             return;
         }
-        // SAFETY: librealsense set it.
+        // SAFETY: librealsense set this error.
         let message = unsafe {
             let message =
                 self.0.get::<unsafe extern "C" fn(Object) -> *const c_char>(b"rs2_get_error_message").unwrap();
@@ -103,7 +104,7 @@ impl RealSense {
     }
 }
 
-/// Calls a function of librealsense by its name, with the types of its arguments.
+/// Calls a librealsense function by name, with typed arguments.
 macro_rules! rs2 {
     ($library:expr, $name:literal, $($argument:expr => $type:ty),*; $result:ty) => {{
         let mut error: Object = std::ptr::null_mut();
@@ -136,7 +137,8 @@ struct Sensor {
 // SAFETY: librealsense's objects may be used on any thread.
 unsafe impl Send for SoftwareCamera {}
 
-/// Intrinsics of an image that was rectified, or with a model and coefficients of librealsense.
+/// Returns the intrinsics of a rectified image; callers may set another distortion model and coefficients of
+/// librealsense.
 pub fn intrinsics((width, height): (c_int, c_int), focal: f32) -> Intrinsics {
     let (ppx, ppy) = (width as f32 / 2.0 + 3.5, height as f32 / 2.0 - 2.25);
     Intrinsics { width, height, ppx, ppy, fx: focal, fy: focal + 1.0, model: 4, coefficients: [0.0; 5] }
@@ -167,8 +169,8 @@ impl SoftwareCamera {
         Self { library, device, depth, color, metres_per_unit }
     }
 
-    /// Makes a context and a pipeline with this device, for a source to own. (A context loses devices that are added to
-    /// it in librealsense 2.56 to 2.59.)
+    /// Creates a context and a pipeline with this device, for a source to own. The pipeline is given the device
+    /// because a context of librealsense 2.56 to 2.59 loses devices that are added to it.
     pub fn pipeline(&self) -> [Object; 2] {
         let version = rs2!(self.library, "get_api_version",; c_int);
         let context = rs2!(self.library, "create_context", version => c_int; Object);
@@ -181,7 +183,7 @@ impl SoftwareCamera {
         self.color.is_some()
     }
 
-    /// Delivers an image of depth, and one of colour of the same time.
+    /// Delivers a depth image and, if the camera has colour, a colour image that is 1 ms later.
     pub fn deliver(&self, number: usize, timestamp_ms: f64, depth: &[u16], rgb: Option<&[u8]>) {
         let bytes: Vec<u8> = depth.iter().flat_map(|depth| depth.to_le_bytes()).collect();
         self.depth.deliver(self.library, number, timestamp_ms, &bytes, self.metres_per_unit);
@@ -190,7 +192,7 @@ impl SoftwareCamera {
         }
     }
 
-    /// Records what `deliver` is called for meanwhile.
+    /// Records the frames that arrive while `deliver` runs.
     pub fn record(&self, file: &Path, deliver: impl FnOnce()) {
         let library = self.library;
         let file = CString::new(file.to_str().unwrap()).unwrap();
@@ -213,7 +215,7 @@ impl SoftwareCamera {
             rs2!(library, "stop", sensor => Object; ());
             rs2!(library, "close", sensor => Object; ());
         }
-        // SAFETY: the recording is whole when its device is deleted.
+        // SAFETY: the recorder is not used again; its recording is complete only when the device is deleted.
         unsafe { library.0.get::<unsafe extern "C" fn(Object)>(b"rs2_delete_device").unwrap()(recorder) };
     }
 }
@@ -236,7 +238,7 @@ impl Sensor {
     }
 
     fn deliver(&self, library: &RealSense, number: usize, timestamp_ms: f64, bytes: &[u8], depth_units: f32) {
-        // SAFETY: copies as many bytes as fit; librealsense frees them through the deleter.
+        // SAFETY: the allocation has the size of `bytes`; librealsense frees it through the deleter.
         let pixels = unsafe {
             let pixels = malloc(bytes.len()).cast::<u8>();
             assert!(!pixels.is_null(), "out of memory");

@@ -1,4 +1,4 @@
-//! LAS files whose headers other programs wrote wrongly.
+//! LAS files of other programs with errors in their headers.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use planish::io::{self, Contents, Encoding};
 
 use super::{cloud_as, read_as, written};
 
-/// Forty points in LAS of this version and format.
+/// Returns a LAS file of 40 points in the given minor version and point format.
 pub(super) fn las(minor: u8, format: u8) -> Vec<u8> {
     let mut builder = las::Builder::from((1, minor));
     builder.point_format = las::point::Format::new(format).unwrap();
@@ -52,7 +52,7 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     let (cloud, notes) = cloud_as("a.las", &extended);
     assert_eq!(cloud.len(), 40);
     assert!(notes[0].contains("1 extended records from byte 1000000000000 on, of which 0 can be read"), "{notes:?}");
-    // In parts, as clouds larger than memory.
+    // Reading in parts, as for clouds larger than memory, also gives all points and a note.
     let folder = tempfile::tempdir().unwrap();
     for bytes in [&records, &legacy, &extended] {
         let path = folder.path().join("a.las");
@@ -82,7 +82,7 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
 fn las_1_5_is_read_as_1_4() {
     let bytes = las(4, 6);
     let (expected, _) = cloud_as("a.las", &bytes);
-    // Its header has the range of times and their offset behind what 1.4 has.
+    // The header of 1.5 appends the range of times and their offset to that of 1.4.
     let mut newer = [&bytes[..375], &[0; 18], &bytes[375..]].concat();
     newer[25] = 5;
     newer[6] |= 1 << 6;

@@ -8,7 +8,7 @@ use las::las;
 use planish::PointCloud;
 use planish::io::{self, Contents, Encoding, FileRead, ReadOptions};
 
-/// Reads a file of this name with these bytes.
+/// Writes bytes to a file with the given name and reads that file.
 fn read_as(name: &str, bytes: &[u8]) -> Result<FileRead, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -27,7 +27,7 @@ fn names(cloud: &PointCloud) -> Vec<&str> {
     cloud.attributes.iter().map(|attribute| attribute.name.as_str()).collect()
 }
 
-/// Writes a cloud in this format; returns the bytes.
+/// Writes a cloud to a file with the given name and returns the file's bytes.
 fn written(cloud: &PointCloud, name: &str) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -35,7 +35,7 @@ fn written(cloud: &PointCloud, name: &str) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// Two points in ASCII PLY with another property of this name.
+/// Returns an ASCII PLY file with two points and an additional property of the given name.
 fn ply_with(property: &str) -> String {
     format!(
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
@@ -105,7 +105,7 @@ fn points_of_an_ascii_ply_may_extend_over_lines() {
     }
     let ind = format!("{header}1 2 3 -nan(ind)\n5 6 7 1.#QNAN\n");
     assert!(cloud_as("a.ply", ind.as_bytes()).0.attribute("q").unwrap().values.get_f64(1).is_nan());
-    // A value is missing, or superfluous.
+    // Each of these files has a value too few or too many.
     for body in ["1 2 3\n5 6 7 8\n4\n", "1 2 3 4\n5 6 7\n", "1 2 3 4 9\n5 6 7 8\n", "1 2 3 4\n5 6\n7 8 9\n"] {
         assert!(read_as("a.ply", format!("{header}{body}").as_bytes()).is_err(), "{body:?}");
     }
@@ -158,15 +158,15 @@ fn text_in_other_encodings_is_read() {
 
 #[test]
 fn columns_of_text_are_read_as_other_programs_write_them() {
-    // CloudCompare: the number of points under the titles.
+    // CloudCompare writes the number of points below the titles.
     let (cloud, _) = cloud_as("a.asc", b"//X Y Z R G B Intensity\n2\n1 2 3 10 20 30 0.5\n5 6 7 40 50 60 0.25\n");
     assert_eq!(names(&cloud), ["red", "green", "blue", "intensity"]);
     let cut = read_as("a.asc", b"//X Y Z\n3\n1 2 3\n5 6 7\n").unwrap_err();
     assert!(cut.contains("states 3 points, but has 2"), "{cut}");
-    // Names that differ in brackets only.
+    // These names differ only in their brackets.
     let (cloud, _) = cloud_as("a.csv", b"x,y,z,d (mean),d (max)\n1,2,3,4,5\n5,6,7,8,9\n");
     assert_eq!(names(&cloud), ["d_(mean)", "d_(max)"]);
-    // Maps and ParaView.
+    // Column titles of maps and of ParaView.
     for header in ["Easting,Northing,Elevation", "Points:0,Points:1,Points:2", "X (m),Y (m),Z (m)"] {
         let (cloud, _) = cloud_as("a.csv", format!("{header}\n1,2,3\n5,6,7\n").as_bytes());
         assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0], "{header}");
@@ -176,14 +176,14 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
         let (cloud, _) = cloud_as("a.txt", text.as_bytes());
         assert_eq!(cloud.positions.get(1), [4.5, 5.5, 6.5], "{text:?}");
     }
-    // A range or a reflectance is no red.
+    // A column r alone may be a range or a reflectance, so it does not become red.
     assert_eq!(names(&cloud_as("a.csv", b"x,y,z,r\n1,2,3,4\n5,6,7,8\n").0), ["r"]);
     assert_eq!(names(&cloud_as("a.csv", b"x,y,z,R,G,B\n1,2,3,4,5,6\n").0), ["red", "green", "blue"]);
     // Units in the names.
     let (cloud, notes) = cloud_as("a.csv", b"X (mm),Y (mm),Z (mm)\n1000,2000,3000\n");
     assert_eq!((cloud.positions.get(0), notes[0].contains("mm become metres")), ([1.0, 2.0, 3.0], true));
     assert!(read_as("a.csv", b"x [m],y [m],z [ft]\n1,2,3\n").unwrap_err().contains("different units"));
-    // Quotes, tabs, comments that are prose, colours, Excel's first line, line ends of old Macs.
+    // Quotes, tabs, comments in prose, colours, Excel's first line, and line ends of old Macs.
     for (text, fields) in [
         ("x,y,z,label\n1,2,3,\"car, red\"\n5,6,7,\"a\"\n", 0),
         ("x,y,z,label\n1,2,3,\n5,6,7,tree\n", 0),
@@ -197,7 +197,7 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
         let (cloud, _) = cloud_as("a.txt", text.as_bytes());
         assert_eq!((cloud.positions.get(1), cloud.attributes.len()), ([5.0, 6.0, 7.0], fields), "{text:?}");
     }
-    // A comma and a space are no decimals.
+    // A comma before a space is not a decimal comma.
     for text in ["0, 0, 0\n.5, .5, 1.5\n", "1, 2, 3, 4\n5, 6, 7, 8\n"] {
         assert_eq!(cloud_as("a.txt", text.as_bytes()).0.len(), 2, "{text:?}");
     }
@@ -233,14 +233,14 @@ fn a_colour_without_a_number_leaves_the_others() {
     assert_eq!(notes, ["2 of 3 vertices have no colour; they are black"]);
 }
 
-/// f32 as bytes.
+/// Returns the little-endian bytes of f32 values.
 fn floats(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
     values.into_iter().flat_map(f32::to_le_bytes).collect()
 }
 
 #[test]
 fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
-    // A number in [0, 1) that looks random.
+    // Returns a pseudorandom number in [0, 1).
     let noise = |i: usize, k: usize| ((i * 7919 + k * 104_729) as f32 * 0.618_034).fract();
     let points = 500;
     let xyz = |i: usize| [30.0 * noise(i, 1) - 15.0, 30.0 * noise(i, 2) - 15.0, 4.0 * noise(i, 3) - 2.0];
@@ -260,7 +260,7 @@ fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
         assert!(notes[0].contains("columns are taken as x y z"), "{notes:?}");
         assert_eq!(written(&cloud, "out.bin"), bytes, "{expected}");
     }
-    // Waymo as mmdetection3d converts it: intensity, elongation, time.
+    // Waymo's points, converted by mmdetection3d, have intensity, elongation and time.
     let waymo = file(&|i| vec![noise(i, 4), 1.5 * noise(i, 5), 1.55e15]);
     assert!(read_as("a.bin", &waymo).unwrap_err().contains("number of columns"));
     let folder = tempfile::tempdir().unwrap();
@@ -268,10 +268,10 @@ fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
     fs::write(&path, &waymo).unwrap();
     let read = io::read_file(&path, &ReadOptions::default().with_columns(Some(6))).unwrap();
     assert_eq!(read.contents.shape(), (points, 1));
-    // Positions that could be colours or intensities as well.
+    // These positions could also be colours or intensities.
     let unit_cube = floats((0..3 * points).map(|i| noise(i, 1)));
     assert!(read_as("a.bin", &unit_cube).unwrap_err().contains("number"));
-    // Raw depth.
+    // Raw depth is recognized.
     let raw: Vec<u8> = (0..3072u16).flat_map(|i| (1500 + i % 700).to_le_bytes()).collect();
     assert!(read_as("a.bin", &raw).unwrap_err().contains("raw depth"));
 }
@@ -290,7 +290,7 @@ fn points_at_the_sensor_are_holes() {
     };
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0; 3], [0.1, 0.1, 1.0]]), (2, 1));
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [0.1, 0.1, 1.0]]), (3, 1));
-    // Height maps around the origin.
+    // Height maps around the origin have no hole there.
     assert_eq!(cloud(&[[0.0; 3], [1.0, 0.0, 0.1], [0.0, 1.0, 0.1], [1.0, 1.0, 0.2]]), (4, 0));
     assert_eq!(cloud(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]), (4, 0));
     assert_eq!(cloud(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, -0.1]]), (4, 0));
@@ -317,7 +317,7 @@ fn lengths_in_other_units_become_metres() {
     let Contents::General(inch) = inch else { panic!("points") };
     assert_eq!(inch.positions.get(0), [2.54, 5.08, 25.4]);
     assert!("furlong".parse::<io::LengthUnit>().unwrap_err().to_string().contains("mm, cm, m, inch or ft"));
-    // A LAS file has scales in its own unit.
+    // The scales of a LAS file are in the file's own unit.
     let path = folder.path().join("mm.las");
     fs::write(&path, las(2, 1)).unwrap();
     let millimetres =
@@ -378,13 +378,14 @@ fn headers_of_pcd_are_read_as_pcl_reads_them() {
         let (cloud, _) = cloud_as("a.pcd", &latin_1);
         assert_eq!((cloud.positions.get(1), names(&cloud)), ([5.0, 6.0, 7.0], vec!["q"]), "{text}");
     }
-    // Integers and floats, in upper case.
+    // PLY coordinates may be integers or floats, with upper-case names.
     let ply = ply_with("q").replace("float x", "int X").replace("float y", "double Y").replace("float z", "uchar Z");
     let (cloud, _) = cloud_as("a.ply", ply.as_bytes());
     assert_eq!(cloud.positions.get(1), [5.0, 6.0, 7.0]);
 }
 
-/// Two scans of two places, the second turned by a quarter about z and moved; without and with colours.
+/// PTX file with two scans from two places: the first without colours; the second with colours, turned by 90° about z
+/// and moved.
 const PTX: &str = "2\n1\n0 0 1\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1\n1 2 3 0.5\n0 0 0 0.5\n\
                    1\n1\n10 0 0\n0 1 0\n-1 0 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n10 0 0 1\n1 2 3 0.25 10 20 30\n";
 

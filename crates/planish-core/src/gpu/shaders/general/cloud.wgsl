@@ -1,27 +1,30 @@
 // Declarations shared by all kernels for unorganized clouds (general/passes.rs declares the buffers).
 //
-// Points are sorted along a curve; equal positions become one entry with a count. Each 16 entries are a leaf, each 8
-// nodes a node of the next level; the indices of a node's children follow from its index.
+// Points are sorted along a curve; equal positions become one entry with a count. 16 entries form a leaf, and 8 nodes
+// form a node of the next level; the indices of a node's children follow from its index.
 
 struct Cloud {
-    // The cloud's points, holes among them.
+    // Number of points of the cloud, including holes.
     points: u32,
-    // Tiles of the sort.
+    // Number of tiles of the sort.
     tiles: u32,
-    // The highest level of nodes, and how many nodes it has.
+    // The highest level of nodes.
     top: u32,
+    // Number of nodes of the highest level.
     top_nodes: u32,
-    // The middle of most points, and one over half the extent of most.
+    // Centre of the box around most points.
     middle: vec3<f32>,
+    // Inverse of half the largest extent of that box, in 1/m.
     per_half_extent: f32,
-    // Half of the neighbours that evenly spread points would have, where radii follow the density, and the largest radius in metres.
+    // If radii follow the density: half the number of neighbours that evenly spread points would have.
     half_count: f32,
+    // If radii follow the density: the largest radius in metres.
     largest_radius: f32,
-    // A point with fewer is isolated.
+    // Minimum number of neighbours; a point with fewer is isolated.
     least_neighbours: u32,
-    // Places in a part of the fit.
+    // Number of positions in a part of the fit.
     part_places: u32,
-    // Offset of each level of nodes.
+    // Index of the first node of each level; after the highest level, the total number of nodes.
     levels: array<vec4<u32>, 3>,
     // Number of points of a part that need results, without its halo; they come first.
     own_points: u32,
@@ -34,16 +37,19 @@ struct Part {
 
 const LEAF: u32 = 16u;
 const CHILDREN: u32 = 8u;
-// Words of four floats of a node (node.wgsl).
+// Number of words of four floats per node (node.wgsl).
 const NODE_WORDS: u32 = 3u;
-// The points of a sort's tile are dealt to its threads in runs.
+// Number of threads per tile of the sort.
 const SORT_THREADS: u32 = 128u;
+// Number of points per thread.
 const RUN: u32 = 16u;
+// Number of points per tile.
 const TILE: u32 = SORT_THREADS * RUN;
-// Words of the state: how many positions there are; not 0 if a walk did not come to its end.
+// Word of the state: the number of positions.
 const PLACES: u32 = 0u;
+// Word of the state: not 0 if a walk ended before the last node.
 const ENDED_EARLY: u32 = 1u;
-// No key of a point (keys.wgsl).
+// The key of holes, and of points beyond MAX_RANGE_M; no other point has it (keys.wgsl).
 const HOLE_KEY: vec2<u32> = vec2<u32>(0xffffffffu, 0xffffffffu);
 
 fn sample_bits(i: u32) -> vec3<u32> {
@@ -55,7 +61,7 @@ fn level_at(level: u32) -> u32 {
     return cloud.levels[level / 4u][level % 4u];
 }
 
-// The group's number, of a dispatch that may be wider than a device's limit.
+// Returns the number of a workgroup. A dispatch uses two dimensions if one would exceed the device's limit.
 fn number_of(group: vec3<u32>, groups: vec3<u32>) -> u32 {
     return group.y * groups.x + group.x;
 }

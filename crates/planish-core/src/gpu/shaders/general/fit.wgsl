@@ -12,7 +12,7 @@ fn fit_places(
     if in_part >= cloud.part_places || place >= atomicLoad(&state[PLACES]) {
         return;
     }
-    // The sort keeps the order of points at one place: where one is the part's own, the first is.
+    // The sort is stable: if any of the points at one position is the part's own, the first is.
     let point = order[firsts[place]];
     if point < cloud.own_points {
         store(point, smooth_place(place));

@@ -1,6 +1,6 @@
 // Finds the plane of a position from the first planes around it (docs/method.md, section 10).
 
-// The noise, and the mean of nearby positions, which replaces p when its distance from a plane is measured.
+// The noise, and the mean of nearby positions relative to p, which replaces p in distances to planes.
 struct Surroundings {
     // 1/noise²; 0 if no plane is usable.
     per_variance: f32,
@@ -39,7 +39,7 @@ fn surroundings_of(p: vec3<f32>, radius: f32) -> Surroundings {
 }
 
 fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> LocalSurface {
-    // Without a plane every neighbour counts.
+    // Without a plane, every neighbour counts.
     let unchanged = LocalSurface(own, n, 1e37, vec3<f32>(0.0), 0.0);
     if n < 3.0 || own.is_degenerate {
         return unchanged;
@@ -72,7 +72,7 @@ fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> L
             let residual = fma(GENERAL_DISTANCE_WEIGHT * from_mean, from_mean, own_residual);
             let root = 1.0 / fma(residual, around.per_variance, 1.0);
             let weight = (root * root) * (root * root) * min(nearness, 1.0);
-            // Normals that point the other way are turned round.
+            // Flip normals that point the other way.
             let facing = clamp(dot(own.normal, first.xyz) / FACING_COSINE, -1.0, 1.0);
             normal += weight * facing * first.xyz;
             height += weight * facing * to_plane;
@@ -80,7 +80,7 @@ fn found_surface(place: u32, p: vec3<f32>, radius: f32, own: Plane, n: f32) -> L
         }
     }
     check_done(walk);
-    // Planes that disagree may lie further away than a point may move. The other way round it is the same plane.
+    // Planes that disagree may be farther away than a point may move. Flipping the normal also flips the height.
     let sign = select(1.0, -1.0, dot(normal, ray_to(0u, p)) > 0.0);
     var found = own;
     found.normal = normal * (sign / sqrt(dot(normal, normal)));

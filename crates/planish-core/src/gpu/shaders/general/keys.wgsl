@@ -1,11 +1,13 @@
-// Computes the position of each point along a Hilbert curve: first the lowest bits, then, in their order, the others.
+// Computes the key of each point, its position along a Hilbert curve: first the lowest bits, then, in the order
+// sorted by them, the higher bits.
 
 const LOWEST_BITS: u32 = 0u;
 
 const CELL_BITS: u32 = 30u;
-// Cells from the middle of the curve's box to its border.
+// Number of cells from the middle of the curve's box to its border.
 const HALF: u32 = 1u << 29u;
-// Beyond most points cells grow with the distance, so that stray points spoil nothing.
+// Number of doublings of the distance that fit beyond most points. Cells grow with the distance there, so that stray
+// points do not coarsen the others.
 const OCTAVES: f32 = 64.0;
 
 fn cell_of(p: vec3<f32>) -> vec3<u32> {
@@ -14,7 +16,7 @@ fn cell_of(p: vec3<f32>) -> vec3<u32> {
     let beyond = 0.5 + log2(max(abs(t), vec3<f32>(1.0))) * (0.5 / OCTAVES);
     // Stay clear of the border: the curve ends in a corner, whose key marks holes.
     let u = min(select(within, beyond, abs(t) > vec3<f32>(1.0)), vec3<f32>(0.99999));
-    // Relative to the middle, near which f32 is finer.
+    // Relative to the middle, because f32 is finer near zero.
     let steps = vec3<u32>(u * f32(HALF));
     return select(HALF + steps, HALF - 1u - steps, t < vec3<f32>(0.0));
 }
@@ -46,7 +48,7 @@ fn transposed(cell_: vec3<u32>) -> vec3<u32> {
     return cell ^ vec3<u32>(flips);
 }
 
-// 10 bits, each after two zeros.
+// Spreads the low 10 bits: each follows two zeros.
 fn spread(low: u32) -> u32 {
     var value = low;
     value = (value | (value << 16u)) & 0x030000ffu;
@@ -55,7 +57,7 @@ fn spread(low: u32) -> u32 {
     return (value | (value << 2u)) & 0x09249249u;
 }
 
-// Ten bits of each axis from one on.
+// Interleaves ten bits of each axis, from `from_bit` upwards.
 fn interleaved(along: vec3<u32>, from_bit: u32) -> u32 {
     let bits = (along >> vec3<u32>(from_bit)) & vec3<u32>(0x3ffu);
     return (spread(bits.x) << 2u) | (spread(bits.y) << 1u) | spread(bits.z);
@@ -81,11 +83,11 @@ fn find_keys(
         store(i, no_result(STATUS_HOLE, 0u));
         return;
     }
-    // -0 and 0 are one place.
+    // -0 and 0 are the same position.
     bits = select(bits, vec3<u32>(0u), bits == vec3<u32>(0x80000000u));
     let p = bitcast<vec3<f32>>(bits);
     if any(abs(p) > vec3<f32>(MAX_RANGE_M)) {
-        // Farther away than squares can say.
+        // Squared distances from it may overflow f32.
         keys[place] = HOLE_KEY;
         store(i, isolated(p, 1u));
         return;

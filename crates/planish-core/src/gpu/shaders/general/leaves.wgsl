@@ -1,4 +1,4 @@
-// The boxes and the moments of the leaves, and how many points are at each place.
+// Computes the boxes and moments of the leaves, and the number of points at each position.
 
 @compute @workgroup_size(64)
 fn build_leaves(
@@ -18,7 +18,7 @@ fn build_leaves(
         positions[place].w = f32(firsts[place + 1u] - firsts[place]);
         node = union_of(node, Node(p, p, 1.0, p, 0.0));
     }
-    // Pad the last leaf with points that are nobody's neighbours.
+    // Pad the last leaf with points that are never neighbours.
     for (var place = max(end, LEAF * leaf); place < LEAF * (leaf + 1u) && end > LEAF * leaf; place++) {
         positions[place] = vec4<f32>(NO_POINT, NO_POINT, NO_POINT, 0.0);
     }

@@ -1,12 +1,12 @@
-// The sums over the positions within the radius of a place (docs/method.md, sections 4 and 8).
+// Sums over the positions within the radius of a position (docs/method.md, sections 4 and 8).
 
-// Results have 24 bits for the number of neighbours.
+// Maximum number of neighbours; results store it in 24 bits.
 const MOST_COUNTED: f32 = 16777215.0;
 
-// Counterpart of a pixel's window; here only the point is needed.
+// Counterpart of a pixel's window; here, only the point is needed.
 alias WindowOrigin = u32;
 
-// Squared distance at which the gate reaches zero.
+// Returns the squared distance at which the gate reaches zero.
 fn reach_squared_of(radius_squared: f32) -> f32 {
     return radius_squared * (1.0 + 0.5 / GATE_FADE);
 }

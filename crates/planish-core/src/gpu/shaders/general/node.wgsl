@@ -1,4 +1,4 @@
-// A node: the box of its positions, how many they are, their mean, and the sum of the squares of their distances from it.
+// A node: the box of its positions, their number, their mean, and the sum of their squared distances from the mean.
 
 struct Node {
     low: vec3<f32>,
@@ -21,7 +21,7 @@ fn union_of(a: Node, b: Node) -> Node {
     return Node(min(a.low, b.low), max(a.high, b.high), count, mean, spread);
 }
 
-// A level's nodes fill up whole groups of children.
+// Returns the number of nodes of a level, including those that pad the last group of children.
 fn nodes_of_level(level: u32) -> u32 {
     return level_at(level + 1u) - level_at(level);
 }

@@ -1,4 +1,4 @@
-// Builds the nodes of a level from those one level below.
+// Builds the nodes of a level from those of the level below.
 
 @compute @workgroup_size(64)
 fn build_nodes(

@@ -1,4 +1,4 @@
-// Gives each distinct position its place.
+// Assigns consecutive indices to the distinct positions.
 
 var<workgroup> sums: array<u32, SORT_THREADS>;
 
@@ -34,7 +34,7 @@ fn place_heads(
         }
         // Undefined for holes.
         order_out[i] = place - 1u;
-        // The last valid point.
+        // After the last valid point, store the end of the last run and the number of positions.
         if any(keys[i] != HOLE_KEY) && (i + 1u == cloud.points || all(keys[min(i + 1u, cloud.points - 1u)] == HOLE_KEY)) {
             firsts[place] = i + 1u;
             atomicStore(&state[PLACES], place);

@@ -1,5 +1,5 @@
-// Writes each point's radius by density before its limit over the results, which the host has read by then; NaN for
-// holes.
+// Writes each point's radius by density, before its limit, or NaN for a hole. Overwrites the results, which the host
+// has already read.
 
 @compute @workgroup_size(256)
 fn write_point_radii(

@@ -3,9 +3,9 @@
 // The sum of 1 - d²/r² is convex and decreasing in u = 1/r², and linear between two candidates. Starting from a large
 // radius, Newton's method reaches the solution without overshooting, and stops there.
 
-// Steps of Newton's method; five to eight usually suffice.
+// Maximum number of Newton steps; five to eight usually suffice.
 const MOST_STEPS: u32 = 50u;
-// Factor of the squared reach if it contains too few points.
+// Factor by which the squared reach grows if it contains too few points.
 const NEXT_REACH: f32 = 2.25;
 
 // Number of positions within a radius, and the sum of their squared distances.
@@ -28,7 +28,7 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
             let at = NODE_WORDS * (level_at(walk.level) + walk.node);
             if box_distance_squared(at, p) < limit {
                 if farthest_squared(at, p) < limit {
-                    // A node that is wholly within, by its moments.
+                    // The whole node is within the limit: add its moments.
                     let apart = nodes[at + 2u].xyz - p;
                     let count = nodes[at].w;
                     found.n += count;
@@ -46,7 +46,7 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
         if !has_leaf {
             break;
         }
-        // Four at a time.
+        // Test four positions at a time.
         for (var place = LEAF * walk.leaf; place < LEAF * (walk.leaf + 1u); place += 4u) {
             let squared = vec4<f32>(
                 square(positions[place].xyz - p),
@@ -63,20 +63,21 @@ fn within(p: vec3<f32>, limit: f32) -> Within {
     return found;
 }
 
-// The square of the fourth smallest distance to another position of the point's own leaf.
+// Returns the square of the fourth smallest distance to another position of the point's own leaf.
 fn fourth_squared(p: vec3<f32>, leaf: u32) -> f32 {
     var nearest = vec4<f32>(MAX_RANGE_M * MAX_RANGE_M);
     for (var place = LEAF * leaf; place < LEAF * (leaf + 1u); place++) {
         let squared = square(positions[place].xyz - p);
         if squared > 0.0 {
-            // Into its place among the four, which ascend.
+            // Insert it into the four smallest, in ascending order.
             nearest = min(nearest, max(vec4<f32>(0.0, nearest.xyz), vec4<f32>(squared)));
         }
     }
     return nearest.w;
 }
 
-// The square of a distance within which there is a whole node of the second level, or all there is.
+// Returns the squared distance within which a whole node of the second level is, or the whole cloud if it has one
+// level.
 fn crowd_squared(p: vec3<f32>) -> f32 {
     let level = min(1u, cloud.top);
     var nearest = NO_POINT * NO_POINT;

@@ -1,4 +1,5 @@
-// Returns the point's radius, limited by the mean of those around it: the radius of an isolated point is much larger.
+// Returns the point's radius, limited to a multiple of the mean radius around it, since the radius of an isolated
+// point is much larger.
 fn radius_at(place: u32, p: vec3<f32>) -> f32 {
     let radius = radii[place];
     let slope = -1.0 / max(radius * radius, MIN_POSITIVE);

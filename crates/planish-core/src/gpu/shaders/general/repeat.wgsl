@@ -1,4 +1,4 @@
-// Points at the same position get the result of the first of them.
+// Copies the result of the first point at each position to the others.
 
 @compute @workgroup_size(256)
 fn repeat_results(

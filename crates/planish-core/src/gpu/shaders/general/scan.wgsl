@@ -1,4 +1,4 @@
-// Sums of all counts before each, by one group: `part.number` counts for each tile.
+// Replaces each count by the sum of all preceding counts, in one workgroup. There are `part.number` counts per tile.
 
 const SCAN_THREADS: u32 = 256u;
 

@@ -1,6 +1,6 @@
-// Moves the keys of a tile and their points to their positions by one digit; equal digits keep their order.
+// Moves the keys of a tile and their points to their sorted positions by one digit. Equal digits keep their order.
 
-// By digit, then thread: the number of keys; later the number of preceding keys.
+// Number of keys by digit, then thread; later the number of preceding keys.
 var<workgroup> ranks: array<u32, DIGITS * SORT_THREADS>;
 var<workgroup> sums: array<u32, SORT_THREADS>;
 var<workgroup> starts: array<u32, DIGITS>;

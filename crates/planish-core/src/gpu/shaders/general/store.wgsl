@@ -1,4 +1,4 @@
-// The result of a point: channels of words, then a word of status and neighbours.
+// Stores the result of a point: one word per channel, then a word with the status and the number of neighbours.
 
 fn store(i: u32, result: PixelResult) {
     if WANTS_POINTS {
@@ -19,7 +19,7 @@ fn store(i: u32, result: PixelResult) {
     }
 }
 
-// Result of a point with too few neighbours.
+// Returns the result of a point with too few neighbours.
 fn isolated(p: vec3<f32>, n: u32) -> PixelResult {
     if !KEEPS_ISOLATED {
         return no_result(STATUS_TOO_FEW, n);

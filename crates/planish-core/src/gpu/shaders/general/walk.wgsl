@@ -50,7 +50,7 @@ fn next_leaf(walk: ptr<function, Walk>, p: vec3<f32>, reach_squared: f32) -> boo
     return false;
 }
 
-// Some drivers end long loops early; report it to the host.
+// Reports a walk that ended early to the host: some drivers stop long loops.
 fn check_done(walk: Walk) {
     if !walk.is_done {
         atomicStore(&state[ENDED_EARLY], 1u);

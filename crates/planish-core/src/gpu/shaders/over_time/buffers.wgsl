@@ -2,17 +2,20 @@
 //
 // Stage: docs/method.md, section 16. As elsewhere, shaders never compute with NaN: holes have range 0.
 
-// Begins with the fields of a batch (buffers.wgsl).
+// Parameters of a step; begins with the fields of `Batch` (buffers.wgsl).
 struct Step {
     width: u32,
     height: u32,
     input_words: u32,
     // Distance between frames of the temporal result.
     output_words: u32,
-    // Places in `memory`, in words: the state, and where it was in the last frame if the camera has moved.
+    // Offset of the state in `memory`, in words.
     state_at: u32,
+    // Offset of the previous frame's state in `memory`, in words, if the camera has moved.
     previous_at: u32,
+    // Offset of the changes in `memory`, in words.
     changes_at: u32,
+    // Offset of the tiles in `memory`, in words.
     tiles_at: u32,
     // 1 for the first frame of a video.
     starts: u32,
@@ -22,7 +25,7 @@ struct Step {
     // Coefficients of the standard deviation of depth.
     sigma: vec3<f32>,
     fx: f32,
-    // Rotation, by columns, and translation from the current camera frame to the previous one.
+    // Rotation, by columns, and translation from the frame of the current camera to that of the previous one.
     rotation_x: vec3<f32>,
     fy: f32,
     rotation_y: vec3<f32>,
@@ -36,12 +39,12 @@ struct Step {
 @group(0) @binding(0) var<uniform> batch: Step;
 @group(0) @binding(1) var<storage, read> input: array<u32>;
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
-// The result in space.
+// The result of smoothing in space.
 @group(0) @binding(3) var<storage, read_write> spatial: array<u32>;
-// The state of pixels, their changes, and tiles.
+// The states of pixels, their changes, and the tiles.
 @group(0) @binding(4) var<storage, read_write> memory: array<u32>;
 
-// The nearest range in metres that is smoothed over time: from there on, changes are within f32.
+// Minimum range in metres that is smoothed over time; changes of larger ranges fit into f32.
 const LEAST_RANGE_M: f32 = 1e-9;
 
 fn tiles_across() -> u32 {
@@ -77,7 +80,7 @@ fn pixel_of(state_at: u32, i: u32) -> Pixel {
     );
 }
 
-// The state before this frame.
+// Returns the state before this frame.
 fn old_pixel(i: u32) -> Pixel {
     if batch.starts == 1u {
         return unknown();
@@ -94,14 +97,14 @@ fn keep_pixel(i: u32, pixel: Pixel, carried: u32) {
     memory[batch.state_at + 2u * pixels() + i] = bias | (pixel.idle << 16u) | carried;
 }
 
-// The range of a pixel in metres; 0 for a hole.
+// Returns the range of a pixel in metres; 0 for a hole.
 fn range_at(i: u32) -> f32 {
     let bits = spatial[SPATIAL_Z * pixels() + i];
     let range = abs(bitcast<f32>(select(0u, bits, is_finite(bits))));
     return select(0.0, range, range >= LEAST_RANGE_M && range < MOST_DEPTH_M);
 }
 
-// The averaged quantity of a range, and its standard deviation.
+// Returns the averaged quantity of a range (the range or its inverse), and its standard deviation.
 fn measured(range: f32) -> vec2<f32> {
     let sigma = batch.sigma;
     if batch.averages_inverse == 1u {

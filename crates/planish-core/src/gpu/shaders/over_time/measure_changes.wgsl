@@ -1,8 +1,9 @@
-// How each pixel has changed, in sigmas, and the sums over tiles (equations 16.1 and 16.3). A workgroup is a tile.
+// Measures the change of each pixel in sigmas, and sums the changes over tiles (equations 16.1 and 16.3). Each
+// workgroup handles one tile.
 
 var<workgroup> sums: array<vec2<f32>, TILE * TILE>;
 
-// Changes are limited to this: far beyond every test, and finite.
+// Limit of a change in sigmas: far beyond every test, and finite.
 const MOST_CHANGE: f32 = 1e9;
 
 @compute @workgroup_size(TILE, TILE)

@@ -1,6 +1,6 @@
-// Moves the state into the view of a camera that has moved (equations 16.9 to 16.11): each pixel looks up where its
-// point was in the last frame, and takes the mean of the four pixels there that are on the same surface. Holes look up
-// by their remembered range.
+// Moves the state into the view of a camera that has moved (equations 16.9 to 16.11). Each pixel looks up the
+// position of its point in the previous frame, and takes the mean of the pixels on the same surface among the four
+// there. Holes use their remembered range for the lookup.
 
 fn rotated(v: vec3<f32>) -> vec3<f32> {
     return batch.rotation_x * v.x + batch.rotation_y * v.y + batch.rotation_z * v.z;
@@ -16,7 +16,7 @@ fn looked_up(pixel: vec2<u32>, i: u32) -> Pixel {
         range = range_of_mean(here.mean);
     }
     let to_ray = vec2<f32>((f32(pixel.x) - batch.cx) / batch.fx, (f32(pixel.y) - batch.cy) / batch.fy);
-    // The point as the camera saw it before.
+    // The point in the frame of the previous camera.
     let seen = rotated(vec3<f32>(to_ray, 1.0) * range) + batch.translation;
     if !(seen.z >= NEAREST_M && seen.z < MOST_DEPTH_M) {
         return unknown();
@@ -36,7 +36,7 @@ fn looked_up(pixel: vec2<u32>, i: u32) -> Pixel {
         let after = vec2<f32>(f32(corner & 1u), f32(corner >> 1u));
         let at = vec2<u32>(clamp(first + after, vec2<f32>(0.0), last));
         let other = pixel_of(batch.previous_at, at.y * batch.width + at.x);
-        // off < 5 sigma sqrt(1 + 1/n), without root and division.
+        // off < 5 sigma sqrt(1 + 1/n), without a root or division.
         let off = max(abs(other.mean - expected.x) - SLOPE * expected.x, 0.0) / expected.y;
         let known = max(other.frames, 1.0);
         let is_same = other.frames > 0.0 && off * off * known < SAME_SURFACE * SAME_SURFACE * (known + 1.0);
@@ -51,7 +51,7 @@ fn looked_up(pixel: vec2<u32>, i: u32) -> Pixel {
     let found = sum / weights;
     let closest = vec2<u32>(clamp(floor(place + 0.5), vec2<f32>(0.0), last));
     let nearest = pixel_of(batch.previous_at, closest.y * batch.width + closest.x);
-    // Its point as the camera sees it now.
+    // Range of the point found there, seen by the current camera.
     let forward = batch.rotation_z;
     let now = range_of_mean(found.x) * dot(forward, ray) - dot(forward, batch.translation);
     if !(now >= NEAREST_M && now < MOST_DEPTH_M) {

@@ -1,5 +1,5 @@
-// Updates the state of each pixel by the changes around it, and writes the result over time (equations 16.2, 16.4
-// and 16.7). A workgroup is a tile.
+// Updates the state of each pixel by the changes around it, and writes the result over time (equations 16.2, 16.4 and
+// 16.7). Each workgroup handles one tile.
 
 const REACH: u32 = 2u;
 const SIDE: u32 = TILE + 2u * REACH;
@@ -7,7 +7,7 @@ const SIDE: u32 = TILE + 2u * REACH;
 var<workgroup> changes: array<f32, SIDE * SIDE>;
 var<workgroup> signs: array<f32, SIDE * SIDE>;
 
-// Loads the changes of a tile and of two pixels on every side.
+// Loads the changes of a tile and of the two pixels around it on every side.
 fn load_changes(origin: vec2<u32>, thread: u32) {
     for (var k = thread; k < SIDE * SIDE; k += TILE * TILE) {
         let at = vec2<i32>(origin) + vec2<i32>(vec2<u32>(k % SIDE, k / SIDE)) - i32(REACH);
@@ -24,7 +24,7 @@ fn load_changes(origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-// The mean of the clipped changes in 5x5 pixels.
+// Returns the mean of the clipped changes in 5x5 pixels.
 fn mean_change(local: vec2<u32>) -> f32 {
     var sum = 0.0;
     var count = 0.0;
@@ -40,7 +40,7 @@ fn mean_change(local: vec2<u32>) -> f32 {
     return sum / max(count, 1.0);
 }
 
-// Sum of the signs of the candidates in 3x3 pixels.
+// Returns the sum of the signs of the candidates in 3x3 pixels.
 fn support(local: vec2<u32>) -> f32 {
     var sum = 0.0;
     for (var row = 1u; row < 4u; row++) {
@@ -51,10 +51,10 @@ fn support(local: vec2<u32>) -> f32 {
     return sum;
 }
 
-// A pixel's state after a frame, and how it shows.
+// A pixel's state after a frame, and its effect on the result.
 struct Updated {
     pixel: Pixel,
-    // Temporal range; 0 to keep the range of the frame.
+    // Range smoothed over time; 0 to keep the range of the frame.
     range: f32,
     waits: bool,
 }
@@ -96,7 +96,7 @@ fn updated(i: u32, local: vec2<u32>, tile_weight: f32) -> Updated {
         after.variance = min(old.variance, FIRST_VARIANCE);
     }
     if range > 0.0 {
-        // Not known before, or a new surface: starts again.
+        // A pixel that was not known before, or a new surface: start again.
         after.mean = measured(range).x;
         after.frames = 1.0;
         after.bias = 0.0;
@@ -115,7 +115,7 @@ fn spatial_channel(channel: u32, i: u32) -> u32 {
     return spatial[channel * pixels() + i];
 }
 
-// A byte of packed rows after the channels, the first of which are the statuses.
+// Returns a byte of the packed rows after the channels; the first packed rows contain the statuses.
 fn spatial_code(rows: u32, pixel: vec2<u32>) -> u32 {
     let row_words = (batch.width + 3u) / 4u;
     let rows_at = SPATIAL_CHANNELS * pixels() + rows * batch.height * row_words;
@@ -174,7 +174,7 @@ fn update_pixels(
         }
         if WANTS_FRAMES {
             let has_point = status >= STATUS_DEGENERATE;
-            // Rounded as stored.
+            // Rounded as in the stored state.
             let kept = floor(now.pixel.frames * PER_UNIT + 0.5) / PER_UNIT;
             let frames = select(1.0, max(kept, 1.0), is_moved);
             store_word(0u, FRAMES_CHANNEL, i, bitcast<u32>(select(0.0, frames, has_point)));

@@ -1,12 +1,12 @@
-// The test of whole tiles detects common motion below the noise (equations 16.4 to 16.6). One workgroup
-// for all of them.
+// Tests whole tiles, which detects common motion below the noise (equations 16.4 to 16.6). One workgroup handles all
+// tiles.
 
 const THREADS: u32 = 256u;
-// Medians are found by four bits at a time.
+// Number of values of a digit; medians are found four bits at a time.
 const DIGITS: u32 = 16u;
 
 var<workgroup> digits: array<atomic<u32>, 2u * DIGITS>;
-// Number of tested tiles, of pairs of them, and of pairs that change alike.
+// Numbers of tested tiles, of pairs of tested tiles, and of pairs that change alike.
 var<workgroup> counts: array<atomic<u32>, 3>;
 
 fn tile_word(channel: u32, tile: u32) -> u32 {
@@ -34,11 +34,11 @@ fn next_bias_of(tile: u32, change: f32) -> f32 {
     return fma(LEAK, change - bias, bias);
 }
 
-// The median magnitudes of the changes and of the next biases. Floats that are not negative are ordered as their
-// bits.
+// Returns the median magnitudes of the changes and of the next biases. Non-negative floats have the same order as
+// their bits.
 fn medians(thread: u32, counted: u32) -> vec2<f32> {
     var found = vec2<u32>(0u);
-    // Places of the medians among the tiles whose higher bits are those found.
+    // Ranks of the medians among the tiles whose higher bits equal those found.
     var rank = vec2<u32>(counted / 2u);
     for (var shift = 28u; shift < 32u; shift -= 4u) {
         if thread < 2u * DIGITS {

@@ -2,7 +2,7 @@
 //
 // Stage: docs/method.md, section 17.
 
-// Begins with the fields of a batch (buffers.wgsl).
+// Parameters of the passes; begins with the fields of `Batch` (buffers.wgsl).
 struct Sigma {
     width: u32,
     height: u32,
@@ -10,36 +10,39 @@ struct Sigma {
     output_words: u32,
     // Coefficients of the standard deviation of depth.
     sensor_sigma: vec3<f32>,
-    // Distance between frames in `scratch`.
+    // Distance between frames in `scratch`, in words.
     scratch_words: u32,
     gain: f32,
     least_area: f32,
     least_variance: f32,
-    // Places in a result, in words.
+    // Offset of the standard errors in a result, in words.
     sigma_at: u32,
+    // Offset of the statuses in a result, in words.
     status_at: u32,
+    // Offset of the numbers of neighbours in a result, in words.
     neighbours_at: u32,
     padding: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> batch: Sigma;
 @group(0) @binding(1) var<storage, read> input: array<u32>;
-// The result, with a channel for the errors.
+// The result, with a channel for the standard errors.
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
 // Per frame: residuals, smoothed ranges, steps (1 if the pixel to the right or below is across one), the sums of the
 // sampled rows, and the area of correlation.
 @group(0) @binding(3) var<storage, read_write> scratch: array<f32>;
 
-// Markers of a missing range, and of a missing residual: larger than CLIP.
+// Marker of a missing range.
 const NO_RANGE: f32 = -1.0;
+// Marker of a missing residual, larger than CLIP.
 const NO_RESIDUAL: f32 = 100.0;
 
-// The residual of pixel i; at i + pixels() its range, at i + 2 pixels() its step.
+// Returns the residual of pixel i; with i + pixels() its range, with i + 2 pixels() its step.
 fn scratch_at(frame: u32, i: u32) -> f32 {
     return scratch[frame * batch.scratch_words + i];
 }
 
-// The place of the sums of row k * ROW_STRIDE_PX.
+// Returns the index of the sums of row k * ROW_STRIDE_PX.
 fn sums_at(frame: u32, k: u32) -> u32 {
     return frame * batch.scratch_words + PIXEL_WORDS * pixels() + k * ROW_WORDS;
 }

@@ -1,11 +1,11 @@
-// Sums over pairs of pixels within a row, and between a row and those below it (equation 17.3). One workgroup per
-// sampled row.
+// Sums products of pairs of pixels within a row, and between a row and those below it (equation 17.3). One workgroup
+// per sampled row.
 
 const THREADS: u32 = 64u;
 
 var<workgroup> shared_sums: array<f32, THREADS * ROW_WORDS>;
 
-// Product and mean square of two residuals; 0 if one is missing.
+// Returns the product and the mean square of two residuals; 0 if one is missing.
 fn pair(frame: u32, a: f32, b_at: u32) -> vec2<f32> {
     let b = scratch_at(frame, b_at);
     let counts = a != NO_RESIDUAL && b != NO_RESIDUAL;

@@ -1,4 +1,4 @@
-// The standard error of each pixel (equations 17.2 and 17.4). A workgroup is a tile.
+// Estimates the standard error of each pixel (equations 17.2 and 17.4). Each workgroup handles one tile.
 
 const SIDE: u32 = 2u * HALF_PX + 1u;
 const BLOCK_WIDTH_PX: u32 = TILE_WIDTH + 2u * HALF_PX;
@@ -7,11 +7,12 @@ const BLOCK_HEIGHT_PX: u32 = TILE_HEIGHT + 2u * HALF_PX;
 var<workgroup> residuals: array<f32, BLOCK_WIDTH_PX * BLOCK_HEIGHT_PX>;
 var<workgroup> steps: array<f32, BLOCK_WIDTH_PX * BLOCK_HEIGHT_PX>;
 // Sums over each column of the window: x and y are the squares and their number, z and w the residuals and their number
-// in the small window. `near` is 1 if there is a step within NEAR_STEP_PX rows.
+// in the small window.
 var<workgroup> sums: array<vec4<f32>, BLOCK_WIDTH_PX * TILE_HEIGHT>;
+// For each column of the window: 1 if a step is within NEAR_STEP_PX rows, otherwise 0.
 var<workgroup> near: array<f32, BLOCK_WIDTH_PX * TILE_HEIGHT>;
 
-// Loads a tile and the pixels of the windows around it.
+// Loads the pixels of a tile and of the windows around it.
 fn load_block(frame: u32, origin: vec2<u32>, thread: u32) {
     for (var k = thread; k < BLOCK_WIDTH_PX * BLOCK_HEIGHT_PX; k += TILE_WIDTH * TILE_HEIGHT) {
         let at = vec2<i32>(origin) + vec2<i32>(vec2<u32>(k % BLOCK_WIDTH_PX, k / BLOCK_WIDTH_PX)) - i32(HALF_PX);
@@ -28,7 +29,7 @@ fn load_block(frame: u32, origin: vec2<u32>, thread: u32) {
     workgroupBarrier();
 }
 
-// Whether a row or column of the window is within a smaller one.
+// Returns whether a row or column of the window is within a smaller one.
 fn is_within(i: u32, half_width: u32) -> bool {
     return i >= HALF_PX - half_width && i <= HALF_PX + half_width;
 }

@@ -1,12 +1,13 @@
-// The number of pixels whose noise counts as one (equation 17.3), from the sums of all rows.
+// Computes the area of correlation, the number of pixels whose noise counts as one sample (equation 17.3), from the
+// sums of all rows.
 
-// Each part of the threads adds up every PARTS-th row.
+// Number of groups of threads; each adds up every PARTS-th row.
 const PARTS: u32 = 10u;
 const THREADS: u32 = PARTS * ROW_WORDS;
 
 var<workgroup> totals: array<f32, THREADS>;
 
-// The sum of the correlations over the lags of both directions, up to the first small one.
+// Returns the sum of the correlations over the lags of both directions, up to the first small one.
 fn along(axis: u32) -> f32 {
     var sum = 1.0;
     for (var k = 0u; k < MOST_LAG_PX; k++) {

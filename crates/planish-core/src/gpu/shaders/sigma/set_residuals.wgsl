@@ -1,4 +1,4 @@
-// Residuals in deviations of the sensor (equation 17.1), smoothed ranges, and steps.
+// Computes residuals in standard deviations of the sensor (equation 17.1), smoothed ranges, and steps.
 
 fn range_of(frame: u32, p: vec3<f32>) -> f32 {
     if p.x == NO_POINT {
