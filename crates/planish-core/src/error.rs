@@ -165,7 +165,7 @@ pub enum EngineError {
     },
     /// A frame, or a batch of frames, that exceeds the device's limits.
     #[error(
-        "the GPU {device} allows {what} of {allowed}, but {needed} are needed; smooth smaller frames or use the CPU \
+        "the GPU {device} allows {allowed} {what}, but {needed} are needed; smooth smaller frames or use the CPU \
          engine"
     )]
     Limit {

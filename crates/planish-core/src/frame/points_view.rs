@@ -388,7 +388,7 @@ mod tests {
         let plane = |axis: usize| rows.iter().map(|row| row[axis]).collect::<Vec<f32>>();
         let plane_f64 = |axis: usize| rows.iter().map(|row| f64::from(row[axis])).collect::<Vec<f64>>();
         let (planes, planes_f64) = ([0, 1, 2].map(plane), [0, 1, 2].map(plane_f64));
-        // Unaligned, with a byte before, fields between and padding after each row of 4.
+        // Unaligned: one leading byte, a gap between z and x, and padding after every fourth point.
         let mut bytes = vec![0u8; 1];
         for (i, [x, y, z]) in rows.iter().enumerate() {
             bytes.extend(z.to_ne_bytes());
