@@ -100,7 +100,7 @@ test("wrong files are told in words and change nothing", async () => {
   const before = await pixels("#smoothed");
   for (const [name, bytes, said] of [
     ["nothing.pcd", [], /nothing\.pcd: .*empty/],
-    ["noise.xyz1", [1, 2, 3, 4], /supported are PCD/],
+    ["noise.xyz1", [1, 2, 3, 4], /expected PCD/],
     ["cut.ply", (await file("ply")).slice(0, 400), /truncated|damaged/],
     ["cut.png", (await file("png")).slice(0, 200), /cut\.png: /],
   ]) {

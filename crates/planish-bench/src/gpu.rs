@@ -129,7 +129,7 @@ fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
     };
     let (width, height) = (cloud.width(), cloud.height());
     if (width, height) != KINECT_SHAPE {
-        bail!("{name}: {width}x{height}; the benchmark takes frames of 640x480");
+        bail!("{name}: the frame is {width}x{height}, but the benchmark needs 640x480");
     }
     let raw = cloud.positions().z().iter().map(|&z| camera.raw_depth(z)).collect();
     Ok((name.clone(), DepthFrame::new(camera, raw).map_err(Error::from)?))

@@ -87,7 +87,7 @@ impl Section {
 
     /// Writes the section into a folder, including the origin of the numbers.
     pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         let write = |name: &str, bytes: &[u8]| {
             let file = folder.join(name);
             write_whole(&file, bytes).with_context(|| file.display().to_string())

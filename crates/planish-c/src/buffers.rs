@@ -27,12 +27,16 @@ impl Extent {
             return failure(PLANISH_NULL, format!("{what} is null"));
         }
         if !begin.is_multiple_of(align) || !stride.is_multiple_of(align) {
-            let text =
-                format!("{what} is at an address, or has a stride of {stride} bytes, that is no multiple of {align}");
+            let text = format!(
+                "{what} is misaligned; its address and its stride of {stride} bytes must be multiples of {align}"
+            );
             return failure(PLANISH_ARGUMENT, text);
         }
         if stride < item && count > 1 {
-            return failure(PLANISH_ARGUMENT, format!("{what} has a stride of {stride} bytes, but {item} are needed"));
+            return failure(
+                PLANISH_ARGUMENT,
+                format!("{what} has a stride of {stride} bytes, but at least {item} are needed"),
+            );
         }
         let extent = Self { what, begin, item, stride, count };
         let fits =
@@ -40,7 +44,9 @@ impl Extent {
         if !fits {
             return failure(
                 PLANISH_ARGUMENT,
-                format!("{what} of {count} items every {stride} bytes ends beyond the address space"),
+                format!(
+                    "{what} with {count} items and a stride of {stride} bytes extends past the end of the address space"
+                ),
             );
         }
         Ok(extent)
@@ -78,7 +84,7 @@ pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
         };
         let shared = read.iter().find(whole).or_else(|| written[..i].iter().find(|other| other.overlaps(buffer)));
         if let Some(other) = shared {
-            let text = format!("{} and {} overlap; give them memory of their own", buffer.what, other.what);
+            let text = format!("{} and {} overlap; give them separate memory", buffer.what, other.what);
             return failure(PLANISH_ARGUMENT, text);
         }
     }
@@ -100,7 +106,10 @@ pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize)
     // SAFETY: the size is the first member.
     let size = unsafe { pointer.cast::<usize>().read() };
     if size < least || size > 1 << 12 {
-        let text = format!("{what} has a size of {size} bytes; set its first member to its sizeof, {}", size_of::<T>());
+        let text = format!(
+            "{what} states a size of {size} bytes; set its first member to the struct's sizeof, {}",
+            size_of::<T>()
+        );
         return failure(PLANISH_ARGUMENT, text);
     }
     let mut value = std::mem::MaybeUninit::<T>::zeroed();

@@ -32,13 +32,13 @@ mod with_cuda {
     ) -> Done<()> {
         // SAFETY: as the caller promises.
         let (cuda, settings, camera) =
-            unsafe { (writable("the place for the smoother", cuda)?, settings_from(settings)?, camera_of(camera)?) };
+            unsafe { (writable("cuda", cuda)?, settings_from(settings)?, camera_of(camera)?) };
         let is_metres = match kind {
             PLANISH_DEPTH_U16 => false,
             PLANISH_DEPTH_F32 => true,
             other => {
                 let text =
-                    format!("the kind is {other}; depth in CUDA's memory is PLANISH_DEPTH_U16 or PLANISH_DEPTH_F32");
+                    format!("unsupported kind {other} for CUDA; expected PLANISH_DEPTH_U16 or PLANISH_DEPTH_F32");
                 return failure(PLANISH_ARGUMENT, text);
             }
         };
@@ -51,7 +51,12 @@ mod with_cuda {
         let mut smoother = match held.try_lock() {
             Ok(smoother) => smoother,
             Err(TryLockError::WouldBlock) => return failure(PLANISH_BUSY, "another thread is using the smoother"),
-            Err(TryLockError::Poisoned(_)) => return failure(PLANISH_INTERNAL, "the smoother had an internal error"),
+            Err(TryLockError::Poisoned(_)) => {
+                return failure(
+                    PLANISH_INTERNAL,
+                    "the smoother had an internal error before; free it and open another",
+                );
+            }
         };
         body(&mut smoother)
     }
@@ -125,7 +130,7 @@ mod with_cuda {
     use crate::error::{PLANISH_ENGINE, failure};
 
     fn absent() -> Done<()> {
-        failure(PLANISH_ENGINE, "this build has no CUDA (planish-c's feature `cuda`)")
+        failure(PLANISH_ENGINE, "this build does not support CUDA; enable planish-c's feature `cuda`")
     }
 
     pub(super) unsafe fn new(

@@ -74,7 +74,7 @@ thread_local! {
 pub(crate) fn guarded(body: impl FnOnce() -> Done<()>) -> planish_code {
     // A session that panicked refuses further calls: its lock is poisoned.
     let done = catch_unwind(AssertUnwindSafe(body))
-        .unwrap_or_else(|_| failure(PLANISH_INTERNAL, "an internal error of planish; please report it"));
+        .unwrap_or_else(|_| failure(PLANISH_INTERNAL, "planish had an internal error; please report it"));
     let Err(Failure { code, text }) = done else { return PLANISH_OK };
     let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
     // Fails only while the thread ends.

@@ -121,7 +121,7 @@ pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
     if !given.distortion.is_null() || !given.distortion_model.is_null() || given.distortion_count > 0 {
         const MOST: usize = 64;
         if given.distortion_count > MOST {
-            let text = format!("{} coefficients of distortion; models have 4 to 8", given.distortion_count);
+            let text = format!("{} distortion coefficients are not supported; expected 4 to 8", given.distortion_count);
             return failure(PLANISH_ARGUMENT, text);
         }
         let coefficients: &[f64] = match given.distortion_count {
@@ -162,7 +162,14 @@ impl Given {
             PLANISH_DEPTH_U16 => 2,
             PLANISH_DEPTH_F32 | PLANISH_POINTS_F32 | PLANISH_PLANES_F32 => 4,
             PLANISH_POINTS_F64 | PLANISH_PLANES_F64 => 8,
-            other => return failure(PLANISH_ARGUMENT, format!("the frame's kind is {other}, which is none")),
+            other => {
+                return failure(
+                    PLANISH_ARGUMENT,
+                    format!(
+                        "unknown kind {other} of the frame; expected PLANISH_DEPTH_U16 or another kind in planish.h"
+                    ),
+                );
+            }
         };
         let is_depth = matches!(frame.kind, PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32);
         // An unorganized cloud may be empty.
@@ -204,7 +211,7 @@ impl Given {
         }
         if is_depth {
             let Some(camera) = camera else {
-                return failure(PLANISH_NULL, "a depth image needs its camera, which is null");
+                return failure(PLANISH_NULL, "a depth image needs a camera, but the frame's camera is null");
             };
             camera.check_shape((width, height))?;
         }
@@ -303,7 +310,8 @@ fn check_near(view: &PointsView<'_>) -> Done<()> {
     if largest <= FAR_M {
         return Ok(());
     }
-    let text = format!("coordinates of {largest} m lose digits as float; set origin_m to a place near the points");
+    let text =
+        format!("coordinates of {largest} m lose precision as float; set origin_m to a position near the points");
     failure(PLANISH_ARGUMENT, text)
 }
 
@@ -318,7 +326,10 @@ fn point_bytes(frame: &mut planish_frame, scalar: usize) -> Done<usize> {
         frame.point_stride = end;
     }
     if frame.point_stride < end {
-        let text = format!("a point stride of {} bytes, but a point's coordinates end at {end}", frame.point_stride);
+        let text = format!(
+            "a point stride of {} bytes is too small; a point's coordinates end at byte {end}",
+            frame.point_stride
+        );
         return failure(PLANISH_ARGUMENT, text);
     }
     Ok(end)

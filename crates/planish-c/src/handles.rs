@@ -52,7 +52,7 @@ impl<T> Handles<T> {
         match all.get(&handle.addr()) {
             Some(value) => Ok(value.clone()),
             None if handle.is_null() => failure(PLANISH_NULL, format!("the {} is null", self.what)),
-            None => failure(PLANISH_HANDLE, format!("the {} was freed, or is none", self.what)),
+            None => failure(PLANISH_HANDLE, format!("the {} is invalid or was freed", self.what)),
         }
     }
 

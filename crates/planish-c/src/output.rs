@@ -92,7 +92,8 @@ pub(crate) struct Wanted {
 pub(crate) fn outputs_of(mask: u32) -> Done<Outputs> {
     const ALL: u32 = 2 * PLANISH_SIGMA - 1;
     if mask == 0 || mask & !ALL != 0 {
-        let text = format!("the outputs {mask:#x} are not a sum of PLANISH_POINTS, PLANISH_NORMALS and so on");
+        let text =
+            format!("the outputs {mask:#x} are invalid; expected a sum of PLANISH_POINTS, PLANISH_NORMALS and so on");
         return failure(PLANISH_ARGUMENT, text);
     }
     let has = |bit: u32| mask & bit != 0;
@@ -154,7 +155,7 @@ impl Wanted {
             None => Ok(()),
             Some(name) => {
                 let text = format!(
-                    "{name} is not among the outputs that the frame was submitted for: {}",
+                    "{name} was not requested when the frame was submitted; its outputs are {}",
                     submitted.join(", ")
                 );
                 failure(PLANISH_ARGUMENT, text)

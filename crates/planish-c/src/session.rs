@@ -96,7 +96,7 @@ pub unsafe extern "C" fn planish_session_new(
 ) -> planish_code {
     guarded(|| {
         // SAFETY: as the caller promises.
-        let session = unsafe { writable("the place for the session", session)? };
+        let session = unsafe { writable("session", session)? };
         // SAFETY: the same.
         let settings = unsafe { settings_from(settings)? };
         let inner = Session::new(with_own_threads(&settings))?;

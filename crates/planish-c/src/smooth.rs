@@ -10,7 +10,7 @@ use crate::result::{handle_of, planish_result};
 use crate::session::{SESSIONS, State, planish_session, writable};
 
 /// The explanation in errors of a result that is smaller than the frame.
-const DECIMATED: &str = "; the setting decimate makes it smaller (planish_output_shape)";
+const DECIMATED: &str = "; the setting decimate makes the result smaller (see planish_output_shape)";
 
 impl State {
     /// Calls `body` with the caller's frame, or with a copy to which the steps before smoothing were applied.
@@ -67,7 +67,7 @@ fn owned_cloud(frame: Frame<'_>) -> Done<OrganizedCloud> {
         Frame::Depth(view) => Ok(view.deproject()?),
         Frame::Points(view) => {
             let Some((width, height)) = view.grid() else {
-                let allowed = "min_range_m, max_range_m, remove_floating and decimate are for frames on a grid only";
+                let allowed = "min_range_m, max_range_m, remove_floating and decimate apply only to frames on a grid";
                 return failure(PLANISH_SETTING, allowed);
             };
             let origin_m = view.origin_m();
@@ -177,7 +177,7 @@ pub unsafe extern "C" fn planish_submit(
         let given = unsafe { Given::new(frame)? };
         let outputs = outputs_of(outputs)?;
         if state.settings.fill.is_some() || outputs.sigma {
-            let text = "the setting fill and the output sigma need planish_smooth: frames in flight are not kept";
+            let text = "the setting fill and the output sigma need planish_smooth, since frames in flight are not kept";
             return failure(PLANISH_SETTING, text);
         }
         state.session.set_outputs(outputs);

@@ -136,8 +136,9 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     }
     let names = || adapters.iter().map(|a| format!("{} {}", a.index, a.name)).collect::<Vec<_>>().join(", ");
     match wanted {
-        None => real_gpu(adapters)
-            .ok_or_else(|| unavailable(format!("no real GPU; select a software adapter by name ({})", names()))),
+        None => real_gpu(adapters).ok_or_else(|| {
+            unavailable(format!("no hardware GPU was found; select a software adapter by name ({})", names()))
+        }),
         Some(wanted) => {
             let names_alone: Vec<&str> = adapters.iter().map(|adapter| adapter.name.as_str()).collect();
             let found = find(&names_alone, wanted).map(|index| &adapters[index]);

@@ -192,18 +192,18 @@ impl fmt::Display for Doubt {
         match self {
             Self::UnitsPerMetre { units } => write!(
                 f,
-                "{units} depth units per metre are less than one; this is the number of units in a metre, 1000 for \
-                 millimetres, and the inverse of librealsense's depth scale"
+                "{units} depth units per metre are implausible; expected the number of units in a metre, 1000 for \
+                 millimetres, which is the inverse of librealsense's depth scale"
             ),
             Self::Range { median_m, units: Some(units) } => write!(
                 f,
                 "most depths are about {median_m} m at {units} depth units per metre, which no depth camera measures; \
-                 is the unit of depth right?"
+                 check the unit of depth"
             ),
             Self::Range { median_m, units: None } => write!(
                 f,
-                "most points are {median_m} m away, which no depth camera measures; are they in millimetres, or is it \
-                 a disparity image?"
+                "most points are {median_m} m away, which no depth camera measures; they may be in millimetres, or \
+                 come from a disparity image"
             ),
             Self::Swapped { camera: Camera { fx, fy, cx, cy, .. } } => write!(
                 f,
@@ -212,23 +212,23 @@ impl fmt::Display for Doubt {
             ),
             Self::PrincipalPoint { camera: Camera { width, height, cx, cy, .. } } => write!(
                 f,
-                "the principal point {cx}, {cy} is far from the middle of an image of {width}x{height}; is it the \
-                 camera of images of another size?"
+                "the principal point {cx}, {cy} is far from the middle of an image of {width}x{height}; the camera may \
+                 be for images of another size"
             ),
             Self::FocalLength { camera: Camera { width, height, fx, .. } } => {
-                write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; is it in pixels?")
+                write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; check its unit")
             }
             Self::Coarse { step_m, spacing_m, share } => write!(
                 f,
-                "{:.0} % of the points have coordinates too large for f32: its steps are {step_m:.1e} m there, and \
+                "{:.0} % of the points have coordinates too large for f32, which rounds them to {step_m:.1e} m, but \
                  neighbours are {spacing_m:.1e} m apart; crop distant parts with `planish clean --box` and smooth them \
                  separately",
                 100.0 * share
             ),
             Self::Lens { lost } => write!(
                 f,
-                "{:.0} % of the pixels are holes: the model of the lens has no ray there, since it folds or reaches \
-                 beyond 86 degrees; are its coefficients those of this image?",
+                "{:.0} % of the pixels are holes, since the lens model folds or reaches beyond 86 degrees there; check \
+                 its distortion coefficients",
                 100.0 * lost
             ),
         }

@@ -119,8 +119,10 @@ impl std::fmt::Display for ChoiceReason {
                 [only] => write!(f, "the only adapter, {}, is not a GPU", only.name),
                 _ => f.write_str("none of the adapters is a GPU"),
             },
-            Self::GpuFailed(adapter, error) => write!(f, "{} did not open: {error}", adapter.name),
-            Self::SingleFrame { points } => write!(f, "a single frame of {points} points is done before a GPU is open"),
+            Self::GpuFailed(adapter, error) => write!(f, "{} could not be opened: {error}", adapter.name),
+            Self::SingleFrame { points } => {
+                write!(f, "a single frame of {points} points is smoothed before a GPU has opened")
+            }
         }?;
         write!(f, "; the CPU has {}", SimdLevel::best().name())
     }
@@ -260,7 +262,7 @@ fn open_named(
         (Engine::Gpu, grid) => open_gpu(params, outputs, gpu, grid),
         #[cfg(not(feature = "reference"))]
         (Engine::Reference, _) => {
-            let reason = "not in this build; enable the feature reference".to_owned();
+            let reason = "this build does not include it; enable the feature reference".to_owned();
             Err(EngineError::Unavailable { engine: "reference", reason }.into())
         }
         #[cfg(feature = "reference")]
@@ -292,7 +294,7 @@ fn open_gpu(
     _: &GpuOptions,
     _: Option<(usize, usize)>,
 ) -> Result<Box<dyn SmoothingEngine>, Error> {
-    let reason = "not in this build; enable the feature gpu, or use auto, cpu or reference".to_owned();
+    let reason = "this build does not include it; enable the feature gpu, or use auto, cpu or reference".to_owned();
     Err(EngineError::Unavailable { engine: "gpu", reason }.into())
 }
 

@@ -41,7 +41,7 @@ pub fn memory(bytes: u64) -> String {
 pub enum FrameError {
     /// A frame whose dimensions differ from the smoother's.
     #[error(
-        "the frame is {frame_width}x{frame_height}, but the smoother was opened for {width}x{height}; open another one"
+        "the frame is {frame_width}x{frame_height}, but the smoother is for {width}x{height}; open another smoother"
     )]
     ShapeMismatch {
         /// Width of the frame in pixels.
@@ -65,7 +65,7 @@ pub enum FrameError {
     },
     /// A camera whose image size differs from the frame's.
     #[error(
-        "the camera is {width}x{height}, but the frame {frame_width}x{frame_height}; give the camera of this frame"
+        "the camera is {width}x{height}, but the frame is {frame_width}x{frame_height}; give the camera of this frame"
     )]
     CameraShapeMismatch {
         /// Width of the frame in pixels.
@@ -79,7 +79,7 @@ pub enum FrameError {
     },
     /// A frame on a grid for a smoother of unorganized clouds, or an unorganized cloud for a smoother of frames.
     #[error(
-        "the frame {found}, but the smoother was opened for {expected}; open another one, or give the view its grid"
+        "the frame {found}, but the smoother was opened for {expected}; open another smoother, or set the view's grid"
     )]
     GridMismatch {
         /// Description of the frame.
@@ -99,7 +99,7 @@ pub enum FrameError {
     },
     /// An address outside the memory of the GPU that the smoother was opened for.
     #[error(
-        "{what} is not in the memory of CUDA device {device} ({gpu}): copy it there, or open the smoother for its GPU"
+        "{what} is not in the memory of CUDA device {device} ({gpu}); copy it there, or open a smoother for another GPU"
     )]
     NotOnGpu {
         /// The data at the address.
@@ -110,7 +110,7 @@ pub enum FrameError {
         device: i32,
     },
     /// A buffer for an output that the smoother was not opened for.
-    #[error("the smoother was opened without {output}; request it in the outputs")]
+    #[error("the smoother was opened without the output {output}; request it when opening the smoother")]
     OutputNotOpened {
         /// The name of the output.
         output: &'static str,
@@ -125,13 +125,13 @@ pub enum FrameError {
     #[error("sensor pose: {0}")]
     BadPose(ParamError),
     /// A grid of points whose sensor position is unknown.
-    #[error("the sensor's position is unknown, and so are ranges; give the sensor's pose")]
+    #[error("the sensor's position is unknown, but is needed to compute ranges; give the sensor's pose")]
     UnknownSensor,
     /// An invalid voxel size.
     #[error(transparent)]
     BadVoxel(ParamError),
     /// A buffer whose length does not match the shape.
-    #[error("{what} has {len} values where {expected} are needed")]
+    #[error("{what} has {len} values; expected {expected}")]
     LengthMismatch {
         /// The name of the buffer.
         what: String,
@@ -181,8 +181,8 @@ pub enum EngineError {
     /// The neighbourhoods of an unorganized cloud exceed the memory of the device, or smoothing it in parts would take
     /// too long.
     #[error(
-        "the GPU {device} holds {points_at_once} points of a cloud at once, but neighbourhoods of this one are too \
-         large; use a smaller radius, fewer neighbours or the CPU engine"
+        "the GPU {device} holds at most {points_at_once} points at once, too few for the neighbourhoods of this cloud; \
+         use a smaller radius, fewer neighbours or the CPU engine"
     )]
     Crowded {
         /// The device's name.
@@ -217,7 +217,7 @@ pub enum EngineError {
         reason: String,
     },
     /// The maximum number of frames is in flight: receive one first.
-    #[error("{in_flight} frames are in flight, the maximum; receive one before submitting the next")]
+    #[error("{in_flight} frames are in flight, which is the maximum; receive one before submitting the next")]
     Full {
         /// Number of frames in flight.
         in_flight: usize,

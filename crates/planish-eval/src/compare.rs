@@ -87,7 +87,10 @@ pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, 
     if let (Some(a), Some(b)) = (depths(a), depths(b)) {
         check_shapes(&a, &b)?;
         if a.unit != b.unit {
-            return Err(mismatch("depth in metres and raw depth", "depth of one unit; give the camera"));
+            return Err(mismatch(
+                "depth in metres and raw depth",
+                "both must have the same unit; give the camera to compare them as points",
+            ));
         }
         let only = |a: &[f64], b: &[f64]| a.iter().zip(b).filter(|(a, b)| a.is_finite() && !b.is_finite()).count();
         let differences = a.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs());
@@ -103,7 +106,10 @@ pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, 
         });
     }
     let (Some((a, shape_a)), Some((b, shape_b))) = (points(a), points(b)) else {
-        return Err(mismatch("a depth image and a cloud", "two of one kind; give the camera of the image"));
+        return Err(mismatch(
+            "a depth image and a cloud",
+            "both must be of the same kind; give the camera of the image to compare points",
+        ));
     };
     let (points_a, points_b) = (positions(a), positions(b));
     let valid = [&points_a, &points_b].map(|points| points.iter().filter(|point| point.is_finite()).count());
@@ -215,7 +221,7 @@ fn check_shapes(a: &Depths, b: &Depths) -> Result<(), Error> {
         return Ok(());
     }
     let found = format!("depth images of {width}x{height} and {other_width}x{other_height}");
-    Err(mismatch(&found, "depth images of one size; or give a camera of each as clouds"))
+    Err(mismatch(&found, "both must have the same size; give the camera to compare them as clouds"))
 }
 
 fn mismatch(found: &str, allowed: &'static str) -> Error {

@@ -26,7 +26,10 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
         *current = Precision::AsNeeded;
     }
     if to == Format::Pcd && precision.is_none() && cloud.is_written_in_f64() {
-        notes.push("coordinates have 8 bytes, which PCL reads as zeros (--encoding f32 rounds them to 4)".to_owned());
+        notes.push(
+            "coordinates are written as 64-bit floats, which PCL reads as zeros (--encoding f32 writes 32-bit floats)"
+                .to_owned(),
+        );
     }
     notes
 }

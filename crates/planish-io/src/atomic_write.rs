@@ -169,14 +169,16 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     }
     let replaced = fs::metadata(path).ok();
     if replaced.as_ref().is_some_and(fs::Metadata::is_dir) {
-        return Err(FormatError::Unsupported("a folder has this name; choose a file name".into()));
+        return Err(FormatError::Unsupported("the path is a folder; choose a file name".into()));
     }
     let is_read_only = |metadata: &fs::Metadata| metadata.permissions().readonly();
     if replaced.as_ref().is_some_and(is_read_only) && !REPLACES_READ_ONLY.load(Ordering::Relaxed) {
-        return Err(FormatError::Unsupported("it is read-only; make it writable, or write to another file".into()));
+        return Err(FormatError::Unsupported(
+            "the file is read-only; make it writable, or write to another file".into(),
+        ));
     }
     if replaced.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-        return Err(FormatError::Unsupported("a pipe or a device has this name; choose a file name".into()));
+        return Err(FormatError::Unsupported("the path is a pipe or a device; choose a file name".into()));
     }
     Ok(replaced)
 }
@@ -219,7 +221,7 @@ fn behind_links(path: &Path) -> FormatResult<PathBuf> {
         // Relative to the link's own folder.
         path = path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target));
     }
-    Err(FormatError::Unsupported("a link that points to itself".into()))
+    Err(FormatError::Unsupported("the link points to itself; choose another file name".into()))
 }
 
 /// Removes leftovers of this user's killed processes on this machine; once per folder.

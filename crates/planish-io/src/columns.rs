@@ -44,7 +44,7 @@ pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> 
         index[axis] = exact.or_else(any_case).ok_or_else(|| {
             let names: Vec<_> = columns.iter().map(|column| column.name.as_str()).collect();
             FormatError::Malformed(format!(
-                "no field {name}; a point cloud needs x, y and z, but this one has {}",
+                "missing field {name}; a point cloud needs x, y and z, but the fields are {}",
                 quoted(&names.join(" "))
             ))
         })?;
@@ -64,7 +64,10 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     }
     let axes: Vec<Attribute> = taken.into_iter().flatten().collect();
     if let Some(axis) = axes.iter().find(|axis| axis.count != 1) {
-        return Err(FormatError::Unsupported(format!("{} has {} values for each point", axis.name, axis.count)));
+        return Err(FormatError::Unsupported(format!(
+            "{} has {} values per point; a coordinate has only one",
+            axis.name, axis.count
+        )));
     }
     let is_f64 = axes.iter().any(|axis| matches!(axis.values, AttributeValues::F64(_)));
     let mut axes = axes.into_iter().map(|axis| axis.values);
@@ -95,7 +98,9 @@ fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
     for (name, values) in AXES.iter().zip(coordinates) {
         let is_beyond = |value: &&f64| value.is_finite() && (**value as f32).is_infinite();
         if let Some(value) = values.iter().find(is_beyond) {
-            return Err(FormatError::Unsupported(format!("a coordinate {name} is {value:e}; the largest is 3.4e38")));
+            return Err(FormatError::Unsupported(format!(
+                "the {name} coordinate {value:e} is too large; the limit is 3.4e38"
+            )));
         }
     }
     Ok(())

@@ -60,12 +60,12 @@ pub(crate) fn depth_of_integers(
     let values = values.iter().map(|value| (*value).into());
     if let Some(largest) = values.clone().max().filter(|largest: &i64| *largest > i64::from(u16::MAX)) {
         return Err(FormatError::Unsupported(format!(
-            "its largest value is {largest}, but 16 bits hold depth up to 65535; save it in metres, as floats"
+            "the depth value {largest} exceeds 65535, the limit of 16-bit depth; save depth in metres, as floats"
         )));
     }
     let negative = values.clone().filter(|value| *value < 0).count();
     if negative > 0 {
-        notes.push(format!("{negative} negative values are holes"));
+        notes.push(format!("{negative} negative values are read as holes"));
     }
     let raw = values.map(|value| value.max(0) as u16).collect();
     Ok(Contents::Depth(DepthImage { width, height, raw }))

@@ -104,7 +104,7 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     let shape @ (width, height) = contents.shape();
     if stays_depth {
         if options.drop_holes || options.fields.is_some() {
-            let reason = "a depth image has holes and no fields; drop holes and choose fields only for clouds";
+            let reason = "dropping holes and choosing fields apply only to point clouds, not to depth images";
             return Err(at_output(FormatError::Unsupported(reason.into())));
         }
         let valid = match contents {
@@ -121,7 +121,7 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
                 let cloud = contents.into_organized(options.camera.as_ref()).map_err(at_output)?;
                 let view = PointsView::from_organized(&cloud)?;
                 if !view.seen_from().is_some_and(|(_, is_depth)| is_depth) {
-                    let reason = "the points are not in their camera's frame, so z is no depth";
+                    let reason = "z is not depth, since the points are not in the camera's frame; write a point cloud";
                     return Err(at_output(FormatError::Unsupported(reason.into())));
                 }
                 let z = |i: usize| cloud.points.coordinate(2, i) as f32;
@@ -142,7 +142,7 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     if options.drop_holes {
         let kept: Vec<usize> = (0..points.len()).filter(|&i| points.positions.is_finite(i)).collect();
         if kept.len() < points.len() {
-            notes.push(format!("{} holes are left out", points.len() - kept.len()));
+            notes.push(format!("{} holes are dropped", points.len() - kept.len()));
             points = points.select(&kept);
         }
     }
@@ -221,7 +221,11 @@ fn write_raw(
 fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatError> {
     if let Some(unknown) = fields.iter().find(|name| cloud.attribute(name).is_none()) {
         let names: Vec<&str> = cloud.attributes.iter().map(|field| field.name.as_str()).collect();
-        let there = if names.is_empty() { "it has none".to_owned() } else { format!("it has {}", names.join(" ")) };
+        let there = if names.is_empty() {
+            "it has no fields".to_owned()
+        } else {
+            format!("its fields are {}", names.join(" "))
+        };
         return Err(FormatError::Unsupported(format!("the input has no field {}; {there}", quoted(unknown))));
     }
     cloud.attributes.retain(|field| fields.contains(&field.name));
@@ -257,7 +261,7 @@ impl Contents {
                 Ok(cloud)
             }
             Self::General(cloud) => unsupported(format!(
-                "an unorganized cloud of {} points (height 1); an organized cloud or a depth image is needed",
+                "the cloud of {} points is unorganized (height 1); expected an organized cloud or a depth image",
                 cloud.len()
             )),
             depth => {
@@ -267,7 +271,7 @@ impl Contents {
                 Ok(match depth {
                     Self::Depth(image) => DepthFrame::from_image(*camera, image)?.deproject()?,
                     Self::DepthMetres { depth_m, .. } => DepthView::from_metres(&depth_m, camera)?.deproject()?,
-                    _ => return unsupported("neither depth nor points".to_owned()),
+                    _ => return unsupported("the contents are neither depth nor points".to_owned()),
                 })
             }
         }
@@ -284,14 +288,15 @@ fn check_camera(cloud: &OrganizedCloud, camera: &Camera) -> Result<(), FormatErr
                 return Ok(());
             }
             contradicts(format!(
-                "the camera has fx = {}, but the points {:.1}; give the camera of this cloud, or none",
+                "the camera has fx = {}, but the points imply fx = {:.1}; give the camera of this cloud, or none",
                 camera.fx,
                 1.0 / pitch
             ))
         }
         RangeRule::Depth { .. } => Ok(()),
         _ => contradicts(
-            "the grid does not match a camera in this frame; give the sensor's pose, or no camera".to_owned(),
+            "the points do not match the pixel grid of a camera at the origin; give the sensor's pose, or no camera"
+                .to_owned(),
         ),
     }
 }

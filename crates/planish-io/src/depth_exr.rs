@@ -27,7 +27,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let mut needed = 0u64;
     for header in &meta.headers {
         if header.deep {
-            return Err(FormatError::Unsupported("an EXR of deep pixels; render a flat depth channel".into()));
+            return Err(FormatError::Unsupported(
+                "EXR files with deep pixels are not supported; render a flat depth channel".into(),
+            ));
         }
         let (width, height) = (header.layer_size.0, header.layer_size.1);
         validate_shape(width, height)?;
@@ -45,7 +47,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         .map_err(damaged)?;
     let (layer, channel) = channel_of_depth(&image.layer_data)?;
     if (channel.sampling.0, channel.sampling.1) != (1, 1) {
-        return Err(FormatError::Unsupported("an EXR whose depth has fewer pixels than the image".into()));
+        return Err(FormatError::Unsupported(
+            "the EXR's depth channel has fewer pixels than the image; save it at full resolution".into(),
+        ));
     }
     let others: Vec<String> = names(&image.layer_data).filter(|name| *name != full_name(layer, channel)).collect();
     if !others.is_empty() {
@@ -121,7 +125,7 @@ fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Ch
     }
     let names: Vec<String> = names(layers).collect();
     Err(FormatError::Unsupported(format!(
-        "an EXR with the channels {}; depth is the one named Z, Depth or depth.V, or the only one",
+        "no clear depth channel among the EXR channels {}; expected one channel, or one named Z, Depth or depth.V",
         quoted(&names.join(", "))
     )))
 }

@@ -68,7 +68,7 @@ fn malformed(error: TiffError) -> FormatError {
 }
 
 fn not_depth() -> FormatError {
-    FormatError::Unsupported("the TIFF's samples are neither integers of 16 or 32 bits nor floats".into())
+    FormatError::Unsupported("unsupported TIFF samples; expected 16-bit or 32-bit integers, or floats".into())
 }
 
 /// The decoder of a depth image, and its shape.
@@ -85,7 +85,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     let kind = decoder.colortype().map_err(malformed)?;
     if !matches!(kind, ColorType::Gray(16 | 32 | 64)) {
         return Err(FormatError::Unsupported(format!(
-            "unsupported TIFF type {kind:?}; a depth image is grayscale, of 16 or 32 bits or of floats"
+            "unsupported TIFF type {kind:?}; a depth image must be grayscale with 16-bit or 32-bit integers, or floats"
         )));
     }
     validate_shape(width, height)?;

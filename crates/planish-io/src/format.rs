@@ -13,19 +13,25 @@ pub const WRITTEN: &str = ".pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npz, .bin,
 const CONVERTIBLE: [(&[&str], &str); 7] = [
     (
         &["fls", "fws", "lsproj", "rcp", "rcs", "zfs", "dp", "imp"],
-        "a scanner maker's own format: export E57 or LAS from its program",
+        "unsupported scanner format; export E57 or LAS with the manufacturer's software",
     ),
     (
         &["bag", "db3", "mcap"],
-        "a ROS recording: `planish smooth` and `planish stream` read MCAP; convert others with `pip install rosbags` \
-         and \
+        "ROS recordings are not supported here; `planish smooth` and `planish stream` read MCAP; convert others with \
+         `pip install rosbags` and \
          `rosbags-convert --src FILE --dst converted --dst-storage mcap`",
     ),
-    (&["pcap", "pcapng"], "packets of a lidar: extract clouds with its driver (ouster-cli, VeloView, pcap tools)"),
-    (&["oni", "klg", "svo", "svo2"], "a camera's recording: export depth images with its own tool"),
-    (&["vtk", "vtp", "fbx", "3ds", "dae", "wrl", "x3d"], "a mesh: convert it to PLY (MeshLab, or open3d.io)"),
-    (&["hdr", "dpt", "h5", "hdf5", "mat", "parquet"], "an array of another program: save it as .npy or .npz"),
-    (&["ptg"], "a scanner's own format: convert it to E57 (CloudCompare) to keep its poses"),
+    (
+        &["pcap", "pcapng"],
+        "unsupported lidar packets; extract clouds with the lidar's driver (ouster-cli, VeloView, pcap tools)",
+    ),
+    (&["oni", "klg", "svo", "svo2"], "unsupported camera recording; export depth images with the camera's own tool"),
+    (
+        &["vtk", "vtp", "fbx", "3ds", "dae", "wrl", "x3d"],
+        "unsupported mesh format; convert the mesh to PLY (MeshLab, or open3d.io)",
+    ),
+    (&["hdr", "dpt", "h5", "hdf5", "mat", "parquet"], "unsupported array format; save the array as .npy or .npz"),
+    (&["ptg"], "unsupported scanner format; convert the scans to E57 (CloudCompare) to keep their poses"),
 ];
 
 /// Returns advice for files with an unsupported extension, if known.
@@ -189,7 +195,7 @@ impl Format {
 
     pub(super) fn of_output(path: &Path) -> FormatResult<Self> {
         Self::of_extension(path)
-            .ok_or_else(|| FormatError::Unsupported(format!("the name has no known extension: end it in {WRITTEN}")))
+            .ok_or_else(|| FormatError::Unsupported(format!("unknown file extension; expected {WRITTEN}")))
     }
 }
 

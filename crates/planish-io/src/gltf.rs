@@ -134,7 +134,7 @@ struct Asset {
 }
 
 fn other_version(version: &str) -> FormatError {
-    FormatError::Unsupported(format!("version {} of glTF; version 2 is read", brief(version)))
+    FormatError::Unsupported(format!("glTF version {} is not supported; expected version 2", brief(version)))
 }
 
 fn malformed(what: impl std::fmt::Display) -> FormatError {
@@ -161,29 +161,33 @@ pub(super) fn decode(
     let document: Document = serde_json::from_slice(json).map_err(malformed)?;
     if let Some(extension) = document.extensions_required.iter().find(|name| !is_of_looks(name)) {
         return Err(FormatError::Unsupported(format!(
-            "a glTF that needs the extension {}: export it without, compression and quantization too",
+            "the glTF requires the unsupported extension {}; export it without extensions (compression, quantization)",
             quoted(extension)
         )));
     }
     if document.extensions_used.iter().any(|name| name == "EXT_mesh_gpu_instancing") {
-        notes.push("its instances (EXT_mesh_gpu_instancing) are dropped but for one".into());
+        notes.push("all instances but one (EXT_mesh_gpu_instancing) are dropped".into());
     }
     let primitives = || document.meshes.iter().flat_map(|mesh| &mesh.primitives);
     let others: BTreeSet<&str> = primitives().flat_map(|primitive| primitive.attributes.own()).collect();
     if !others.is_empty() {
         let others: Vec<&str> = others.into_iter().collect();
-        notes.push(format!("attributes of the vertices are dropped: {}", brief(&others.join(", "))));
+        notes.push(format!("vertex attributes are dropped: {}", brief(&others.join(", "))));
     }
     let mut left = options.max_memory_bytes;
     let mut buffers = Vec::new();
     for (i, buffer) in document.buffers.iter().enumerate() {
         let data = match &buffer.uri {
             None if i == 0 => binary.unwrap_or_default().to_vec(),
-            None => return Err(malformed(format!("buffer {i} has no contents"))),
+            None => return Err(malformed(format!("buffer {i} has no data"))),
             Some(uri) => contents_of(uri, folder, &options.with_max_memory_bytes(left))?,
         };
         if data.len() < buffer.byte_length {
-            return Err(malformed(format!("buffer {i} has {} bytes of {}", data.len(), buffer.byte_length)));
+            return Err(malformed(format!(
+                "buffer {i} is truncated: it has {} of {} bytes",
+                data.len(),
+                buffer.byte_length
+            )));
         }
         left = left.saturating_sub(data.len() as u64);
         buffers.push(data);
@@ -193,10 +197,10 @@ pub(super) fn decode(
     let placed = file.placed()?;
     let mut steps = 0;
     for (mesh, placing) in &placed {
-        let mesh = document.meshes.get(*mesh).ok_or_else(|| malformed(format!("there is no mesh {mesh}")))?;
+        let mesh = document.meshes.get(*mesh).ok_or_else(|| malformed(format!("mesh {mesh} does not exist")))?;
         steps += mesh.primitives.len();
         if steps > MOST_PLACED {
-            return Err(malformed(format!("more than {MOST_PLACED} parts of meshes in its scene")));
+            return Err(malformed(format!("the scene has more than {MOST_PLACED} mesh primitives")));
         }
         // Parts with different materials may share their vertices.
         let mut seen = BTreeSet::new();
@@ -229,7 +233,7 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
         // Chunks begin at multiples of four bytes.
         at += 8 + length.next_multiple_of(4);
     }
-    json.map(|json| (json, binary)).ok_or_else(|| malformed("no JSON"))
+    json.map(|json| (json, binary)).ok_or_else(|| malformed("the JSON chunk is missing"))
 }
 
 /// Returns true for an extension of materials, textures and lights, which move no vertices.
@@ -254,7 +258,7 @@ fn without_escapes(uri: &str) -> Option<String> {
 /// Returns the bytes of a buffer, from a data URI or from a file in the same folder or below.
 fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
-        let (_, text) = data.split_once(";base64,").ok_or_else(|| malformed("a data URI that is not base64"))?;
+        let (_, text) = data.split_once(";base64,").ok_or_else(|| malformed("a data URI is not base64"))?;
         options.check(text.len(), 1)?;
         let padding = base64::engine::DecodePaddingMode::Indifferent;
         let config = base64::engine::GeneralPurposeConfig::new().with_decode_padding_mode(padding);
@@ -297,21 +301,23 @@ impl File<'_> {
         let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
         let roots: Vec<usize> = match (scenes.get(scene.unwrap_or(0)), scene) {
             (Some(scene), _) => scene.nodes.clone(),
-            (None, Some(scene)) => return Err(malformed(format!("there is no scene {scene}"))),
+            (None, Some(scene)) => return Err(malformed(format!("scene {scene} does not exist"))),
             (None, None) if nodes.is_empty() => {
                 return Ok((0..meshes.len().min(MOST_PLACED)).map(|mesh| (mesh, DMat4::IDENTITY)).collect());
             }
-            (None, None) if nodes.len() > MOST_UNROOTED => return Err(malformed("many nodes and no scene")),
+            (None, None) if nodes.len() > MOST_UNROOTED => {
+                return Err(malformed("the file has too many nodes without a scene"));
+            }
             (None, None) => (0..nodes.len()).filter(|i| !is_child(i)).collect(),
         };
         let mut found = Vec::new();
         let mut open: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|root| (root, DMat4::IDENTITY, 0)).collect();
         let mut visits = 0;
         while let Some((i, parent, depth)) = open.pop() {
-            let node = nodes.get(i).ok_or_else(|| malformed(format!("there is no node {i}")))?;
+            let node = nodes.get(i).ok_or_else(|| malformed(format!("node {i} does not exist")))?;
             visits += 1 + node.children.len();
             if depth > DEEPEST || visits > MOST_PLACED {
-                return Err(malformed("its nodes are a loop, or too many"));
+                return Err(malformed("the nodes form a loop, or are too many"));
             }
             let place = parent * node.place();
             // Joints place a skinned mesh; the transform of its node is ignored.
@@ -331,7 +337,7 @@ impl File<'_> {
             if values.len() == components * count {
                 Ok(values)
             } else {
-                Err(malformed("attributes of different lengths"))
+                Err(malformed("vertex attributes have different lengths"))
             }
         };
         for xyz in positions.as_chunks::<3>().0 {
@@ -359,7 +365,7 @@ impl File<'_> {
     }
 
     fn accessor(&self, i: usize) -> FormatResult<&Accessor> {
-        self.document.accessors.get(i).ok_or_else(|| malformed(format!("there is no accessor {i}")))
+        self.document.accessors.get(i).ok_or_else(|| malformed(format!("accessor {i} does not exist")))
     }
 
     /// Returns the numbers of an accessor; integers are divided by their largest value.
@@ -368,12 +374,14 @@ impl File<'_> {
         let Accessor { buffer_view, byte_offset, component_type, count, kind, sparse } = accessor;
         if !types.contains(component_type) || !kinds.contains(&&kind[..]) {
             return Err(FormatError::Unsupported(format!(
-                "a glTF with vertices of {} of type {component_type}; floats are read",
+                "unsupported glTF vertex attribute {} of component type {component_type}; expected floats",
                 quoted(kind)
             )));
         }
         if sparse.is_some() {
-            return Err(FormatError::Unsupported("a glTF with sparse vertices; export it again without them".into()));
+            return Err(FormatError::Unsupported(
+                "sparse glTF accessors are not supported; export the file again without them".into(),
+            ));
         }
         let components = if kind == "VEC4" { 4 } else { 3 };
         let size = match *component_type {
@@ -383,7 +391,9 @@ impl File<'_> {
         };
         let view = buffer_view.and_then(|view| self.document.buffer_views.get(view));
         let view = view.ok_or_else(|| {
-            FormatError::Unsupported(format!("a glTF whose accessor {i} has no data; export it without compression"))
+            FormatError::Unsupported(format!(
+                "accessor {i} of the glTF has no data; export the file without compression"
+            ))
         })?;
         let data = self.buffers.get(view.buffer).and_then(|data| {
             data.get(view.byte_offset..view.byte_offset.checked_add(view.byte_length)?)?.get(*byte_offset..)
@@ -395,7 +405,7 @@ impl File<'_> {
         let before_last = stride.checked_mul(count.saturating_sub(1));
         let needed = before_last.and_then(|bytes| bytes.checked_add(each)).unwrap_or(usize::MAX);
         if *count == 0 || stride < each || needed > data.len() {
-            return Err(malformed(format!("accessor {i} has {count} elements, which its buffer has not")));
+            return Err(malformed(format!("accessor {i} with {count} elements does not fit its buffer")));
         }
         self.options.check(*count, 8 * components)?;
         let mut values = Vec::with_capacity(count * components);
@@ -445,7 +455,7 @@ impl Vertices {
     fn cloud(mut self, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
         let count = self.positions.len() / 3;
         if count == 0 {
-            return Err(FormatError::Malformed("a glTF without vertices".into()));
+            return Err(FormatError::Malformed("the glTF has no vertices".into()));
         }
         let axis = |values: &[f64], axis: usize| values.iter().skip(axis).step_by(3).copied().collect::<Vec<f64>>();
         let mut columns = Vec::new();

@@ -187,11 +187,11 @@ pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     // Queried before the file is opened, since opening a pipe waits for its other end.
     let metadata = fs::metadata(path)?;
     if metadata.is_dir() {
-        return Err(FormatError::Unsupported("a folder, not a file".into()));
+        return Err(FormatError::Unsupported("the path is a folder; expected a file".into()));
     }
     if !metadata.is_file() {
         return Err(FormatError::Unsupported(
-            "a pipe or a device, not a regular file; standard input is read with the name -".into(),
+            "the path is a pipe or a device; expected a regular file, or - for standard input".into(),
         ));
     }
     options.check(usize::try_from(metadata.len()).unwrap_or(usize::MAX), 1)?;

@@ -29,27 +29,29 @@ pub(super) fn decode(
 ) -> FormatResult<PointCloud> {
     if !bytes.len().is_multiple_of(4) {
         return Err(FormatError::Malformed(format!(
-            "{} bytes are no floats of 4 bytes, the values of a lidar's .bin",
+            "{} bytes are not a multiple of 4; a lidar's .bin contains 4-byte floats",
             bytes.len()
         )));
     }
     let sample = Sample::of(bytes);
     if options.columns.is_none() && !sample.is_of_floats() {
         return Err(FormatError::Malformed(
-            "its values are not positions in metres: not a lidar's .bin of floats (raw depth is read from PNG, TIFF and \
-             .npy); if it is one, state its number of columns"
+            "the values do not look like a lidar's positions in metres; state the number of columns of a lidar's .bin, \
+             or save raw depth as PNG, TIFF or .npy"
                 .into(),
         ));
     }
     let count = match options.columns {
         Some(count) if COLUMNS.contains(&count) => count,
         Some(count) => {
-            return Err(FormatError::Unsupported(format!("{count} columns; 3 (x, y, z) to 16 are supported")));
+            return Err(FormatError::Unsupported(format!(
+                "{count} columns are unsupported; expected 3 (x, y, z) to 16"
+            )));
         }
         None if has_ring => 5,
         None => sample.columns(bytes.len() / 4).ok_or_else(|| {
             FormatError::Unsupported(
-                "its values do not show how many columns it has; state their number, such as 4 for KITTI and 5 for nuScenes"
+                "the number of columns is not apparent from the values; state it, such as 4 for KITTI or 5 for nuScenes"
                     .into(),
             )
         })?,
@@ -57,7 +59,7 @@ pub(super) fn decode(
     let record = 4 * count;
     if !bytes.len().is_multiple_of(record) {
         return Err(FormatError::Malformed(format!(
-            "{} bytes are not a multiple of {count} floats of 4 bytes, the points of a lidar's .bin: truncated, or in \
+            "{} bytes are not a multiple of a point of {count} 4-byte floats; the lidar's .bin is truncated or has \
              another layout",
             bytes.len()
         )));
@@ -209,7 +211,7 @@ pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8
     }
     if !bytes.is_empty() && !Sample::of(&bytes).is_of_floats() {
         let reason =
-            "a lidar's .bin has no header, and these values would not be recognized as one; write .pcd or .ply";
+            "a lidar's .bin with these values would not be recognized, since it has no header; write .pcd or .ply";
         return Err(FormatError::Unsupported(reason.into()));
     }
     Ok(bytes)

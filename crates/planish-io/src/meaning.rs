@@ -9,7 +9,7 @@ pub(super) fn to_metres(contents: &mut Contents, options: &ReadOptions, notes: &
     match contents {
         Contents::Depth(_) => match unit {
             Some(unit) => Err(FormatError::Unsupported(format!(
-                "its 16-bit values have no unit of length; give the number of depth units in a metre, {:.0} for {}",
+                "a length unit does not apply to 16-bit depth; give the number of depth units per metre, {:.0} for {}",
                 1.0 / unit.metres,
                 unit.symbol
             ))),
@@ -18,12 +18,12 @@ pub(super) fn to_metres(contents: &mut Contents, options: &ReadOptions, notes: &
         Contents::DepthMetres { depth_m, .. } => {
             let factor = match (unit, options.depth_units_per_metre) {
                 (Some(_), Some(_)) => {
-                    let text = "both a unit and a number of depth units per metre; give one of them";
+                    let text = "a unit and a number of depth units per metre are both given; give only one of them";
                     return Err(FormatError::Unsupported(text.into()));
                 }
                 (_, Some(units)) if !(units > 0.0 && units.is_finite()) => {
                     return Err(FormatError::Unsupported(format!(
-                        "{units} depth units per metre; give a positive number"
+                        "{units} depth units per metre are invalid; give a positive number"
                     )));
                 }
                 (Some(unit), None) => unit.metres,
@@ -42,12 +42,14 @@ pub(super) fn to_metres(contents: &mut Contents, options: &ReadOptions, notes: &
 }
 
 fn converted(unit: LengthUnit) -> String {
-    format!("lengths in {} become metres", unit.symbol)
+    format!("lengths in {} are converted to metres", unit.symbol)
 }
 
 fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<String>) -> FormatResult<()> {
     if let Some(stated) = LengthUnit::stated_by(cloud).filter(|stated| *stated != unit) {
-        return Err(FormatError::Unsupported(format!("the file states its unit, the {stated}")));
+        return Err(FormatError::Unsupported(format!(
+            "the given unit contradicts the unit stated in the file, the {stated}; give no unit"
+        )));
     }
     scale(cloud, unit.metres);
     notes.push(converted(unit));
@@ -55,7 +57,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     #[cfg(feature = "scans")]
     if super::las::has_header(cloud) || super::e57::has_scans(cloud) {
         cloud.provenance = planish_core::Provenance::default();
-        notes.push("its header, which is for the old unit, is not kept".into());
+        notes.push("its header is not kept, since it is in the old unit".into());
     }
     Ok(())
 }
@@ -102,5 +104,5 @@ pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String
         return;
     }
     zeros.iter().for_each(|&i| points.positions.set(i, [f32::NAN; 3]));
-    notes.push(format!("{} points at (0, 0, 0), where the sensor is, are holes", zeros.len()));
+    notes.push(format!("{} points at (0, 0, 0), the position of the sensor, are read as holes", zeros.len()));
 }

@@ -44,7 +44,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
         let scale = if is_share { 255.0 } else { 1.0 };
         match channels().filter(|value| value.is_nan()).count() {
             0 => {}
-            missing => notes.push(format!("{missing} values of colours are missing; they become 0")),
+            missing => notes.push(format!("{missing} colour values are missing; they become 0")),
         }
         for (name, values) in [("red", red), ("green", green), ("blue", blue)] {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
@@ -64,16 +64,25 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let kind = first.next().unwrap_or_default();
     let (Some((prefix, behind)), false) = (kind.split_once("OFF"), kind.contains("4OFF") || kind.contains("nOFF"))
     else {
-        return Err(FormatError::Unsupported(format!("{} is not the beginning of an OFF", quoted(kind))));
+        return Err(FormatError::Unsupported(format!(
+            "unsupported OFF header {}; expected OFF, NOFF, COFF or CNOFF",
+            quoted(kind)
+        )));
     };
     // The numbers of vertices, faces and edges may be on the first line.
     let of_first = [behind].into_iter().chain(first).find(|word| !word.is_empty());
     let counts = of_first.or_else(|| lines.next().map(|(_, line)| line)).unwrap_or_default();
     let count = counts.split_whitespace().next().and_then(|count| count.parse::<usize>().ok()).ok_or_else(|| {
-        FormatError::Malformed(format!("the numbers of vertices, faces and edges are expected, not {}", quoted(counts)))
+        FormatError::Malformed(format!(
+            "expected the numbers of vertices, faces and edges, but found {}",
+            quoted(counts)
+        ))
     })?;
     if count > bytes.len() {
-        return Err(FormatError::Malformed(format!("{count} vertices in a file of {} bytes", bytes.len())));
+        return Err(FormatError::Malformed(format!(
+            "the file is truncated: it states {count} vertices, but has {} bytes",
+            bytes.len()
+        )));
     }
     options.check(count, 8 * 10)?;
     let has_normals = prefix.contains('N');
@@ -84,11 +93,18 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let mut largest = 0.0f64;
     for _ in 0..count {
         let (number, line) = lines.next().ok_or_else(|| {
-            FormatError::Malformed(format!("truncated: it states {count} vertices, but has {}", columns[0].len()))
+            FormatError::Malformed(format!(
+                "the file is truncated: it states {count} vertices, but has {}",
+                columns[0].len()
+            ))
         })?;
         let values: Option<Vec<f64>> = line.split_whitespace().map(|word| word.parse().ok()).collect();
         let values = values.filter(|values| values.len() >= names.len()).ok_or_else(|| {
-            FormatError::Malformed(format!("line {number}: {} is no vertex of {} numbers", quoted(line), names.len()))
+            FormatError::Malformed(format!(
+                "line {number}: {} is not a vertex of {} numbers",
+                quoted(line),
+                names.len()
+            ))
         })?;
         // Alpha may follow the colours.
         largest = values[3 + 3 * usize::from(has_normals)..].iter().copied().fold(largest, f64::max);
@@ -137,7 +153,7 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     } else {
         let triangles = stated.unwrap_or(0);
         return Err(FormatError::Malformed(format!(
-            "not an STL: neither text that begins with solid, nor {triangles} triangles in {} bytes",
+            "not an STL file: it does not begin with \"solid\", and {triangles} triangles do not match {} bytes",
             bytes.len()
         )));
     };
@@ -147,7 +163,7 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         seen.entry(corner.map(|value| (value + 0.0).to_bits())).or_insert_with(|| distinct.push(corner));
     }
     if distinct.is_empty() {
-        return Err(FormatError::Malformed("an STL without triangles".into()));
+        return Err(FormatError::Malformed("the STL has no triangles".into()));
     }
     Ok(PointCloud::new(distinct.into_iter().collect()))
 }
@@ -159,7 +175,7 @@ fn column(name: &str, values: Vec<f64>) -> Attribute {
 
 fn with_points(columns: Vec<Attribute>, name: &str) -> FormatResult<PointCloud> {
     if columns[0].values.is_empty() {
-        return Err(FormatError::Malformed(format!("an {name} without vertices")));
+        return Err(FormatError::Malformed(format!("the {name} has no vertices")));
     }
     let mut cloud = cloud_from_columns(columns)?;
     // Text files state no type; coordinates near the origin do not need f64.

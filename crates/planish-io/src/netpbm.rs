@@ -36,7 +36,7 @@ impl<'a> Words<'a> {
         match body.get(..needed) {
             Some(pixels) => Ok(pixels),
             None => {
-                malformed(format!("the file is truncated: {needed} bytes of pixels are needed, {} follow", body.len()))
+                malformed(format!("the file is truncated: its pixels need {needed} bytes, but {} follow", body.len()))
             }
         }
     }
@@ -47,13 +47,15 @@ pub(super) fn decode_pgm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     let mut words = Words(bytes);
     let kind = words.next().unwrap_or_default();
     if kind != "P5" {
-        return Err(FormatError::Unsupported(format!("a PGM of the kind {}; binary ones (P5) are read", quoted(kind))));
+        return Err(FormatError::Unsupported(format!("unsupported PGM type {}; expected binary (P5)", quoted(kind))));
     }
     let (width, height) = (words.number("a width")?, words.number("a height")?);
     validate_shape(width, height)?;
     let largest: u32 = words.number("a largest value")?;
     if !(256..=65535).contains(&largest) {
-        return Err(FormatError::Unsupported(format!("a PGM of values up to {largest}; depth has 16 bits")));
+        return Err(FormatError::Unsupported(format!(
+            "the PGM's largest value is {largest}, but depth needs 16 bits (256 to 65535)"
+        )));
     }
     options.check(width * height, 2)?;
     let pixels = words.pixels(2 * width * height)?;
@@ -67,7 +69,7 @@ pub(super) fn decode_pfm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     let kind = words.next().unwrap_or_default();
     if kind != "Pf" {
         return Err(FormatError::Unsupported(format!(
-            "a PFM of the kind {}; depth has one channel (Pf)",
+            "unsupported PFM type {}; depth must have one channel (Pf)",
             quoted(kind)
         )));
     }
@@ -104,7 +106,7 @@ mod tests {
             (b"P5\n2 1\n255\n12", "16 bits"),
             (b"P5\n2 1\n65535\n123", "truncated"),
             (b"P5\n2 x\n65535\n1234", "not a height"),
-            (b"P5", "kind"),
+            (b"P5", "type"),
         ] {
             assert!(decode_pgm(pgm, &options).unwrap_err().to_string().contains(problem), "{problem}");
         }

@@ -42,7 +42,10 @@ pub(super) fn decode(
 ) -> FormatResult<(Contents, Option<Camera>)> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     if archive.len() > MOST_ARRAYS {
-        return Err(FormatError::Unsupported(format!("an archive of {} files without a cloud", archive.len())));
+        return Err(FormatError::Unsupported(format!(
+            "the archive has {} files; at most {MOST_ARRAYS} are supported",
+            archive.len()
+        )));
     }
     let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
     let mut left = options.max_memory_bytes;
@@ -108,8 +111,8 @@ pub(super) fn decode(
     let found = if is_depth { depth().or_else(points) } else { points().or_else(depth) };
     let Some((used, mut contents, found_notes)) = found else {
         return Err(FormatError::Unsupported(format!(
-            "an archive with {}; name the positions points, xyz or positions ([N, 3] or [H, W, 3] of f32 or f64), or \
-             a depth image depth",
+            "no points or depth image found among the arrays {}; name the positions points, xyz or positions \
+             ([N, 3] or [H, W, 3] of f32 or f64), or the depth image depth",
             names()
         )));
     };
@@ -129,7 +132,7 @@ pub(super) fn decode(
                 others.map(|(name, _)| format!("the array {} is dropped: depth images have no fields", brief(name))),
             );
             let camera = intrinsics.map(|(name, (focal_length, centre))| {
-                notes.push(format!("its array {} is taken as the camera's intrinsics", brief(&name)));
+                notes.push(format!("its array {} is used as the camera's intrinsics", brief(&name)));
                 Camera::new(contents.shape(), focal_length, centre)
             });
             return Ok((contents, camera));
@@ -197,7 +200,7 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
         Some(*points)
     });
     if rows == 0 || !leading.any(|points| points == rows) || array.header.len() == Some(0) {
-        return Ok(Err(format!("its shape is {:?}, but there are {rows} points", array.header.shape)));
+        return Ok(Err(format!("its shape {:?} does not match the {rows} points", array.header.shape)));
     }
     let values: AttributeValues = match (array.header.kind, array.header.size) {
         ('i', 1) => array.values::<i8>().into(),

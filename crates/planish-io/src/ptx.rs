@@ -37,7 +37,10 @@ impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
         let values: Option<Vec<f64>> = line.split_whitespace().map(|word| word.parse().ok()).collect();
         match values {
             Some(values) => Ok((number, values)),
-            None => Err(FormatError::Malformed(format!("line {number} of the PTX has no numbers: {}", quoted(line)))),
+            None => Err(FormatError::Malformed(format!(
+                "line {number} of the PTX has values that are not numbers: {}",
+                quoted(line)
+            ))),
         }
     }
 
@@ -46,7 +49,7 @@ impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
         let count = values.len();
         values
             .try_into()
-            .map_err(|_| FormatError::Malformed(format!("line {number} of the PTX: {count} numbers instead of {N}")))
+            .map_err(|_| FormatError::Malformed(format!("line {number} of the PTX has {count} numbers instead of {N}")))
     }
 }
 
@@ -75,7 +78,9 @@ impl Points {
         let to_file = DMat4::from_cols_array_2d(&matrix);
         let count = columns * rows;
         if !(columns >= 0.0 && rows >= 0.0 && count <= planish_core::MAX_PIXELS as f64 && count.fract() == 0.0) {
-            return Err(FormatError::Malformed(format!("a scan of {columns} columns and {rows} rows")));
+            return Err(FormatError::Malformed(format!(
+                "a scan states an invalid size of {columns} columns and {rows} rows"
+            )));
         }
         let scan = u16::try_from(self.scanners_m.len()).unwrap_or(u16::MAX);
         self.scanners_m.push(Some(position));
@@ -84,7 +89,8 @@ impl Points {
             if !COUNTS.contains(&values.len()) {
                 let found = values.len();
                 return Err(FormatError::Malformed(format!(
-                    "line {number} of the PTX: {found} values; a point has x, y, z, intensity, and optionally red, green, blue"
+                    "line {number} of the PTX has {found} values; expected x, y, z, intensity, and optionally red, \
+                     green, blue"
                 )));
             }
             let point = DVec3::new(values[0], values[1], values[2]);
@@ -107,7 +113,7 @@ impl Points {
     fn into_cloud(self, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
         let count = self.intensity.len();
         if self.scanners_m.is_empty() {
-            return Err(FormatError::Malformed(format!("the PTX has fewer than the {HEADER} lines ahead of a scan")));
+            return Err(FormatError::Malformed(format!("the PTX has fewer than the {HEADER} header lines of a scan")));
         }
         let column = |name: &str, values: AttributeValues| Attribute { name: name.into(), count: 1, values };
         let axes = ["x", "y", "z"].into_iter().zip(self.axes);
@@ -124,7 +130,7 @@ impl Points {
             columns.push(column(SCAN, self.scan.into()));
         }
         if self.holes > 0 {
-            notes.push(format!("{} places of the grid without a measurement are dropped", self.holes));
+            notes.push(format!("{} grid cells without a measurement are dropped", self.holes));
         }
         let mut cloud = cloud_from_columns(columns)?;
         if let [Some(position)] = self.scanners_m[..] {

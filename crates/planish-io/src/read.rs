@@ -173,8 +173,8 @@ fn decode_plain(
     let likely = || xyz_text::is_likely(bytes).then_some(Format::Text);
     let format = Format::of_contents(bytes).or(announced).or_else(likely).ok_or_else(|| {
         FormatError::Unsupported(
-            "not a point cloud or depth image; supported are PCD, PLY, LAS, LAZ, E57, PTX, XYZ text, CSV, NPY, NPZ, \
-             lidar .bin, OBJ, OFF, STL, glTF, 16-bit PNG and PGM, TIFF, EXR, PFM"
+            "not a point cloud or depth image; expected PCD, PLY, LAS, LAZ, E57, PTX, XYZ text, CSV, NPY, NPZ, \
+             lidar .bin, OBJ, OFF, STL, glTF, 16-bit PNG or PGM, TIFF, EXR or PFM"
                 .into(),
         )
     })?;
@@ -233,7 +233,7 @@ fn decode_plain(
 pub fn read_depth_frame(path: &Path, camera: Camera) -> Result<DepthFrame, IoError> {
     match read(path)?.1 {
         Contents::Depth(image) => DepthFrame::from_image(camera, image).map_err(FormatError::from),
-        _ => Err(FormatError::Unsupported("not a 16-bit depth image".into())),
+        _ => Err(FormatError::Unsupported("the file is not a 16-bit depth image".into())),
     }
     .map_err(IoError::at(path))
 }
@@ -242,7 +242,7 @@ pub fn read_depth_frame(path: &Path, camera: Camera) -> Result<DepthFrame, IoErr
 pub fn read_organized(path: &Path) -> Result<OrganizedCloud, IoError> {
     match read(path)?.1 {
         Contents::Organized(cloud) => Ok(cloud),
-        _ => Err(FormatError::Unsupported("not an organized cloud".into())),
+        _ => Err(FormatError::Unsupported("the file is not an organized cloud".into())),
     }
     .map_err(IoError::at(path))
 }

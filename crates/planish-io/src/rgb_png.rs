@@ -30,7 +30,9 @@ pub fn write_animated_png(path: &Path, images: &[RgbImage], frames_per_second: u
 fn encode_animated(images: &[RgbImage], frames_per_second: u16) -> Result<Vec<u8>, FormatError> {
     let failed = |error: png::EncodingError| FormatError::Unsupported(format!("cannot encode an animation: {error}"));
     let too_large = || FormatError::Unsupported("the animation is too large".to_owned());
-    let Some(first) = images.first() else { return Err(FormatError::Unsupported("no pictures".to_owned())) };
+    let Some(first) = images.first() else {
+        return Err(FormatError::Unsupported("an animation needs at least one picture".to_owned()));
+    };
     let [width, height, count] = [first.width, first.height, images.len()].map(u32::try_from);
     let (width, height, count) =
         (width.map_err(|_| too_large())?, height.map_err(|_| too_large())?, count.map_err(|_| too_large())?);

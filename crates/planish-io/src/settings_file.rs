@@ -19,7 +19,7 @@ pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
     let read = || {
         let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
         let text = String::from_utf8(bytes)
-            .map_err(|_| FormatError::Malformed("not text; settings are JSON or YAML".into()))?;
+            .map_err(|_| FormatError::Malformed("the file is not text; expected settings as JSON or YAML".into()))?;
         parse_settings(&text)
     };
     read().map_err(IoError::at(path))

@@ -30,7 +30,7 @@ pub struct Trajectory {
 pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
     let read = || {
         let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
-        let text = String::from_utf8(bytes).map_err(|_| malformed("not text"))?;
+        let text = String::from_utf8(bytes).map_err(|_| malformed("the file is not text"))?;
         parse(text.trim_start_matches('\u{feff}'))
     };
     read().map_err(IoError::at(path))
@@ -87,9 +87,9 @@ fn parse(text: &str) -> FormatResult<Trajectory> {
             .filter(|word| !word.is_empty())
             .map(str::parse)
             .collect();
-        let values = values.map_err(|_| malformed(&format!("line {number} is not made of numbers")))?;
+        let values = values.map_err(|_| malformed(&format!("line {number} has values that are not numbers")))?;
         if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-            return Err(malformed(&format!("line {number} contains {value}")));
+            return Err(malformed(&format!("line {number} contains {value}, which is not finite")));
         }
         rows.push((number, values));
     }
@@ -97,7 +97,7 @@ fn parse(text: &str) -> FormatResult<Trajectory> {
         Some(8) => with_times(&rows)?,
         Some(3) => by_frame(&rows)?,
         Some(count) => return Err(malformed(&format!("the first line has {count} numbers"))),
-        None => return Err(malformed("contains no pose")),
+        None => return Err(malformed("the file contains no pose")),
     };
     for pose in &trajectory.poses {
         pose.validate()?;
@@ -129,7 +129,7 @@ fn by_frame(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
         let number = block[0].0;
         let numbers: Vec<&[f64]> = block.iter().map(|(_, values)| values.as_slice()).collect();
         let &[[_, _, _], [a, b, c, x], [d, e, f, y], [g, h, i, z], [.., one]] = numbers.as_slice() else {
-            return Err(malformed(&format!("line {number} does not start three numbers and a 4x4 matrix")));
+            return Err(malformed(&format!("line {number} does not begin three numbers and a 4x4 matrix")));
         };
         let rotation = [[*a, *b, *c], [*d, *e, *f], [*g, *h, *i]];
         let pose = SensorPose::from_rotation([*x, *y, *z], rotation).filter(|_| *one == 1.0);
@@ -181,10 +181,10 @@ mod tests {
             ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0\n", "line 2 has 7 numbers"),
             ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2 is not later"),
             ("1 0 0 0 0 0 0 nan\n", "line 1 contains NaN"),
-            ("1 0 0 0 0 0 0 x\n", "line 1 is not made of numbers"),
+            ("1 0 0 0 0 0 0 x\n", "line 1 has values that are not numbers"),
             ("1 0 0 0 0 0 0 0.5\n", "length 1"),
             ("1 0 0 0 0 0 0 0\n", "line 1 is zero"),
-            ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not start"),
+            ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not begin"),
             ("0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "not a rotation"),
         ];
         for (text, expected) in cases {

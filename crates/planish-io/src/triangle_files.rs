@@ -21,14 +21,14 @@ pub const WRITTEN_MESHES: &str = ".ply, .obj, .stl or .glb";
 pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let encode = || match extension.as_deref() {
-        _ if mesh.triangles.is_empty() => {
-            Err(FormatError::Unsupported("no pixels are connected; nothing is written".into()))
-        }
+        _ if mesh.triangles.is_empty() => Err(FormatError::Unsupported(
+            "the mesh has no triangles, since no pixels are connected; nothing is written".into(),
+        )),
         Some("ply") => Ok(ply(mesh)),
         Some("obj") => Ok(obj(mesh).into_bytes()),
         Some("stl") => Ok(stl(mesh)),
         Some("glb") => glb(mesh),
-        _ => Err(FormatError::Unsupported(format!("not a mesh by its name: end it in {WRITTEN_MESHES}"))),
+        _ => Err(FormatError::Unsupported(format!("unsupported mesh extension; expected {WRITTEN_MESHES}"))),
     };
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
@@ -195,7 +195,8 @@ fn glb(mesh: &TriangleMesh) -> FormatResult<Vec<u8>> {
     data.resize(data.len().next_multiple_of(4), 0);
     let total = 12 + 8 + text.len() + 8 + data.len();
     let length = |len: usize| {
-        u32::try_from(len).map_err(|_| FormatError::Unsupported("more than 4 GB, the limit of GLB; write .ply".into()))
+        u32::try_from(len)
+            .map_err(|_| FormatError::Unsupported("the mesh exceeds 4 GB, the limit of GLB; write .ply".into()))
     };
     let mut bytes = Vec::with_capacity(total);
     bytes.extend(b"glTF");

@@ -60,7 +60,7 @@ pub fn encode_cloud<'a>(
         #[cfg(feature = "more-formats")]
         Format::NuScenesBin => kitti::encode(cloud, true),
         Format::Obj | Format::Stl | Format::Off | Format::Gltf => Err(FormatError::Unsupported(
-            "a mesh needs faces, which points lack; end the name in .ply, which meshing programs read".into(),
+            "a mesh format cannot store points without faces; end the name in .ply, which meshing programs read".into(),
         )),
         Format::Ptx => Err(FormatError::Unsupported("PTX can be read but not written; end the name in .e57".into())),
         Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm | Format::Exr => {
@@ -123,7 +123,7 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
             xyz_text::encode(cloud, Heading::Count)
         }
         Format::Text | Format::KittiBin if cloud.points().is_empty() => {
-            let reason = "no points are left, and this format could not store that; write .csv, .pcd or .ply";
+            let reason = "no points are left, and this format cannot store an empty cloud; write .csv, .pcd or .ply";
             Err(FormatError::Unsupported(reason.into()))
         }
         format => encode_cloud(format, cloud, encoding),
@@ -170,10 +170,10 @@ const ORIGIN: &str = "origin.png";
 pub fn write_origin_mask(depth: &Path, smoothed: &Smoothed) -> Result<(), IoError> {
     let path = origin_mask_of(depth);
     if path.exists() && !is_8_bit(&path) {
-        let text = "another file has the name of the mask of filled pixels; rename it, or choose another output";
+        let text = "the mask of filled pixels would replace this file; rename the file, or choose another output";
         return Err(IoError { path, problem: FormatError::Unsupported(text.to_owned()) });
     }
-    let no_status = || FormatError::Unsupported("a mask of origins needs the status of each pixel".to_owned());
+    let no_status = || FormatError::Unsupported("the mask of filled pixels needs the status of each pixel".to_owned());
     let encode = || {
         let mask = smoothed.origin_mask().ok_or_else(no_status)?;
         encode_png(smoothed.width, smoothed.height, png::ColorType::Grayscale, png::BitDepth::Eight, &mask)

@@ -84,7 +84,7 @@ fn strides<T: Element>(array: &PyReadonlyArrayDyn<'_, T>) -> PyResult<Vec<usize>
 /// Returns the rows of an image, and their stride in values.
 fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [T], usize)> {
     let (&[height, width], &[row_bytes, value_bytes]) = (array.shape(), &strides(array)?[..]) else {
-        return Err(PyValueError::new_err("a depth image has two dimensions, [H, W]"));
+        return Err(PyValueError::new_err("a depth image must have two dimensions, [H, W]"));
     };
     let size = size_of::<T>();
     // The stride of a single row is meaningless.
@@ -113,7 +113,7 @@ fn points<'a, T: Element>(
     let (height, width, row_stride, point_stride, value_stride) = match (array.shape(), &strides[..]) {
         (&[height, width, 3], &[row, point, value]) => (height, width, row, point, value),
         (&[count, 3], &[point, value]) => (1, count, 0, point, value),
-        _ => return Err(PyValueError::new_err("points have the shape [H, W, 3] or [N, 3]")),
+        _ => return Err(PyValueError::new_err("points must have the shape [H, W, 3] or [N, 3]")),
     };
     // The stride of a single point is meaningless.
     let point_stride = if width == 1 { point_stride.max(2 * value_stride + size_of::<T>()) } else { point_stride };

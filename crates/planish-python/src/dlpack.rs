@@ -70,7 +70,7 @@ impl PyCudaArray {
     }
 
     fn memory(&self) -> PyResult<&Arc<CudaMemory>> {
-        self.memory.as_ref().ok_or_else(|| PyBufferError::new_err("this array is at its end"))
+        self.memory.as_ref().ok_or_else(|| PyBufferError::new_err("the memory of this array was released"))
     }
 }
 
@@ -129,7 +129,7 @@ impl PyCudaArray {
         let _ = max_version;
         let (memory, device) = (self.memory()?, self.__dlpack_device__()?);
         if dl_device.is_some_and(|wanted| wanted != device) || copy == Some(true) {
-            return Err(PyBufferError::new_err("a CudaArray is shared where it is, without a copy"));
+            return Err(PyBufferError::new_err("a CudaArray can be shared only on its own device and without a copy"));
         }
         let reads_on = stream.filter(|stream| *stream != 0).unwrap_or(DEFAULT_STREAM as isize);
         if reads_on != NO_ORDER {

@@ -225,7 +225,9 @@ impl PySmoother {
         outs: Vec<Bound<'_, PyDict>>,
     ) -> PyResult<Vec<String>> {
         if arrays.len() != outs.len() {
-            return Err(PyValueError::new_err("one output per frame is expected"));
+            return Err(PyValueError::new_err(
+                "the number of outputs differs from the number of frames; expected one output per frame",
+            ));
         }
         let camera: Option<Camera> = camera.map(|camera| camera.0);
         let mut state = self.lock()?;

@@ -191,7 +191,7 @@ def test_an_archive_of_depth_and_intrinsics_has_a_camera(tmp_path):
 
 def test_units_and_columns_are_stated_or_guessed_with_a_warning(tmp_path):
     np.save(tmp_path / "mm.npy", np.array([[100, 200, 1000], [300, 0, 2000]], np.float32))
-    with pytest.warns(RuntimeWarning, match="mm become metres"):
+    with pytest.warns(RuntimeWarning, match="mm are converted to metres"):
         frame = planish.read(tmp_path / "mm.npy", unit="mm")
     assert np.allclose(frame.points, [[0.1, 0.2, 1], [0.3, 0, 2]])
     with pytest.raises(ValueError, match="mm, cm, m, inch or ft"):

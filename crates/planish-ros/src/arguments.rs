@@ -96,7 +96,7 @@ impl Arguments {
         let (from, to) = rule.split_once(":=").with_context(|| format!("-r {rule}: FROM:=TO is expected"))?;
         match from {
             "__ns" if to.starts_with('/') => self.namespace = to.to_owned(),
-            "__ns" => bail!("-r {rule}: a namespace begins with a slash"),
+            "__ns" => bail!("-r {rule}: a namespace must begin with a slash"),
             "__node" | "__name" => self.node = to.to_owned(),
             from => self.remappings.push((from.to_owned(), to.to_owned())),
         }
@@ -142,7 +142,7 @@ impl Arguments {
                 self.read_nodes(entry, &format!("{}/{}", name.trim_end_matches('/'), key.trim_start_matches('/')))?;
                 continue;
             }
-            let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters has no parameters") };
+            let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters must map names to values") };
             for (parameter_name, value) in parameters {
                 let parameter_name = parameter_name.as_str().context("a parameter's name is expected")?;
                 // Parameters of other nodes and of middleware may have any value.
@@ -182,7 +182,7 @@ fn parameter(value: &Value) -> Result<ParameterValue> {
         Value::Number(value) => match (value.as_i64(), value.as_f64()) {
             (Some(value), _) => ParameterValue::Integer(value),
             (None, Some(value)) => ParameterValue::Double(value),
-            (None, None) => bail!("{value}: a number out of range"),
+            (None, None) => bail!("{value}: the number is out of range"),
         },
         _ => bail!("true, false, a number or a string is expected"),
     })

@@ -55,12 +55,13 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     Smoother::open_with(probe, &options, (640, 480)).context("the engine cannot be opened")?;
     let changed = Arc::new(Mutex::new(None));
     let options = ContextOptions::new().domain_id(domain_id()?);
-    let context = Context::with_options(options).map_err(|error| anyhow!("no DDS participant: {error}"))?;
+    let context =
+        Context::with_options(options).map_err(|error| anyhow!("cannot create a DDS participant: {error}"))?;
     let name = NodeName::new(&arguments.namespace, &arguments.node)
         .with_context(|| format!("{}/{}", arguments.namespace, arguments.node))?;
     let is_running = Arc::new(AtomicBool::new(false));
     let options = node_options(arguments, &changed, &is_running);
-    let mut node = context.new_node(name, options).map_err(|error| anyhow!("no node: {error}"))?;
+    let mut node = context.new_node(name, options).map_err(|error| anyhow!("cannot create the node: {error}"))?;
     is_running.store(true, Ordering::Relaxed);
 
     let shared = Arc::new(Shared::default());
@@ -74,7 +75,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     }
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
     let publishers = publish(&context, &mut node, &settings, arguments)?;
-    let spinner = node.spinner().map_err(|error| anyhow!("no discovery: {error}"))?;
+    let spinner = node.spinner().map_err(|error| anyhow!("cannot start discovery: {error}"))?;
     // Both threads wait for messages until the process ends.
     thread::Builder::new().name("planish-discovery".into()).spawn(move || block_on(spinner.spin()))?;
     thread::Builder::new().name("planish-receive".into()).spawn(receiver)?;

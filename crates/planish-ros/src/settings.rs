@@ -121,9 +121,9 @@ impl NodeSettings {
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
             ("depth", "raw") => Input::Image,
             ("depth", "compressedDepth") => Input::CompressedDepth,
-            ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: applies only to the input depth"),
+            ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: applies only if input is depth"),
             ("points", "raw") => Input::Points,
-            ("points", _) => bail!("image_transport: applies only to the input depth"),
+            ("points", _) => bail!("image_transport: applies only if input is depth"),
             ("depth", other) => bail!("image_transport: {other:?} is unknown; raw or compressedDepth is expected"),
             (other, _) => bail!("input: {other:?} is unknown; depth or points is expected"),
         };

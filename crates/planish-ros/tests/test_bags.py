@@ -228,7 +228,7 @@ def test_a_chunk_with_a_wrong_checksum_is_said_and_the_next_ones_are_smoothed(ba
     data[data.index(bytes(pixels[-1000:])) + 500] ^= 1
     damaged.write_bytes(data)
     text = smooth(damaged, out, code=1)
-    assert "1 chunk with a wrong checksum" in text and f"{FRAMES} messages smoothed" in text
+    assert "wrong checksum in 1 chunk" in text and f"{FRAMES} messages smoothed" in text
     assert len(raw_messages(out)) == 4 * FRAMES
     run = subprocess.run([program("planish"), "stream", "--json", damaged], capture_output=True, text=True)
     assert run.returncode == 1 and json.loads(run.stdout)["frames_out"] == FRAMES and "checksum" in run.stderr
@@ -320,7 +320,7 @@ def test_attachments_metadata_and_channels_come_through(tmp_path):
         writer.add_metadata("place", {"room": "7"})
         writer.finish()
     text = smooth(source, out, code=1)
-    assert "copied unchanged: 1 message" in text
+    assert "copied unchanged because of errors: 1 message" in text
     before, after = raw_messages(source), raw_messages(out)
     assert [m[:5] for m in before] == [m[:5] for m in after] and before[3] == after[3] and before[0][5] != after[0][5]
     with open(out, "rb") as file:

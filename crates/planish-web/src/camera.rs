@@ -22,8 +22,8 @@ impl CameraGiven {
                 let old = object.get("depth_scale").map(|_| "depthScale".to_owned());
                 if let Some(key) = unknown.or(old) {
                     return Err(format!(
-                        "unknown field {key:?} of a camera; fields are fx, fy, cx, cy, depthUnitsPerMetre, width, \
-                         height and distortion"
+                        "unknown field {key:?} of a camera; expected fx, fy, cx, cy, depthUnitsPerMetre, width, height \
+                         or distortion"
                     ));
                 }
                 text

@@ -67,7 +67,7 @@ impl Page {
     /// Answers a request; `bytes` accompany it.
     pub fn handle(&mut self, request: &str, bytes: &[u8]) -> Reply {
         let answer = serde_json::from_str(request)
-            .map_err(|error| format!("the request: {error}"))
+            .map_err(|error| format!("invalid request: {error}"))
             .and_then(|request| self.answer(request, bytes));
         match answer {
             Ok((ok, bytes)) => Reply { ok: Some(ok), error: None, bytes },
@@ -211,7 +211,7 @@ impl Page {
             let Params::Frame(params) = settings.resolve(frame)?.params else {
                 return Err(FrameError::GridMismatch {
                     found: "is an unorganized cloud".to_owned(),
-                    expected: "frames on a grid; WebGPU does not smooth unorganized clouds, the CPU engine does"
+                    expected: "frames on a grid (WebGPU cannot smooth unorganized clouds, but the CPU engine can)"
                         .to_owned(),
                 }
                 .into());

@@ -46,10 +46,10 @@ impl PosesArgs {
     pub fn read(&self, settings: &Settings) -> Result<Option<Trajectory>> {
         let Some(file) = &self.poses else { return Ok(None) };
         if settings.temporal_params().is_none() {
-            bail!("--poses has an effect only on smoothing over time; add --temporal steady");
+            bail!("--poses applies only to smoothing over time; add --temporal steady");
         }
         if settings.tracks_camera() {
-            bail!("--poses and --track contradict each other; the poses say how the camera moved");
+            bail!("--poses and --track cannot be combined; remove --track, since the poses state the camera's motion");
         }
         Ok(Some(read_trajectory(file)?))
     }
@@ -139,7 +139,7 @@ impl std::str::FromStr for Intrinsics {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        numbers(text).map(Self).ok_or_else(|| "4 numbers: FX,FY,CX,CY".to_owned())
+        numbers(text).map(Self).ok_or_else(|| "expected 4 numbers: FX,FY,CX,CY".to_owned())
     }
 }
 
@@ -151,7 +151,7 @@ impl std::str::FromStr for Pose {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        numbers(text).map(Self).ok_or_else(|| "7 numbers: X,Y,Z,QW,QX,QY,QZ".to_owned())
+        numbers(text).map(Self).ok_or_else(|| "expected 7 numbers: X,Y,Z,QW,QX,QY,QZ".to_owned())
     }
 }
 
@@ -169,7 +169,7 @@ impl std::str::FromStr for Direction {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        numbers(text).map(Self).ok_or_else(|| "3 numbers: X,Y,Z".to_owned())
+        numbers(text).map(Self).ok_or_else(|| "expected 3 numbers: X,Y,Z".to_owned())
     }
 }
 

@@ -53,7 +53,7 @@ impl std::str::FromStr for CropBox {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let [x0, y0, z0, x1, y1, z1] = numbers(text).ok_or("6 numbers: X0,Y0,Z0,X1,Y1,Z1")?;
+        let [x0, y0, z0, x1, y1, z1] = numbers(text).ok_or("expected 6 numbers: X0,Y0,Z0,X1,Y1,Z1")?;
         Ok(Self { low: [x0, y0, z0], high: [x1, y1, z1] })
     }
 }
@@ -72,7 +72,7 @@ impl std::str::FromStr for Statistical {
         let (neighbours, deviations) = text.split_once(',').unwrap_or((text, "1"));
         let parsed = neighbours.trim().parse().ok().zip(deviations.trim().parse().ok());
         let (neighbours, deviations) =
-            parsed.ok_or("a number of neighbours and of standard deviations is expected, such as 20,2")?;
+            parsed.ok_or("expected a number of neighbours and a number of standard deviations, such as 20,2")?;
         Ok(Self { neighbours, deviations })
     }
 }
@@ -92,6 +92,6 @@ impl std::str::FromStr for RadiusOutliers {
             let least = least.trim().parse().ok()?;
             Some(Self { radius_m: radius.trim().parse().ok()?, least })
         });
-        parsed.ok_or_else(|| "a radius in metres and a number of neighbours is expected, such as 0.02,5".to_owned())
+        parsed.ok_or_else(|| "expected a radius in metres and a number of neighbours, such as 0.02,5".to_owned())
     }
 }

@@ -37,7 +37,7 @@ impl EncodingArgs {
         let is_precision = |encoding: &&EncodingArg| matches!(encoding, EncodingArg::F32 | EncodingArg::F64);
         let precisions = self.encoding.iter().filter(is_precision).count();
         if precisions > 1 || self.encoding.len() - precisions > 1 {
-            bail!("--encoding: one of ascii, binary and compressed, and one of f32 and f64");
+            bail!("--encoding: conflicting values; choose one of ascii, binary and compressed, and one of f32 and f64");
         }
         crate::commands::check_output(output, self.is_given())
     }

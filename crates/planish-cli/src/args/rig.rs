@@ -90,7 +90,7 @@ impl std::str::FromStr for PoseErrorsArg {
         let within = |value: f64, most: f64| (0.0..=most).contains(&value);
         match parsed {
             Some((deg, mm)) if within(deg, 10.0) && within(mm, 100.0) => Ok(Self(PoseErrors::new(deg, 1e-3 * mm))),
-            _ => Err("two numbers are expected, at most 10 degrees and 100 millimetres, such as 0.2,2".to_owned()),
+            _ => Err("expected two numbers, up to 10 degrees and up to 100 millimetres, such as 0.2,2".to_owned()),
         }
     }
 }

@@ -255,7 +255,7 @@ impl GpusArgs {
     pub fn devices(&self, engine: Engine) -> Result<Vec<FleetDevice>> {
         let Some(list) = &self.gpus else { return Ok(Vec::new()) };
         if !matches!(engine, Engine::Auto | Engine::Gpu) {
-            bail!("--gpus already names the devices: remove --engine {}", engine.name());
+            bail!("--gpus already selects the devices; remove --engine {}", engine.name());
         }
         FleetDevice::parse_list(list).with_context(|| format!("--gpus {list}"))
     }
@@ -389,9 +389,10 @@ impl std::str::FromStr for RadiusArg {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "sensor" => Ok(Self::Sensor),
-            number => {
-                number.parse().map(Self::Metres).map_err(|_| "metres, such as 0.03, or the word sensor".to_owned())
-            }
+            number => number
+                .parse()
+                .map(Self::Metres)
+                .map_err(|_| "expected metres, such as 0.03, or the word sensor".to_owned()),
         }
     }
 }

@@ -48,7 +48,7 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
 fn run_gpu(args: &BenchGpuArgs) -> Result<ExitCode> {
     let named = |path: &PathBuf| match read_within(&args.memory, Work::Bench, path)? {
         Contents::Organized(cloud) => Ok((path.display().to_string(), cloud)),
-        _ => bail!("{}: not an organized cloud", path.display()),
+        _ => bail!("{}: not an organized cloud; this benchmark needs points on a grid", path.display()),
     };
     let input = args.input.as_ref().map(named).transpose()?;
     let devices = args.gpus.devices(Engine::Gpu)?;
@@ -95,7 +95,10 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
         let cloud = match read_within(&args.memory, Work::Smooth, path)? {
             Contents::Organized(cloud) => cloud.points,
             Contents::General(cloud) => cloud,
-            _ => bail!("{}: a depth image, not a cloud; use `planish bench speedup`", path.display()),
+            _ => bail!(
+                "{}: this is a depth image, but the benchmark needs a cloud; use `planish bench speedup`",
+                path.display()
+            ),
         };
         Ok((path.file_name().unwrap_or_default().to_string_lossy().into_owned(), cloud))
     };

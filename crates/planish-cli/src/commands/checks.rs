@@ -19,11 +19,15 @@ const FEW_POINTS: usize = 1000;
 pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     match (Format::of_extension(output), encoding_is_given) {
         (None, _) => {
-            bail!("{}: the name has no known extension: end it in {}", output.display(), planish::io::WRITTEN)
+            bail!("{}: unknown file extension; expected {}", output.display(), planish::io::WRITTEN)
         }
         (Some(format), _) if !format.is_written() => {
             let name = format.name();
-            bail!("{}: {name} can be read but not written: end the name in {}", output.display(), planish::io::WRITTEN)
+            bail!(
+                "{}: {name} can be read but not written; expected the extension {}",
+                output.display(),
+                planish::io::WRITTEN
+            )
         }
         (Some(Format::Pcd | Format::Ply), _) | (_, false) => Ok(()),
         (Some(format), true) => {
@@ -105,8 +109,8 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
     }
     let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
     bail!(
-        "{}: a radius of {radius_m} m on a cloud {extent_m} m wide would take long and flatten everything ({slip}); \
-         choose a smaller --radius in the file's unit, or add --force",
+        "{}: a radius of {radius_m} m is too large for a cloud {extent_m} m wide and would flatten everything \
+         ({slip}); choose a smaller --radius in the file's unit, or add --force",
         input.display()
     );
 }
@@ -114,7 +118,7 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
 /// Refuses `--unit` for a file larger than memory, since the parts of such a file are not converted.
 pub fn refuse_unit(reading: &crate::args::ReadArgs, input: &Path) -> Result<()> {
     if reading.unit.is_some_and(|unit| !unit.is_metre()) {
-        bail!("{}: larger than --max-memory; --unit applies to files that fit it", input.display());
+        bail!("{}: --unit cannot be applied to a file larger than --max-memory; raise --max-memory", input.display());
     }
     Ok(())
 }

@@ -122,7 +122,7 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
     let found = planish::compare::compare(&a, &b, args.nearest).with_context(names)?;
     if let Some(picture) = &args.picture {
         if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-            bail!("{}: not a .png; pictures are written as .png", picture.display());
+            bail!("{}: unsupported picture extension; expected .png", picture.display());
         }
         for input in [&args.a, &args.b] {
             check_not_input(input, picture, None)?;
@@ -130,16 +130,18 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
         let full_scale = [args.max, Some(found.distances.p95)].into_iter().flatten().find(|scale| *scale > 0.0);
         let full_scale = full_scale.unwrap_or(f64::MIN_POSITIVE);
         let map = planish::compare::difference_map(&a, &b, full_scale);
-        let map = map.with_context(|| format!("{}: a picture needs two inputs on one grid", picture.display()))?;
+        let map = map.with_context(|| {
+            format!("{}: the picture needs two inputs on grids of the same size", picture.display())
+        })?;
         planish::io::write_rgb_png(picture, &map)?;
-        errln!("{}: red is {} or more", picture.display(), length(full_scale, found.unit));
+        errln!("{}: red marks differences of {} or more", picture.display(), length(full_scale, found.unit));
     }
     let is_within = args.max.is_none_or(|max| found.is_within(max));
     if let (Some(max), false) = (args.max, is_within) {
         let [only_a, only_b] = found.only_in;
         let reason = match only_a + only_b {
             0 => format!("differ by more than {}", length(max, found.unit)),
-            only => format!("differ: {only} pixels are holes in one of them only, or a distance is above --max"),
+            only => format!("differ: {only} pixels are holes in only one of them, or a distance exceeds --max"),
         };
         errln!("{}: {reason}", names());
     }
@@ -181,8 +183,8 @@ fn print(args: &CompareArgs, found: &Comparison) {
     }
     for field in &found.fields {
         match (field.is_in, field.differing) {
-            ([true, false], _) => outln!("  {} is only in the first", field.name),
-            ([false, true], _) => outln!("  {} is only in the second", field.name),
+            ([true, false], _) => outln!("  {} exists only in the first file", field.name),
+            ([false, true], _) => outln!("  {} exists only in the second file", field.name),
             (_, Some((count, most))) => outln!("  {} differs in {count} values, by up to {most}", field.name),
             _ => {}
         }

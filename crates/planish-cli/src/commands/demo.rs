@@ -46,7 +46,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     }
     times_ms.sort_by(f64::total_cmp);
 
-    fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     write_cloud(&args.out.join("raw.pcd"), &raw, Encoding::Binary)?;
     let mut result = raw.clone();
     result.points.apply(&smoothed, outputs).map_err(Error::from)?;

@@ -73,5 +73,5 @@ fn print_text(Devices { cpu, gpus, auto }: &Devices) {
     } else if gpus.is_empty() {
         outln!("gpu    none found; a driver for Vulkan, Metal or DirectX 12 is needed (on Linux also libvulkan.so.1)");
     }
-    outln!("auto   takes {}: {}", auto.engine, auto.reason);
+    outln!("auto   selects {}: {}", auto.engine, auto.reason);
 }

@@ -68,13 +68,13 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         return sequence::evaluate(args, videos);
     }
     if args.poses.poses.is_some() || args.frames.is_some() {
-        bail!("--poses and --frames apply to evaluate --sequence");
+        bail!("--poses and --frames apply only to evaluate --sequence");
     }
     if args.results.len() > 1 {
-        bail!("--results: only --sequence measures the results of several programs at once");
+        bail!("--results can be given more than once only with --sequence");
     }
     if let (Some(_), Some(_)) = (&args.input, args.export.as_ref().or(args.out.as_ref())) {
-        bail!("--input: with a frame of your own there is nothing to export, and no report or map to put into --out");
+        bail!("--input cannot be combined with --export or --out, which apply to simulated frames");
     }
     args.smoothing.settings()?.check_no_video().map_err(by_option)?;
     if args.smoothing.settings()?.devices.is_some() && args.rig.is_none() {
@@ -88,7 +88,9 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         (None, Some(cameras)) => super::rig::evaluate(args, cameras.into()),
         (None, None) => {
             if args.smoothing.settings()?.decimate.is_some() {
-                bail!("--decimate has no effect on simulated frames, which are compared pixel by pixel with the truth");
+                bail!(
+                    "--decimate cannot be used with simulated frames, which are compared pixel by pixel with the truth"
+                );
             }
             on_suite(args)
         }
@@ -125,7 +127,7 @@ fn on_file(args: &EvaluateArgs, file: &Path) -> Result<ExitCode> {
         smoothed: tiles(&points, &normals),
     };
     if report.raw.tiles == 0 {
-        bail!("{}: contains no 8x8 pixels on one surface, so flatness cannot be measured", report.file);
+        bail!("{}: no block of 8x8 pixels is on one surface, so flatness cannot be measured", report.file);
     }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
@@ -145,11 +147,15 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
     let (points, normals) = match args.results.first() {
         Some(result) => {
             let Contents::General(other) = read_measured(&args.memory, result)? else {
-                bail!("{}: has a grid, but {} is an unorganized cloud", result.display(), file.display());
+                bail!(
+                    "{}: has a grid, but {} is an unorganized cloud; both must be unorganized",
+                    result.display(),
+                    file.display()
+                );
             };
             if other.len() != cloud.len() {
-                let counts = format!("{} points, and {} has {}", other.len(), file.display(), cloud.len());
-                bail!("{}: has {counts}; the order of points must not change", result.display());
+                let counts = format!("{} points but {} has {}", other.len(), file.display(), cloud.len());
+                bail!("{}: has {counts}; both must contain the same points in the same order", result.display());
             }
             let normals = normals_field(&other);
             (moved_to_origin(&other, cloud.origin_m), normals)
@@ -168,7 +174,7 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
         smoothed: patch_planes(cloud, &points, normals.as_ref())?,
     };
     if report.raw.patches == 0 {
-        bail!("{}: contains no 64 adjacent points on one surface, so flatness cannot be measured", report.file);
+        bail!("{}: no patch of 64 adjacent points is on one surface, so flatness cannot be measured", report.file);
     }
     if args.json {
         outln!("{}", serde_json::to_string(&report)?);
@@ -200,7 +206,10 @@ fn general_settings(args: &EvaluateArgs, what: &str) -> Result<Settings> {
 
 /// Returns the sensor of the simulated frames.
 fn sensor_of(args: &EvaluateArgs) -> Result<SensorModel> {
-    args.smoothing.settings()?.known_sensor().context("--sensor auto: simulated frames need a named sensor")
+    args.smoothing
+        .settings()?
+        .known_sensor()
+        .context("--sensor auto: simulated frames need a named sensor, such as d435")
 }
 
 /// Returns the normals stored in a cloud.
@@ -234,7 +243,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let mut methods = if !args.results.is_empty() || args.export.is_some() { Vec::new() } else { methods(args)? };
     let (mut raw, mut others) = (Evaluation::default(), Evaluation::default());
     for folder in [&args.export, &args.out].into_iter().flatten() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     for seed in seeds {
         for case in suite.cases(seed).map_err(Error::from)? {
@@ -412,10 +421,10 @@ fn read_measured(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
 /// Reads another program's result for a frame of that shape: points and normals.
 fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
     let Contents::Organized(cloud) = read_measured(&args.memory, file)? else {
-        bail!("{}: is not an organized cloud; each point must stay on its pixel", file.display());
+        bail!("{}: is not an organized cloud; results must keep each point on its pixel", file.display());
     };
     if (cloud.width(), cloud.height()) != (width, height) {
-        bail!("{}: differs in size from the frame, {width}x{height}", file.display());
+        bail!("{}: the size differs from the frame's; expected {width}x{height}", file.display());
     }
     // Normalize them and turn them towards the camera, whatever the other program's convention.
     let unit = |(n, p): ([f32; 3], [f32; 3])| {

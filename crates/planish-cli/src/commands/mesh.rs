@@ -14,7 +14,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
     let MeshArgs { input, output, .. } = args;
     let extension = output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     if !matches!(extension.as_deref(), Some("ply" | "obj" | "stl" | "glb")) {
-        bail!("{}: not a mesh by its name: end it in {WRITTEN_MESHES}", output.display());
+        bail!("{}: unsupported mesh extension; expected {WRITTEN_MESHES}", output.display());
     }
     check_not_input(input, output, None)?;
     let settings = args.smoothing.settings()?;

@@ -17,7 +17,7 @@ const LONGEST_SIDE: usize = 1280;
 
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     if !args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-        bail!("{}: not a .png; pictures are written as .png", args.output.display());
+        bail!("{}: unsupported picture extension; expected .png", args.output.display());
     }
     check_not_input(&args.file, &args.output, None)?;
     let (FileRead { contents, notes, .. }, camera) =

@@ -36,7 +36,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
         return simulate::simulate(args, cameras.into(), folder);
     }
-    let Some(file) = &args.file else { bail!("a rig.json or a calibration is needed") };
+    let Some(file) = &args.file else { bail!("no rig is given; expected a rig.json or a calibration") };
     let mut rig = if is_rig_file(file) {
         let of_calibrations =
             [("--base", args.base.is_some()), ("--frame", !args.frame.is_empty()), ("--scale", args.scale.is_some())];
@@ -56,8 +56,9 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         }
         named_before.push(name);
         let names: Vec<String> = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
-        let camera =
-            rig.index_of(name).with_context(|| format!("--source {named}: the cameras are {}", names.join(", ")))?;
+        let camera = rig
+            .index_of(name)
+            .with_context(|| format!("--source {named}: unknown camera; expected one of {}", names.join(", ")))?;
         rig.cameras[camera].source = Some(source.to_owned());
     }
     rig.validate().map_err(planish::Error::from)?;
@@ -181,7 +182,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let unused: Vec<String> = settings.unused_by_clouds_of_known_spacing().into_iter().map(option_of).collect();
     if way == RigWay::Merged && !unused.is_empty() {
-        errln!("no effect on merged points, which are an unorganized cloud: {}", unused.join(", "));
+        errln!("options without effect on merged points, which are an unorganized cloud: {}", unused.join(", "));
     }
     if args.voxel.is_some() && way != RigWay::Merged {
         bail!("--voxel needs --fuse merged");
@@ -240,10 +241,13 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
 fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
     for folder in [&args.save, &args.save_cameras].into_iter().flatten() {
         if is_mcap(folder) {
-            bail!("{}: not a folder; a rig's clouds are saved into a folder", folder.display());
+            bail!("{}: the clouds of a rig cannot be saved as a recording; give a folder", folder.display());
         }
         if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-            bail!("{}: the folder is not empty; results of a rig need an empty folder", folder.display());
+            bail!(
+                "{}: the folder is not empty; choose a new or an empty folder for the results of a rig",
+                folder.display()
+            );
         }
     }
     if let (Some(fused), Some(cameras)) = (&args.save, &args.save_cameras)
@@ -254,11 +258,14 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
     }
     let Some(picture) = &args.picture else { return Ok(()) };
     if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
-        bail!("{}: not a .png; a picture is written as .png", picture.display());
+        bail!("{}: unsupported picture extension; expected .png", picture.display());
     }
     let folder = picture.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if picture.is_dir() || !folder.is_dir() {
-        bail!("{}: is a folder, or its folder does not exist", picture.display());
+        bail!(
+            "{}: cannot write the picture; the path is a folder, or its parent folder does not exist",
+            picture.display()
+        );
     }
     let sources = rig.cameras.iter().filter_map(|camera| Path::new(camera.source.as_ref()?).canonicalize().ok());
     let folder = folder.canonicalize().with_context(|| folder.display().to_string())?;

@@ -70,7 +70,10 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
         noted: Arc::default(),
     };
     if args.repeat > 1 && worker.settings.temporal_params().is_some() {
-        bail!("--repeat: with --temporal every repetition would count as a frame; leave one of them out");
+        bail!(
+            "--repeat cannot be combined with --temporal, which would count every repetition as a frame; remove one of \
+             them"
+        );
     }
     if args.format.as_ref().is_some_and(|extension| extension.contains(['/', '\\'])) {
         bail!("--format needs a file extension such as ply, not a path");
@@ -286,7 +289,7 @@ impl Worker<'_> {
         };
         let frame = frame.map_err(of_input)?;
         if depth_out && frame.camera().is_none() {
-            bail!("{}: writing depth needs the camera: add --camera FX,FY,CX,CY", output.display());
+            bail!("{}: writing depth needs the camera's intrinsics; add --camera FX,FY,CX,CY", output.display());
         }
         let fields = cloud.as_ref().map_or(0, |cloud| cloud.points.field_bytes_per_point());
         let (points, times_ms) = self.smooth(input, output, (frame, fields), outputs)?;
@@ -307,7 +310,7 @@ impl Worker<'_> {
         self.renewed = Outputs::POINTS;
         let (wanted, renewed) = (self.outputs(), self.outputs().renewing(cloud));
         if renewed != wanted {
-            errln!("{}: its normals and curvature are computed again for the smoothed points", input.display());
+            errln!("{}: normals and curvature are recomputed for the smoothed points", input.display());
             self.renewed = renewed;
         }
     }
@@ -369,8 +372,10 @@ impl Worker<'_> {
         self.check_memory(frame, field_bytes).with_context(|| output.display().to_string())?;
         if let (Some(doubt), false) = (planish::doubts(frame).first(), self.args.force) {
             let hint = match doubt {
-                Doubt::Range { units: None, .. } => "state the unit with --unit; if it is right, add --force",
-                _ => "if it is right, add --force",
+                Doubt::Range { units: None, .. } => {
+                    "give the unit with --unit, or add --force if the values are correct"
+                }
+                _ => "add --force if this is correct",
             };
             bail!("{}: {doubt} ({hint})", input.display());
         }
@@ -393,7 +398,7 @@ impl Worker<'_> {
         }
         let StatusCounts { too_few: lost, isolated, .. } = self.status_counts();
         let valid = frame.valid_points();
-        for (count, became) in [(lost, "became holes"), (isolated, "stay where they are")] {
+        for (count, became) in [(lost, "became holes"), (isolated, "were left unchanged")] {
             if count as f64 > LOST_SHARE_TOLD * valid as f64 {
                 let share = 100.0 * count as f64 / valid as f64;
                 let cause = match self.session.rebuilt_grid() {
@@ -414,7 +419,8 @@ impl Worker<'_> {
             let reason = match isolated {
                 0 => "every point became a hole, since none has enough neighbours; nothing is written",
                 _ => {
-                    "no point has enough neighbours to be smoothed; nothing is written (are they in metres? see --unit)"
+                    "no point has enough neighbours to be smoothed; nothing is written (are the coordinates in metres? \
+                     see --unit)"
                 }
             };
             return Err(NothingLeft(format!("{}: {reason}", input.display())).into());
@@ -442,7 +448,7 @@ impl Worker<'_> {
                 if self.settings.flags_origins() {
                     io::write_origin_mask(output, &self.smoothed)?;
                 } else if io::origin_mask_of(output).exists() {
-                    errln!("{}: is of an earlier result", io::origin_mask_of(output).display());
+                    errln!("{}: left over from an earlier result; delete it", io::origin_mask_of(output).display());
                 }
                 if let Some(depth_m) = &self.smoothed.depth_m {
                     io::write_depth_metres(output, width, depth_m)?;

@@ -14,7 +14,7 @@ use crate::args::{LimitArgs, SourceArgs};
 pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn Source>> {
     let SourceArgs { topics, camera, align, mode, limits, .. } = args;
     if topics.topic.len() > 1 {
-        bail!("--topic: a stream has only one topic; `planish smooth` accepts several");
+        bail!("--topic: a stream reads only one topic; `planish smooth` accepts several");
     }
     let options = SourceOptions::default()
         .with_topics(topics.topic.first().cloned(), topics.camera_info_topic.clone())
@@ -26,7 +26,7 @@ pub fn open_source(args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<Box<dyn 
         .with_frames(limits.frames)
         .with_read_options(args.memory.options());
     if limits.reconnect && !source::is_camera(args.name()) {
-        bail!("--reconnect applies to cameras; {} is not one", args.name());
+        bail!("--reconnect applies only to cameras; {} is not a camera", args.name());
     }
     open_named(args.name(), options, limits, stop)
 }

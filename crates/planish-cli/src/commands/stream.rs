@@ -81,7 +81,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         ("--voxel", args.voxel.is_some()),
     ];
     if let Some((name, _)) = of_rigs.iter().find(|(_, is_given)| *is_given) {
-        bail!("{name} applies to several cameras: give --rig instead of a source");
+        bail!("{name} applies only to rigs; give --rig instead of a source");
     }
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
         bail!("{}: is a rig; run `planish stream --rig {0}`", args.source.name());
@@ -205,7 +205,7 @@ fn print_report(report: &Report) {
         outln!("  {} frames without a pose in --poses, smoothed as if the camera stood still", report.without_pose);
     }
     if report.gaps > 0 {
-        outln!("  {} gaps in time, after which smoothing over time began again", report.gaps);
+        outln!("  {} gaps in time, after each of which smoothing over time restarted", report.gaps);
     }
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");

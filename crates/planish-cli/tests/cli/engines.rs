@@ -50,7 +50,7 @@ fn devices_says_what_auto_takes_and_why() {
     assert_eq!(taken, if has_gpu { "gpu" } else { "cpu" });
     assert!(!devices["auto"]["reason"].as_str().unwrap().is_empty());
     assert!(devices["cpu"]["simd_levels"].as_array().unwrap().contains(&devices["cpu"]["simd"]));
-    assert!(ok(&["devices"]).contains(&format!("takes {taken}")));
+    assert!(ok(&["devices"]).contains(&format!("selects {taken}")));
 }
 
 #[test]

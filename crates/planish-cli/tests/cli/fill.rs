@@ -64,7 +64,10 @@ fn a_mask_replaces_no_other_file_and_no_depth_is_without_one() {
     let before = fs::read(&from).unwrap();
     for more in [&[][..], &["--overwrite"]] {
         let said = refused(&[&["smooth", str(&from), str(&to), "--camera", &camera, "--fill", "6"], more].concat());
-        assert!(said.contains("in.origin.png") && said.contains("another file has the name of the mask"), "{said}");
+        assert!(
+            said.contains("in.origin.png") && said.contains("mask of filled pixels would replace this file"),
+            "{said}"
+        );
         assert!(fs::read(&from).unwrap() == before && !to.exists());
     }
     // Without `--fill`, a file whose name ends in .origin.png is an ordinary frame of its folder.
@@ -80,7 +83,7 @@ fn a_mask_replaces_no_other_file_and_no_depth_is_without_one() {
     };
     assert!(smooth(&["--fill", "6"]).status.success() && smooth(&["--fill", "6"]).status.success());
     let said = super::text(&smooth(&[]).stderr);
-    assert!(said.contains("again.origin.png: is of an earlier result"), "{said}");
+    assert!(said.contains("again.origin.png: left over from an earlier result"), "{said}");
 }
 
 #[test]
@@ -168,5 +171,5 @@ fn filling_is_measured_and_widths_are_checked() {
     let points = planish::PointCloud::new((0..500).map(|i| [(i % 25) as f32, (i / 25) as f32, 1.0]).collect());
     io::write_cloud(&cloud, &points, Encoding::Binary).unwrap();
     let said = refused(&["smooth", str(&cloud), str(&folder.path().join("x.ply")), "--fill", "4"]);
-    assert!(said.contains("only frames on a grid"), "{said}");
+    assert!(said.contains("only for frames on a grid"), "{said}");
 }

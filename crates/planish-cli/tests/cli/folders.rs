@@ -121,5 +121,5 @@ fn a_folder_is_a_video_in_the_order_of_its_numbers() {
     let message =
         refused(&["smooth", str(&input), str(&video), "--overwrite", "--temporal", "steady", "--repeat", "3"]);
     assert!(message.contains("--repeat"), "{message}");
-    assert!(refused(&["evaluate", "--temporal", "steady"]).contains("only for the frames of a camera"));
+    assert!(refused(&["evaluate", "--temporal", "steady"]).contains("only for consecutive frames of a camera"));
 }

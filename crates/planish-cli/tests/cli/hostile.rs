@@ -138,7 +138,7 @@ fn pipes_and_devices_are_refused_and_standard_input_is_read() {
     let pipe = folder.path().join("pipe.pcd");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     for file in [pipe.as_path(), Path::new("/dev/zero")] {
-        assert!(refused_at_once(&["info", str(file)]).contains("not a regular file"));
+        assert!(refused_at_once(&["info", str(file)]).contains("expected a regular file"));
     }
     let mut child = Command::new(env!("CARGO_BIN_EXE_planish"))
         .args(["info", "-"])
@@ -332,7 +332,7 @@ fn options_that_the_output_has_no_use_for_are_refused_before_anything_is_read() 
         let stderr = refused_at_once(&["smooth", str(&path), str(&path_of(name)), "--encoding", "ascii"]);
         assert!(stderr.contains("--encoding applies to .pcd and .ply"), "{stderr}");
     }
-    assert!(refused_at_once(&["smooth", "no-such-file", str(&path_of("out.abc"))]).contains("end it in"));
+    assert!(refused_at_once(&["smooth", "no-such-file", str(&path_of("out.abc"))]).contains("expected .pcd"));
 }
 
 #[test]

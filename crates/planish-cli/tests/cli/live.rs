@@ -27,7 +27,7 @@ fn a_stream_is_saved_and_counted() {
     }
     assert!(refused(&["stream", "no-such-source"]).contains("a source is kinect"));
     assert!(refused(&["stream", "synthetic:x"]).contains("whole number"));
-    assert!(refused(&["stream", "synthetic", "--reconnect"]).contains("applies to cameras"));
+    assert!(refused(&["stream", "synthetic", "--reconnect"]).contains("applies only to cameras"));
 }
 
 #[test]
@@ -208,7 +208,7 @@ fn a_kinect_without_driver_or_device_says_so() {
     // The real library is in the parent folder of the playback library.
     let real = library.ancestors().nth(2).unwrap().join("libfreenect.so.0.5");
     let said = stream(&real);
-    assert!(said.contains("no Kinect number 0") || said.contains("libfreenect does not start"), "{said}");
+    assert!(said.contains("Kinect number 0 not found") || said.contains("cannot start libfreenect"), "{said}");
 }
 
 #[test]
@@ -247,7 +247,7 @@ fn time_stamps_that_ros_cannot_hold_are_refused() {
     for stamp in ["2147483648", "-0.5", "1e18", "1e300"] {
         fs::write(set.join("depth.txt"), format!("{stamp} {image}\n")).unwrap();
         let error = refused(&["record", str(&set), str(&recording)]);
-        assert!(error.contains("a time stamp of") && error.contains("2147483647"), "{error}");
+        assert!(error.contains("the time stamp") && error.contains("2147483647"), "{error}");
         assert!(!recording.exists() && !recording.with_extension("mcap.part").exists(), "{stamp}");
     }
     fs::write(set.join("depth.txt"), format!("2147483647.5 {image}\n")).unwrap();

@@ -63,7 +63,7 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
         (["--save", str(&source)], "is not empty"),
         (["--picture", str(&rig)], ".png"),
         (["--picture", str(&source.join("depth/new.png"))], "part of the input"),
-        (["--picture", str(&path("none/above.png"))], "its folder does not exist"),
+        (["--picture", str(&path("none/above.png"))], "its parent folder does not exist"),
     ] {
         let stderr = refused(&[&["stream", "--rig", str(&rig)], &outputs[..]].concat());
         assert!(stderr.contains(said), "{outputs:?}: {stderr}");
@@ -147,7 +147,7 @@ fn frames_are_dealt_to_the_devices_that_are_named() {
         assert!(stderr.contains(said), "{stderr}");
     }
     let stderr = refused(&["stream", str(&source), "--gpus", "cpu", "--engine", "reference"]);
-    assert!(stderr.contains("--gpus = cpu is not allowed: only without an engine"), "{stderr}");
+    assert!(stderr.contains("--gpus = cpu is not allowed: only with the engine auto or gpu"), "{stderr}");
     let one = fs::read_dir(&frames).unwrap().next().unwrap().unwrap().path();
     let stderr = refused(&["smooth", str(&one), "out.png", "--gpus", "cpu"]);
     assert!(stderr.contains("applies to folders"), "{stderr}");

@@ -42,11 +42,16 @@ fn videos_are_measured_simulated_exported_and_from_folders() {
     assert_eq!((&ways[3]["name"], &ways[3]["far"]), (&"still".into(), &ways[0]["far"]));
 
     assert!(refused(&["evaluate", "--sequence", "standing"]).contains("still, fixed-pattern"));
-    assert!(refused(&["evaluate", "--sequence", "still", "--input", str(&still)]).contains("contradicts --input"));
-    assert!(refused(&["evaluate", "--sequence", "--input", str(&still.join("0000.png"))]).contains("is one frame"));
+    assert!(
+        refused(&["evaluate", "--sequence", "still", "--input", str(&still)])
+            .contains("cannot be combined with --input")
+    );
+    assert!(
+        refused(&["evaluate", "--sequence", "--input", str(&still.join("0000.png"))]).contains("is a single frame")
+    );
     assert!(refused(&["evaluate", "--sequence", "--temporal", "off"]).contains("--temporal off"));
     assert!(refused(&["evaluate", "--frames", "3"]).contains("--sequence"));
-    assert!(refused(&["evaluate", "--results", "a", "--results", "b"]).contains("only --sequence"));
+    assert!(refused(&["evaluate", "--results", "a", "--results", "b"]).contains("only with --sequence"));
     let message = refused(&["evaluate", "--sequence", "--input", str(&still)]);
     assert!(message.contains("needs its camera"), "{message}");
 }
@@ -72,7 +77,7 @@ fn poses_of_a_folder_are_read_and_checked() {
     fs::write(&by_time, "\u{feff}0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n").unwrap();
     let output = planish(&[&smooth[..6], &["--poses", str(&by_time), "--temporal", "steady"]].concat());
     let message = text(&output.stderr);
-    assert!(output.status.success() && message.contains("has none for 3 frames"), "{message}");
+    assert!(output.status.success() && message.contains("has no pose for 3 frames"), "{message}");
     ok(&given);
     let clouds = folder.path().join("clouds");
     let as_clouds =
@@ -91,5 +96,5 @@ fn poses_of_a_folder_are_read_and_checked() {
     fs::write(&poses, "0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
     assert!(refused(&given).contains("not a rotation"));
     assert!(refused(&smooth).contains("--temporal steady"));
-    assert!(refused(&[&smooth[..], &["--track"]].concat()).contains("contradict"));
+    assert!(refused(&[&smooth[..], &["--track"]].concat()).contains("cannot be combined"));
 }

@@ -81,7 +81,7 @@ impl Distortion {
         let are_zero = coefficients.iter().all(|coefficient| *coefficient == 0.0);
         let wrong_count = |supported: &str| {
             let count = coefficients.len();
-            FormatError::Malformed(format!("{count} distortion coefficients; {supported} are supported"))
+            FormatError::Malformed(format!("{count} distortion coefficients are not supported; expected {supported}"))
         };
         if PINHOLE.contains(&name) {
             return Ok(Self::NONE);
@@ -90,7 +90,7 @@ impl Distortion {
             // librealsense has a fifth coefficient, which is 0.
             let four = coefficients.split_first_chunk::<4>().filter(|(_, rest)| rest.iter().all(|k| *k == 0.0));
             let four = four.map(|(four, _)| Self::Equidistant(*four));
-            return four.ok_or_else(|| wrong_count("the 4 of a fisheye (k1 k2 k3 k4)"));
+            return four.ok_or_else(|| wrong_count("4 for a fisheye lens (k1 k2 k3 k4)"));
         }
         if RATIONAL.contains(&name) {
             let known = if are_zero { Some(Self::NONE) } else { Self::from_opencv(coefficients) };
@@ -102,8 +102,8 @@ impl Distortion {
         }
         let shown: String = model.chars().take(40).collect();
         Err(FormatError::Unsupported(format!(
-            "the distortion model {shown:?}: only plumb_bob, rational_polynomial and equidistant are supported; rectify the \
-             images first"
+            "unsupported distortion model {shown:?}; expected plumb_bob, rational_polynomial or equidistant, or \
+             rectified images"
         )))
     }
 
@@ -383,8 +383,8 @@ mod tests {
         }
         for (name, coefficients, problem) in [
             ("plumb_bob", &five[..3], "3 distortion coefficients"),
-            ("equidistant", &five[..3], "the 4 of a fisheye"),
-            ("equidistant", &[0.1, 0.0, 0.0, 0.0, 0.1], "the 4 of a fisheye"),
+            ("equidistant", &five[..3], "4 for a fisheye"),
+            ("equidistant", &[0.1, 0.0, 0.0, 0.0, 0.1], "4 for a fisheye"),
             ("ftheta", &five, "rectify"),
             ("distortion.inverse_brown_conrady", &five, "rectify"),
         ] {

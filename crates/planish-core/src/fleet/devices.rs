@@ -44,7 +44,7 @@ impl FleetDevice {
             };
             for device in named {
                 if devices.contains(&device) {
-                    return Err(unavailable(format!("'{list}' names {} twice", device.name(adapters))));
+                    return Err(unavailable(format!("the device list '{list}' names {} twice", device.name(adapters))));
                 }
                 devices.push(device);
             }
@@ -108,7 +108,7 @@ mod tests {
             assert!(error.contains(said), "{list}: {error}");
         }
         let error = FleetDevice::among(&adapters[..1], "all").unwrap_err().to_string();
-        assert!(error.contains("no real GPU"), "{error}");
+        assert!(error.contains("no hardware GPU"), "{error}");
         assert_eq!(FleetDevice::among(&[], "cpu"), Ok(vec![FleetDevice::Cpu]));
     }
 }

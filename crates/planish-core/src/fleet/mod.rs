@@ -132,7 +132,7 @@ impl Fleet {
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
         }
         if ONE_THREAD {
-            let reason = "it needs a thread for each device".to_owned();
+            let reason = "it needs a thread per device, but this build has only one".to_owned();
             return Err(EngineError::Unavailable { engine: "fleet", reason }.into());
         }
         let cpu = options.clone().with_threads(options.threads.or_else(|| threads_beside(devices)));
@@ -145,7 +145,10 @@ impl Fleet {
             smoother.prepare_in_flight();
             Ok(smoother)
         };
-        let panicked = || EngineError::Unavailable { engine: "fleet", reason: "opening it panicked".to_owned() };
+        let panicked = || EngineError::Unavailable {
+            engine: "fleet",
+            reason: "the thread that opens a device panicked".to_owned(),
+        };
         let opened = on_a_thread_each(devices, open).into_iter();
         let smoothers: Result<Vec<Smoother>, Error> =
             opened.map(|result| result.unwrap_or_else(|_| Err(panicked().into()))).collect();

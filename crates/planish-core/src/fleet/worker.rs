@@ -100,7 +100,7 @@ impl Shared {
         let working = state.devices.iter().enumerate().filter(|(_, device)| device.lost.is_none());
         let loads = working.map(|(i, device)| (i, device.pace, device.waiting.len() + device.taken.len()));
         let Some(chosen) = dealing::choose(loads, self.window, Instant::now()) else {
-            let unknown = || EngineError::Unavailable { engine: "fleet", reason: "no device is left".to_owned() };
+            let unknown = || EngineError::Unavailable { engine: "fleet", reason: "all devices have failed".to_owned() };
             return Err(state.last_loss().unwrap_or_else(unknown));
         };
         let waiting = &mut state.devices[chosen].waiting;
@@ -254,7 +254,7 @@ impl Drop for EndOf<'_> {
             Some(Error::Engine(error)) => error,
             Some(error) => EngineError::Unavailable { engine: "fleet", reason: error.to_string() },
             None if thread::panicking() => {
-                EngineError::Unavailable { engine: "fleet", reason: "its thread panicked".to_owned() }
+                EngineError::Unavailable { engine: "fleet", reason: "the thread of a device panicked".to_owned() }
             }
             // The fleet was closed.
             None => return,

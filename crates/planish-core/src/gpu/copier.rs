@@ -76,6 +76,6 @@ impl Drop for Copier {
 
 impl Copied {
     pub(super) fn wait(self, gpu: &GpuDevice) -> CopyResult {
-        self.0.recv().unwrap_or_else(|_| Err(gpu.failed("the thread that copies results is gone")))
+        self.0.recv().unwrap_or_else(|_| Err(gpu.failed("the thread that copies results has ended")))
     }
 }

@@ -135,15 +135,16 @@ impl OpenAdapter {
             return Ok(adapter);
         }
         let unavailable = |reason| EngineError::Unavailable { engine: "gpu", reason };
-        let adapter =
-            adapters().get(chosen.index).ok_or_else(|| unavailable(format!("the adapter {} is gone", chosen.name)))?;
+        let adapter = adapters()
+            .get(chosen.index)
+            .ok_or_else(|| unavailable(format!("the adapter {} is no longer available", chosen.name)))?;
         let opened =
             match purpose {
                 Purpose::OneAtATime => vec![queues::open_one(adapter).map_err(|error| {
                     unavailable(format!("the adapter {} could not be opened: {error}", chosen.name))
                 })?],
                 Purpose::InFlight => queues::open_several(adapter)
-                    .ok_or_else(|| unavailable(format!("the adapter {} has no queues side by side", chosen.name)))?,
+                    .ok_or_else(|| unavailable(format!("the adapter {} cannot open several queues", chosen.name)))?,
             };
         let opened = Arc::new(Self::new(adapter, &chosen.name, opened));
         open.push((chosen.index, purpose, Arc::downgrade(&opened)));
@@ -242,7 +243,7 @@ impl GpuDevice {
     pub(super) fn check_timestamps(&self, options: &GpuOptions) -> Result<(), EngineError> {
         let needed = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
         if options.timestamps && !self.features.contains(needed) {
-            let reason = format!("the adapter {} has no time stamps", self.name);
+            let reason = format!("the adapter {} does not support timestamps", self.name);
             return Err(EngineError::Unavailable { engine: "gpu", reason });
         }
         Ok(())

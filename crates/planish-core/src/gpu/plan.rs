@@ -90,7 +90,7 @@ impl Plan {
         // The kernels for one window.
         let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
-            let reason = "WebGPU smooths frames on a grid; unorganized clouds take the CPU engine".to_owned();
+            let reason = "WebGPU smooths only frames on a grid; use the CPU engine for unorganized clouds".to_owned();
             return Err(EngineError::Unavailable { engine: "webgpu", reason }.into());
         };
         check_options(params.into(), &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;
@@ -178,7 +178,8 @@ impl Plan {
         if InputKind::of(&frame) == self.layout.kind {
             return Ok(frame);
         }
-        let reason = "the plan is for frames of another kind (depth, depth in metres, or points)".to_owned();
+        let reason =
+            "the plan is for another kind of frame (depth, depth in metres, or points); make a new plan".to_owned();
         Err(EngineError::Unavailable { engine: "webgpu", reason }.into())
     }
 

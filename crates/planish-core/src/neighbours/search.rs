@@ -24,7 +24,7 @@ impl NeighbourSearch {
         } else {
             Some(ImmutableKdTree::new_from_slice(&finite).map_err(|error| EngineError::Unavailable {
                 engine: "reference",
-                reason: format!("no search tree over {} points: {error}", finite.len()),
+                reason: format!("cannot build a search tree of {} points: {error}", finite.len()),
             })?)
         };
         Ok(Self { tree, index })

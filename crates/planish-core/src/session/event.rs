@@ -127,20 +127,20 @@ impl fmt::Display for SessionEvent {
             }
             Self::NeighboursChosen(choice) => choice.fmt(f),
             Self::GridRebuilt { width, height } => {
-                write!(f, "a frame that lost its grid, smoothed on {width}x{height} pixels")
+                write!(f, "the frame lost its grid; smoothed on a rebuilt grid of {width}x{height} pixels")
             }
             Self::Doubtful(doubt) => doubt.fmt(f),
             Self::CameraUnknown => f.write_str(
-                "the points are on the pixels of no camera without distortion, so the motion of the camera cannot be \
-                 compensated; give the camera",
+                "the motion of the camera cannot be compensated, since the points fit no camera without distortion; \
+                 give the camera",
             ),
             // WebAssembly fills none.
             Self::NotFilled if ONE_THREAD => Ok(()),
-            Self::NotFilled => f.write_str(
-                "holes are not filled: the points are on the pixels of no camera without distortion; give the camera",
-            ),
+            Self::NotFilled => {
+                f.write_str("holes are not filled, since the points fit no camera without distortion; give the camera")
+            }
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
-            Self::Reopening { error } => write!(f, "{error}; opening it once more"),
+            Self::Reopening { error } => write!(f, "{error}; reopening the GPU"),
             Self::UsingCpu { error } => write!(f, "{error}; continuing with the CPU engine"),
             Self::DeviceLeft { error, .. } => write!(f, "{error}; continuing on another device"),
             Self::DeviceLost { error, left: 1, .. } => write!(f, "{error}; continuing on one device"),

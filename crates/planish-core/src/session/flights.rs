@@ -71,7 +71,7 @@ impl Session {
 
     /// Returns the error for outputs that the session computes from both the frame and its result.
     fn needs_frame(&self) -> ParamError {
-        let allowed = "only for frames that are shared (submit), since it follows from frame and result";
+        let allowed = "only for shared frames (submit), since it is computed from both the frame and the result";
         let (field, value) = match self.fill_px() {
             Some(width_px) => ("fill", width_px.to_string()),
             None => ("outputs", "sigma".to_owned()),

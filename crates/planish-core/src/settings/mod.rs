@@ -283,7 +283,11 @@ impl Settings {
         if let Some(devices) = &self.devices
             && !matches!(self.engine(), Engine::Auto | Engine::Gpu)
         {
-            return contradiction("devices", devices, "only without an engine, which the list chooses");
+            return contradiction(
+                "devices",
+                devices,
+                "only with the engine auto or gpu, since the list chooses the engines",
+            );
         }
         Ok(())
     }

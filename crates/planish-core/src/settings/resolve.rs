@@ -117,7 +117,7 @@ impl Settings {
             let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
             return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
         }
-        let allowed = "only frames on a grid, since it needs the pixels around each point";
+        let allowed = "only for frames on a grid, since it needs the pixels around each point";
         if self.remove_floating == Some(true) {
             return Err(ParamError { field: "remove_floating", value: "true".into(), allowed });
         }

@@ -176,7 +176,7 @@ impl<'de> Deserialize<'de> for SettingValue {
                         _ => {
                             map.next_value::<IgnoredAny>()?;
                             return Err(A::Error::custom(format!(
-                                "unknown field {name:?} of a sensor: step and sigma are expected"
+                                "unknown sensor field {name:?}; expected step or sigma"
                             )));
                         }
                     }

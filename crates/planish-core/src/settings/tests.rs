@@ -66,7 +66,7 @@ fn errors_name_the_field_and_its_range() {
         ("preset=light strength=0.5", "strength", "only without a preset"),
         ("radius=0.03,neighbours=20", "neighbours", "only without radius_m"),
         ("adapter=0", "adapter", "only with the engine gpu"),
-        ("devices=cpu engine=cpu", "devices", "only without an engine"),
+        ("devices=cpu engine=cpu", "devices", "only with the engine auto or gpu"),
     ] {
         let error = text.parse::<Settings>().unwrap_err();
         assert_eq!(error.field, field, "{text}: {error}");

@@ -23,8 +23,8 @@ impl Settings {
     /// # Errors
     /// If `temporal` is `steady`, or `track` is set.
     pub fn check_no_video(&self) -> Result<(), ParamError> {
-        let allowed = "only for the frames of a camera, one after another: a stream, a folder, a recording, a topic of \
-                       ROS, a rig, or a smoother in Python";
+        let allowed = "only for consecutive frames of a camera: a stream, a folder, a recording, a ROS topic, a rig, \
+                       or a smoother in Python";
         match (self.temporal, self.tracks_camera()) {
             (Some(TemporalChoice::Steady), _) => Err(ParamError { field: "temporal", value: "steady".into(), allowed }),
             (_, true) => Err(ParamError { field: "track", value: "true".into(), allowed }),

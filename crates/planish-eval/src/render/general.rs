@@ -48,7 +48,7 @@ impl DistantView {
     /// If the direction is zero or not finite, or the cloud is empty.
     pub fn of(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -> Result<Self, FrameError> {
         let towards = DVec3::from_array(direction).try_normalize().ok_or_else(|| {
-            let allowed = "a direction: three numbers, not all zero";
+            let allowed = "a direction is three finite numbers, not all zero";
             FrameError::BadPose(ParamError { field: "from", value: format!("{direction:?}"), allowed })
         })?;
         let away = -towards;

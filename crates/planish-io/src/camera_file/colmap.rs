@@ -25,9 +25,9 @@ pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<F
         }
         match cameras[..] {
             [camera] => Ok(camera),
-            _ => {
-                Err(FormatError::Unsupported("it lists several cameras; keep only the one that took the frame".into()))
-            }
+            _ => Err(FormatError::Unsupported(
+                "the file lists several cameras; keep only the one that took the frame".into(),
+            )),
         }
     }))
 }
@@ -40,7 +40,7 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     };
     let size = |at: usize| words.get(at)?.parse::<usize>().ok();
     let (Some(width), Some(height), Some(parameters)) = (size(2), size(3), parsed(4..)) else {
-        return Err(malformed(format!("not a line of COLMAP's cameras.txt: {}", quoted(line))));
+        return Err(malformed(format!("invalid line in COLMAP's cameras.txt: {}", quoted(line))));
     };
     let parameters = &parameters[..];
     let (focal_length, centre, distortion) = match (words[1], parameters) {
@@ -54,8 +54,8 @@ pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
         ("FULL_OPENCV", &[fx, fy, cx, cy, ref d @ ..]) if d.len() == 8 => ([fx, fy], [cx, cy], d.to_vec()),
         (model, _) => {
             return Err(FormatError::Unsupported(format!(
-                "COLMAP's camera model {} with {} parameters: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, \
-                 OPENCV, OPENCV_FISHEYE and FULL_OPENCV are supported",
+                "unsupported COLMAP camera model {} with {} parameters; expected SIMPLE_PINHOLE, PINHOLE, \
+                 SIMPLE_RADIAL, RADIAL, OPENCV, OPENCV_FISHEYE or FULL_OPENCV",
                 quoted(model),
                 parameters.len()
             )));

@@ -50,11 +50,15 @@ pub fn read_camera_file(path: &Path, shape: Option<(usize, usize)>) -> Result<Ca
 pub fn read_text(path: &Path) -> FormatResult<String> {
     let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
     let bytes = bytes.map_err(|error| match error {
-        FormatError::TooLarge { .. } => malformed("larger than any camera file".into()),
+        FormatError::TooLarge { .. } => malformed("the file is too large for a camera file".into()),
         error => error,
     })?;
     let text = text_in_utf_8(&bytes);
-    if text.contains(&0) { Err(malformed("not text".into())) } else { Ok(super::text_of(&text).into_owned()) }
+    if text.contains(&0) {
+        Err(malformed("the file is not text".into()))
+    } else {
+        Ok(super::text_of(&text).into_owned())
+    }
 }
 
 /// Same as [`read_camera`], for the text of a file.
@@ -223,10 +227,10 @@ mod tests {
             assert_eq!((camera.fx, camera.cy, camera.depth_units_per_metre), (525.0, 239.5, units), "{text}");
         }
         for (more, problem) in [
-            (r#""is_fisheye":true"#, "the 4 of a fisheye"),
+            (r#""is_fisheye":true"#, "4 for a fisheye"),
             (r#""model":"distortion.inverse_brown_conrady","coeffs":[0.1,0,0,0,0]"#, "rectify"),
-            (r#""distortion_model":"equidistant","D":[0,0,0,0,1]"#, "the 4 of a fisheye"),
-            (r#""is_fisheye":"true","D":[0,0,0,0,1]"#, "the 4 of a fisheye"),
+            (r#""distortion_model":"equidistant","D":[0,0,0,0,1]"#, "4 for a fisheye"),
+            (r#""is_fisheye":"true","D":[0,0,0,0,1]"#, "4 for a fisheye"),
             (r#""camera_model":"omni","distortion_model":"radtan","dist":[0.1,0,0,0]"#, "omni"),
         ] {
             let error = parse_camera(&format!("{{{CAMERA},{more}}}"), None).unwrap_err().to_string();
@@ -282,7 +286,7 @@ mod tests {
         }
         for scale in ["50", "0.007", "0", "-1", "1e-9"] {
             let error = parse_camera(&with(scale), None).unwrap_err().to_string();
-            assert!(error.contains("no unit of a depth camera"), "{scale}: {error}");
+            assert!(error.contains("not the unit of any depth camera"), "{scale}: {error}");
         }
     }
 
@@ -303,7 +307,7 @@ mod tests {
             .replace("525, 0, 319.5, 0, 525, 239.5, 0, 0, 1", "0, 0, 0, 0, 0, 0, 0, 0, 0");
         assert_eq!(read(&uncalibrated).camera.fx, 500.0);
         for (text, problem) in [
-            ("K: [525, 3, 319.5, 0, 525, 239.5, 0, 0, 1]", "not the matrix"),
+            ("K: [525, 3, 319.5, 0, 525, 239.5, 0, 0, 1]", "not a matrix"),
             ("fx: wide\nfy: 1\ncx: 1\ncy: 1", "not a number"),
             ("width: 640\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5", "only one of width and height"),
             ("width: 6.5\nheight: 4\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5", "not a number of pixels"),

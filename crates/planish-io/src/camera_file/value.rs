@@ -103,7 +103,7 @@ impl<'a> Names<'a> {
     fn numbers(&self, names: &[&str]) -> FormatResult<Option<Vec<f64>>> {
         let Some((name, value)) = self.value(names) else { return Ok(None) };
         let value = value.get("data").unwrap_or(value);
-        flat(value).map(Some).ok_or_else(|| malformed(format!("{name} has something else than numbers")))
+        flat(value).map(Some).ok_or_else(|| malformed(format!("{name} has values that are not numbers")))
     }
 }
 
@@ -142,7 +142,9 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
         let camera = camera_of(first)?;
         let is_other = |value: &Value| camera_of(value).map_or(true, |other| other.camera != camera.camera);
         if of_images.any(is_other) {
-            return Err(FormatError::Unsupported("its cameras differ; give the one of this image alone".into()));
+            return Err(FormatError::Unsupported(
+                "the file has different cameras; keep only the camera of this image".into(),
+            ));
         }
         return Ok(camera);
     }
@@ -191,7 +193,7 @@ fn intrinsics(names: &Names<'_>, notes: &mut Vec<String>) -> FormatResult<Option
         let distorts = names.numbers(DISTORTION)?.is_some_and(|all| all.iter().any(|number| *number != 0.0));
         if let Some(projection) = of_projection.filter(|projection| !distorts && differ(projection, &of_matrix)) {
             notes.push(format!(
-                "K and P differ though there is no distortion: fx is {} or {}, cx {} or {}; K is used",
+                "K and P differ although the distortion is zero: fx is {} or {}, cx is {} or {}; using K",
                 of_matrix.0[0], projection.0[0], of_matrix.1[0], projection.1[0]
             ));
         }
@@ -216,7 +218,7 @@ fn differ(a: &Intrinsics, b: &Intrinsics) -> bool {
 }
 
 fn not_intrinsics(numbers: &[f64]) -> FormatError {
-    malformed(format!("{} numbers that are not the matrix [fx 0 cx; 0 fy cy; 0 0 1]", numbers.len()))
+    malformed(format!("the {} numbers are not a matrix [fx 0 cx; 0 fy cy; 0 0 1]", numbers.len()))
 }
 
 fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
@@ -268,18 +270,18 @@ fn is_pinhole(name: &str) -> bool {
 fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
     let (units, convention) = match scale {
         100.0.. => return Ok(scale),
-        0.01..=10.0 => (1000.0 / scale, "millimetres per unit, as BOP states it"),
-        1e-6..=0.005 => (1.0 / scale, "metres per unit, as librealsense states it"),
+        0.01..=10.0 => (1000.0 / scale, "millimetres per unit, as in BOP"),
+        1e-6..=0.005 => (1.0 / scale, "metres per unit, as in librealsense"),
         _ => {
             return Err(malformed(format!(
-                "depth_scale is {scale}, which is no unit of a depth camera; give depth_units_per_metre, which is 1000 \
-                 for millimetres"
+                "depth_scale {scale} is not the unit of any depth camera; set depth_units_per_metre instead (1000 for \
+                 millimetres)"
             )));
         }
     };
     // Removes the rounding error of the division.
     let units = (units * 1e6).round() / 1e6;
-    notes.push(format!("depth_scale {scale} is taken as {convention}: {units} units per metre"));
+    notes.push(format!("depth_scale {scale} is read as {convention}: {units} units per metre"));
     Ok(units)
 }
 

@@ -157,9 +157,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     }
     let count = scans.iter().try_fold(0u64, |sum, scan| sum.checked_add(scan.records));
     // A point takes at least one bit; without this check, a small header could claim any number of points.
-    let count = count
-        .filter(|count| *count <= 8 * bytes.len() as u64)
-        .ok_or_else(|| FormatError::Malformed("truncated: its header states more points than the file holds".into()))?;
+    let count = count.filter(|count| *count <= 8 * bytes.len() as u64).ok_or_else(|| {
+        FormatError::Malformed("the file is truncated: its header states more points than the file holds".into())
+    })?;
     let mut columns: Vec<(String, Kind, Vec<f64>)> = Vec::new();
     let mut column_of: HashMap<String, usize> = HashMap::new();
     for record in scans.iter().flat_map(|scan| &scan.prototype) {
@@ -167,7 +167,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         match column_of.get(&name) {
             Some(&column) => columns[column].1 = columns[column].1.union(kind),
             None if columns.len() == MOST_COLUMNS => {
-                return Err(FormatError::Unsupported(format!("more than {MOST_COLUMNS} different fields")));
+                return Err(FormatError::Unsupported(format!(
+                    "the scans have more than {MOST_COLUMNS} different fields; remove some of them"
+                )));
             }
             None => {
                 column_of.insert(name.clone(), columns.len());
@@ -193,7 +195,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let mut scan_of: Vec<u16> = Vec::new();
     for (number, scan) in scans.iter().enumerate() {
         let position = Position::of(&scan.prototype)
-            .ok_or_else(|| FormatError::Unsupported("a scan without positions, Cartesian or spherical".into()))?;
+            .ok_or_else(|| FormatError::Unsupported("a scan has neither Cartesian nor spherical positions".into()))?;
         let is_invalid = |record: &Record| {
             matches!(record.name, RecordName::CartesianInvalidState | RecordName::SphericalInvalidState)
         };

@@ -72,12 +72,12 @@ fn what_cannot_be_read_is_refused() {
     let whole = glb(&document(r#"{"byteLength":56}"#), &data());
     assert!((0..whole.len()).all(|length| read(&whole[..length]).is_err()));
     for (from, to, problem) in [
-        (r#""count":2"#, r#""count":3"#, "which its buffer has not"),
-        (r#""count":2"#, r#""count":18446744073709551615"#, "which its buffer has not"),
-        (r#""byteStride":24"#, r#""byteStride":4"#, "which its buffer has not"),
+        (r#""count":2"#, r#""count":3"#, "does not fit its buffer"),
+        (r#""count":2"#, r#""count":18446744073709551615"#, "does not fit its buffer"),
+        (r#""byteStride":24"#, r#""byteStride":4"#, "does not fit its buffer"),
         (r#""children":[2]"#, r#""children":[1]"#, "a loop"),
-        (r#""mesh":0"#, r#""mesh":7"#, "no mesh 7"),
-        (r#""componentType":5126"#, r#""componentType":5123"#, "floats are read"),
+        (r#""mesh":0"#, r#""mesh":7"#, "mesh 7 does not exist"),
+        (r#""componentType":5126"#, r#""componentType":5123"#, "expected floats"),
         (r#""scene":0"#, r#""extensionsRequired":["KHR_draco_mesh_compression"]"#, "KHR_draco"),
         (r#""byteOffset":48"#, r#""byteOffset":49"#, "outside its buffer"),
         (r#""version":"2.0""#, r#""version":"1.0","profile":{}"#, "version 1.0 of glTF"),

@@ -9,7 +9,7 @@ pub(super) fn damaged(error: las::Error) -> FormatError {
     if matches!(&error, las::Error::Io(error) if is_cut(error))
         || error.to_string().contains("failed to fill whole buffer")
     {
-        return FormatError::Malformed("damaged LAS: it is truncated, or its sizes are wrong".into());
+        return FormatError::Malformed("damaged LAS: the file is truncated, or its header states wrong sizes".into());
     }
     FormatError::Malformed(format!("damaged LAS: {}", brief(&error.to_string())))
 }

@@ -302,7 +302,7 @@ pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResul
             Ok(())
         }
         _ => Err(FormatError::Unsupported(
-            "the file has extra bytes without a description, after which no field can be added".into(),
+            "fields cannot be added after extra bytes without a description; write another format, such as .ply".into(),
         )),
     }
 }
@@ -343,7 +343,12 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
         let reason = format!("the name {} is longer than LAS allows (32 bytes)", quoted(&attribute.name));
         return Err(FormatError::Unsupported(reason));
     }
-    let too_long = || FormatError::Unsupported("more fields than fit into a LAS record of 65,535 bytes".into());
+    let too_long = || {
+        FormatError::Unsupported(
+            "the fields do not fit into a LAS record of at most 65,535 bytes; write another format, such as .ply"
+                .into(),
+        )
+    };
     builder.point_format.len().checked_add(stored.size() as u16).ok_or_else(too_long)?;
     push_description(builder, &attribute.name, number, 0);
     let at = usize::from(builder.point_format.len());
@@ -365,7 +370,7 @@ pub(super) fn encode_field(
     let values_a_point = if let Stored::Bytes(size) = stored { size } else { count };
     let out_of_range = || {
         FormatError::Unsupported(format!(
-            "field {} has values that LAS cannot store there (negative, too large, or not integers); rename the field",
+            "field {} has values that LAS cannot store in it (negative, too large, or not integers); rename the field",
             field.name
         ))
     };

@@ -81,7 +81,7 @@ impl Checked {
         let points_at = validate::read_at(bytes, repair::POINTS_AT).map_or(0, u32::from_le_bytes) as usize;
         let cut_off = || {
             let claimed = format!(
-                "the header states {points} points of {record} bytes from byte {points_at} on, in a file of {size} bytes"
+                "the header states {points} points of {record} bytes at byte {points_at}, but the file has {size} bytes"
             );
             FormatError::Malformed(format!("the file is truncated: {claimed}"))
         };
@@ -103,7 +103,9 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
     };
     match [x, y, z].iter().all(is_usable) {
         true => Ok(()),
-        false => Err(FormatError::Malformed("the header's scales and offsets are not finite, or far too large".into())),
+        false => Err(FormatError::Malformed(
+            "the header's scales and offsets are invalid (zero, not finite, or far too large)".into(),
+        )),
     }
 }
 
@@ -315,8 +317,8 @@ fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatR
         if scale > FINE_M && kept.iter().any(is_moved) {
             let name = ["x", "y", "z"][axis];
             return Err(FormatError::Unsupported(format!(
-                "LAS stores coordinates in 32 bits, so {name} would be rounded to steps of {scale} m; a few points are \
-                 probably far from all others: remove them with `planish clean --box`, or write another format"
+                "LAS stores coordinates in 32 bits, so {name} would be rounded to steps of {scale} m; remove points \
+                 far from all others with `planish clean --box`, or write another format"
             )));
         }
     }

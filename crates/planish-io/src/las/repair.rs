@@ -61,11 +61,11 @@ impl Repaired {
         let version: [u8; 2] = read_at(file, VERSION)?;
         let [major, minor] = version;
         if major != LATEST[0] {
-            let text = format!("its version is {major}.{minor}; LAS 1.0 to 1.5 are read");
+            let text = format!("LAS version {major}.{minor} is not supported; expected 1.0 to 1.5");
             return Some(Err(FormatError::Malformed(text)));
         }
         if version > LATEST {
-            let text = format!("LAS {major}.{minor} is newer than what is read, LAS 1.0 to 1.5; save it as LAS 1.4");
+            let text = format!("LAS {major}.{minor} is not supported; expected 1.0 to 1.5. Save the file as LAS 1.4");
             return Some(Err(FormatError::Unsupported(text)));
         }
         let mut repaired = Self { head: file.read(0, size)?, notes: Vec::new() };
@@ -77,15 +77,15 @@ impl Repaired {
         repaired.compare_points(file)?;
         if version == LATEST {
             repaired.set(VERSION, &EXTENDED_SINCE);
-            repaired.notes.push("read as LAS 1.4, which has all of its fields of points".into());
+            repaired.notes.push("the file is read as LAS 1.4, which has the same point fields".into());
             let has_offset = size >= TIME_OFFSET_AT + 2;
             let offset = if has_offset { i16::from_le_bytes(read_at(file, TIME_OFFSET_AT)?) } else { 0 };
             if u16::from_le_bytes(read_at(file, ENCODING)?) & TIME_OFFSET != 0 && offset != 0 {
-                repaired.notes.push(format!("its GPS times count from {offset} million seconds, which is not kept"));
+                repaired.notes.push(format!("the offset of its GPS times, {offset} million seconds, is not kept"));
             }
         }
         if u16::from_le_bytes(read_at(file, ENCODING)?) & WAVEFORMS != 0 {
-            repaired.notes.push("its waveforms are dropped; the points keep only where they were".into());
+            repaired.notes.push("its waveforms are dropped; the points keep only their references to them".into());
         }
         Some(Ok(repaired))
     }
@@ -110,7 +110,7 @@ impl Repaired {
         }
         if found < stated {
             self.set(RECORDS, &found.to_le_bytes());
-            self.notes.push(format!("the header states {stated} records ahead of the points, but {found} are there"));
+            self.notes.push(format!("the header states {stated} records before the points, but the file has {found}"));
         }
         Some(())
     }
@@ -123,7 +123,7 @@ impl Repaired {
         if legacy != 0 && points != 0 && u64::from(legacy) != points {
             self.set(LEGACY_POINTS, &0u32.to_le_bytes());
             self.notes
-                .push(format!("the header states {points} points, and {legacy} for older programs; the first counts"));
+                .push(format!("the header states {points} points, but {legacy} in the legacy field, which is ignored"));
         }
         Some(())
     }
@@ -151,9 +151,10 @@ impl Repaired {
                 Ok(there) => self.set(LEGACY_POINTS, &there.to_le_bytes()),
                 Err(_) => self.set(POINTS, &there.to_le_bytes()),
             }
-            self.notes.push(format!("the header states no points, but the file has {there}"));
+            self.notes.push(format!("the header states no points; all {there} points of the file are read"));
         } else if stated < there {
-            self.notes.push(format!("the header states {stated} points, which are read, but the file has {there}"));
+            self.notes
+                .push(format!("only the {stated} points stated in the header are read, but the file has {there}"));
         }
         Some(())
     }
@@ -171,7 +172,7 @@ impl Repaired {
                 self.set(EXTENDED_AT, &0u64.to_le_bytes());
             }
             self.notes.push(format!(
-                "the header states {stated} extended records from byte {at} on, of which {found} can be read"
+                "the header states {stated} extended records at offset {at}, but only {found} can be read"
             ));
         }
         Some(())

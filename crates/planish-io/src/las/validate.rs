@@ -88,7 +88,7 @@ pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatRe
     let [major, minor] = read_at(bytes, 24)?;
     let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
     Some(if size < needed {
-        let text = format!("a header of {size} bytes, but LAS {major}.{minor} needs {needed}");
+        let text = format!("the header has {size} bytes, but LAS {major}.{minor} needs {needed}");
         Err(FormatError::Malformed(text))
     } else {
         Ok(())
@@ -113,11 +113,14 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
         if user.starts_with(b"laszip encoded") {
             let chunk = u32_at(at + 54 + 12)?;
             if chunk != u32::MAX && u64::from(chunk) > points.max(LARGEST_CHUNK) {
-                return Some(Err(FormatError::Malformed(format!("chunks of {chunk} points in a file of {points}"))));
+                return Some(Err(FormatError::Malformed(format!(
+                    "the LASzip record states chunks of {chunk} points, but the file has only {points}"
+                ))));
             }
             // Versions of LASzip before 2 wrote points one after the other.
             if u16::from_le_bytes(read_at(bytes, at + RECORD_HEADER)?) < CHUNKED {
-                let text = "a LAZ of an old LASzip, without chunks: unpack it with laszip or PDAL";
+                let text =
+                    "LAZ without chunks, from an old LASzip, is not supported; decompress it with laszip or PDAL";
                 return Some(Err(FormatError::Unsupported(text.into())));
             }
             let length = usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
@@ -133,7 +136,10 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     let record = usize::from(u16::from_le_bytes(read_at(bytes, 105)?));
     // Each chunk begins with an uncompressed point.
     if chunks.saturating_mul(record.max(1)) > bytes.size() {
-        return Some(Err(FormatError::Malformed(format!("{chunks} chunks in {} bytes", bytes.size()))));
+        return Some(Err(FormatError::Malformed(format!(
+            "the chunk table states {chunks} chunks, too many for a file of {} bytes",
+            bytes.size()
+        ))));
     }
     // If there are several descriptions, the decoder may use another one.
     let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
@@ -141,7 +147,9 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     };
     let size: usize = description.items().iter().map(item_bytes).sum();
     if size != record {
-        return Some(Err(FormatError::Malformed(format!("points of {record} bytes, which are compressed as {size}"))));
+        return Some(Err(FormatError::Malformed(format!(
+            "points have {record} bytes in the header, but {size} bytes in the LASzip record"
+        ))));
     }
     check_table(bytes, &description, record, points)
 }
@@ -188,13 +196,14 @@ fn check_table(
             let size = |size: &[u8]| size.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
             let needed = (record + 4 + 4 * layers) as u64 + sizes.chunks_exact(4).map(size).sum::<u64>();
             if needed != chunk.byte_count {
-                let text = format!("a chunk of {} bytes, but its layers need {needed}", chunk.byte_count);
+                let text = format!("a chunk has {} bytes, but its layers need {needed}", chunk.byte_count);
                 return Some(Err(FormatError::Malformed(text)));
             }
         }
         let Some(end) = at.checked_add(chunk.byte_count).filter(|&end| end <= bytes.size() as u64) else {
             let (count, size) = (chunk.byte_count, bytes.size());
-            let text = format!("a chunk of {count} bytes from byte {at} on, in a file of {size} bytes");
+            let text =
+                format!("a chunk of {count} bytes at offset {at} extends past the end of the file ({size} bytes)");
             return Some(Err(FormatError::Malformed(text)));
         };
         at = end;
@@ -202,7 +211,7 @@ fn check_table(
     }
     // Chunks of a fixed size may state more points than they have.
     if description.uses_variable_size_chunks() && stated != points {
-        let text = format!("the header states {points} points, but its chunks {stated}");
+        let text = format!("the header states {points} points, but its chunk table states {stated}");
         return Some(Err(FormatError::Malformed(text)));
     }
     Some(Ok(()))

@@ -77,7 +77,9 @@ impl<'a> Array<'a> {
     #[cfg(feature = "more-formats")]
     pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {
         if self.header.is_fortran && self.header.shape.len() > 1 {
-            return Err(FormatError::Unsupported("records in Fortran order; save np.ascontiguousarray(array)".into()));
+            return Err(FormatError::Unsupported(
+                "records in Fortran order are not supported; save np.ascontiguousarray(array)".into(),
+            ));
         }
         let mut at = 0;
         let mut columns = Vec::new();
@@ -116,7 +118,10 @@ impl<'a> Array<'a> {
             ('f', 4) => read::<f32>(records, record, field, at).into(),
             ('f', 8) => read::<f64>(records, record, field, at).into(),
             _ => {
-                let text = format!("the field {} of {} bytes; save it as integers, f32 or f64", field.name, field.size);
+                let text = format!(
+                    "field {} has an unsupported type of {} bytes; save it as integers, f32 or f64",
+                    field.name, field.size
+                );
                 return Err(FormatError::Unsupported(text));
             }
         };

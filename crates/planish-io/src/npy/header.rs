@@ -79,7 +79,7 @@ impl Header {
             [1, _, a, b, rest @ ..] => (usize::from(u16::from_le_bytes([*a, *b])), rest),
             [2 | 3, _, a, b, c, d, rest @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
             [1..=3, ..] | [] => return Err(cut()),
-            _ => return Err(FormatError::Unsupported("an unknown version of NPY; 1, 2 and 3 are supported".into())),
+            _ => return Err(FormatError::Unsupported("unknown NPY version; expected 1, 2 or 3".into())),
         };
         if stated > MAX_BYTES {
             let problem = format!("an NPY header of {stated} bytes is too long for an array of numbers");
@@ -145,7 +145,7 @@ impl<'a> Dict<'a> {
         match descr {
             Descr::Number(descr) => {
                 let field = RecordField::of("", descr, 1).filter(|field| field.kind != 'V').ok_or_else(|| {
-                    let text = format!("an array of the type {}, which is not a number type", quoted(descr));
+                    let text = format!("the array has the type {}, which is not a number type", quoted(descr));
                     FormatError::Unsupported(text)
                 })?;
                 let RecordField { kind, size, is_big_endian, .. } = field;
@@ -179,8 +179,7 @@ impl<'a> Dict<'a> {
             let count = shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n));
             let count = count.filter(|count| (1..=MAX_BYTES).contains(count));
             let field = count.and_then(|count| RecordField::of(name, descr, count)).ok_or_else(|| {
-                let text =
-                    format!("the field {} of the type {}, which is not a number type", quoted(name), quoted(descr));
+                let text = format!("field {} has the type {}, which is not a number type", quoted(name), quoted(descr));
                 FormatError::Unsupported(text)
             })?;
             fields.push(field);

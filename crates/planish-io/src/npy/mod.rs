@@ -18,7 +18,7 @@ use planish_core::AttributeValues;
 use planish_core::{Attribute, DepthImage, FormatError, PointCloud, validate_shape};
 
 const LAYOUTS: &str =
-    "depth is [H, W] of integers or floats (metres), points are [H, W, 3] or [N, 3] of floats or records";
+    "depth must be [H, W] of integers or floats (metres), points [H, W, 3] or [N, 3] of floats or records";
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
@@ -71,11 +71,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (shape, ..) => {
             let descr = &array.header.descr;
             let advice = match shape {
-                [_, 3..=16] | [_, _, 3] => "; convert integers to metres with array.astype('f4') times their unit",
-                [3..=16, _] => "; points are rows: save array.T",
+                [_, 3..=16] | [_, _, 3] => {
+                    "; convert integer points to metres with array.astype('f4') times their unit"
+                }
+                [3..=16, _] => "; save array.T if its columns are the points",
                 _ => "",
             };
-            Err(FormatError::Unsupported(format!("an array of shape {shape:?} and type {descr}: {LAYOUTS}{advice}")))
+            Err(FormatError::Unsupported(format!(
+                "unsupported array of shape {shape:?} and type {descr}; {LAYOUTS}{advice}"
+            )))
         }
     }
 }

@@ -95,7 +95,7 @@ impl Field {
     pub(super) fn of(column: &Attribute) -> Result<Self, FormatError> {
         if column.name.is_empty() || column.name.contains(char::is_whitespace) {
             return Err(FormatError::Unsupported(format!(
-                "a PCD field cannot be named {:?}, since names have no spaces",
+                "the field name {:?} is empty or has spaces, which PCD does not allow; rename the field",
                 column.name
             )));
         }
@@ -236,7 +236,7 @@ impl<'a> Entries<'a> {
                 self.viewpoint = parsed.and_then(|values| values.try_into().ok());
                 if self.viewpoint.is_none() {
                     let stated = quoted(&values.join(" "));
-                    return malformed(format!("VIEWPOINT {stated} should be 7 numbers: x y z qw qx qy qz"));
+                    return malformed(format!("VIEWPOINT {stated} is invalid; expected 7 numbers: x y z qw qx qy qz"));
                 }
             }
             "DATA" => {
@@ -319,7 +319,9 @@ fn number(key: &str, values: &[&str]) -> Result<usize, FormatError> {
         [value] => value.parse().ok(),
         _ => None,
     }
-    .ok_or_else(|| FormatError::Malformed(format!("{key} {} should be one whole number", quoted(&values.join(" ")))))
+    .ok_or_else(|| {
+        FormatError::Malformed(format!("{key} {} is invalid; expected one whole number", quoted(&values.join(" "))))
+    })
 }
 
 fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {

@@ -41,7 +41,9 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
     }
     let is_repeated = |(k, column): (usize, &Attribute)| columns[..k].iter().any(|other| other.name == column.name);
     if columns.iter().enumerate().any(is_repeated) {
-        return Err(FormatError::Unsupported("two fields have the same name; PLY allows each once".into()));
+        return Err(FormatError::Unsupported(
+            "two fields have the same name, but names in a PLY must be unique; rename one of them".into(),
+        ));
     }
     Ok(columns)
 }

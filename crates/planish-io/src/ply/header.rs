@@ -164,9 +164,9 @@ impl Header {
             let rest = line.trim_start().get(keyword.len()..).unwrap_or_default().trim();
             let read = match keyword {
                 "ply" if number == 1 && rest.is_empty() => Ok(()),
-                _ if number == 1 => Err("a PLY begins with a line \"ply\"".to_owned()),
+                _ if number == 1 => Err("expected \"ply\" as the first line".to_owned()),
                 "end_header" if has_format => return header.checked(end),
-                "end_header" => Err("no line before it states the format".to_owned()),
+                "end_header" => Err("expected a format line before it".to_owned()),
                 "" => Ok(()),
                 "comment" => {
                     header.comments.push(rest.to_owned());
@@ -186,10 +186,10 @@ impl Header {
                         element.properties.push(property);
                         Ok(())
                     }
-                    None => Err("no line before it names an element".to_owned()),
+                    None => Err("expected an element line before it".to_owned()),
                 }),
                 _ => {
-                    Err("it begins with none of format, comment, obj_info, element, property and end_header".to_owned())
+                    Err("unknown keyword; expected format, comment, obj_info, element, property, end_header".to_owned())
                 }
             };
             read.map_err(|problem| {
@@ -270,13 +270,13 @@ fn storage(words: &str) -> Result<Storage, String> {
     let found = words.first().and_then(|word| Storage::NAMES.iter().find(|(_, name)| name == word));
     match (found, &words[..]) {
         (Some((storage, _)), [_, version]) if *version == "1.0" => Ok(*storage),
-        _ => Err("a format is ascii, binary_little_endian or binary_big_endian, and its version 1.0".to_owned()),
+        _ => Err("expected the format ascii, binary_little_endian or binary_big_endian, and version 1.0".to_owned()),
     }
 }
 
 fn element(words: &str) -> Result<Element, String> {
     let Some((name, count)) = words.split_once(|c: char| c.is_ascii_whitespace()) else {
-        return Err("an element has a name and a number".to_owned());
+        return Err("expected a name and a number of elements".to_owned());
     };
     match count.trim().parse() {
         Ok(count) => Ok(Element { name: name.to_owned(), count, properties: Vec::new() }),
@@ -287,16 +287,17 @@ fn element(words: &str) -> Result<Element, String> {
 fn property(words: &str) -> Result<Property, String> {
     let scalar = |name: &str| {
         let types = || Scalar::NAMES.iter().flat_map(|(_, names)| *names).collect::<Vec<_>>().join(", ");
-        Scalar::of_name(name).ok_or_else(|| format!("{} is no type of PLY, which are {}", super::quoted(name), types()))
+        Scalar::of_name(name)
+            .ok_or_else(|| format!("{} is not a PLY type; expected one of {}", super::quoted(name), types()))
     };
     let words: Vec<&str> = words.split_ascii_whitespace().collect();
     let (kind, name) = match words[..] {
         ["list", count, item, name] => (Kind::List { count: scalar(count)?, item: scalar(item)? }, name),
         [kind, name] => (Kind::Scalar(scalar(kind)?), name),
-        _ => return Err("a property has a type and a name without white space".to_owned()),
+        _ => return Err("expected a type and a name without white space".to_owned()),
     };
     if matches!(kind, Kind::List { count: Scalar::F32 | Scalar::F64, .. }) {
-        return Err("the count of a list is an integer".to_owned());
+        return Err("the count of a list must be an integer type".to_owned());
     }
     Ok(Property { name: name.to_owned(), kind })
 }

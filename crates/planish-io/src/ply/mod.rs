@@ -42,7 +42,10 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (Some(width), Some(height), _) if width.checked_mul(height) == Some(vertex.count) => (width, height),
         (Some(width), Some(height), Some(cells)) => {
             if width.checked_mul(height) != Some(cells.len()) {
-                return malformed(format!("num_cols x num_rows is {width} x {height}, range_grid has {}", cells.len()));
+                return malformed(format!(
+                    "num_cols x num_rows is {width} x {height}, but range_grid has {} pixels",
+                    cells.len()
+                ));
             }
             columns = columns.into_iter().map(|column| spread(column, &cells)).collect::<Result<_, _>>()?;
             (width, height)
@@ -116,8 +119,9 @@ fn read_text_element(
     }
     let mut cells = Vec::new();
     for _ in 0..element.count {
-        let (_, line) =
-            body.line().ok_or_else(|| FormatError::Malformed(format!("the file ends within element {name}")))?;
+        let (_, line) = body
+            .line()
+            .ok_or_else(|| FormatError::Malformed(format!("the file is truncated: it ends within element {name}")))?;
         let words = line.split_ascii_whitespace();
         if name == "range_grid" {
             let words: Option<Vec<usize>> = words.map(|word| word.parse().ok()).collect();
@@ -227,7 +231,7 @@ pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
 fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(
-            "the file is truncated: its header states {} of element {} in {file_bytes} bytes",
+            "the file is truncated: its header states {} items of element {}, but the file has {file_bytes} bytes",
             element.count,
             quoted(&element.name)
         ));
@@ -249,7 +253,7 @@ fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, Forma
     fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
         let value = |cell: &Option<usize>| cell.map_or(Some(hole), |index| values.get(index).copied());
         let found: Option<Vec<T>> = cells.iter().map(value).collect();
-        found.ok_or_else(|| FormatError::Malformed("range_grid names a missing vertex".into()))
+        found.ok_or_else(|| FormatError::Malformed("range_grid refers to a vertex that does not exist".into()))
     }
     let values = match &column.values {
         AttributeValues::F32(values) => on_grid(values, f32::NAN, cells)?.into(),

@@ -50,7 +50,7 @@ impl PlyReader {
             let (before, found) = (lines.len(), self.read + words / values);
             let length = (&mut self.body).take(MAX_LINE_BYTES).read_until(b'\n', &mut lines)?;
             if length as u64 == MAX_LINE_BYTES {
-                return malformed(format!("vertex {found}: its line has more than {MAX_LINE_BYTES} bytes"));
+                return malformed(format!("the line of vertex {found} has more than {MAX_LINE_BYTES} bytes"));
             }
             if length == 0 {
                 return malformed(format!(
@@ -63,7 +63,7 @@ impl PlyReader {
         let mut columns = self.header.columns.clone();
         let numbered_from_here = |problem| match problem {
             FormatError::Malformed(text) if self.read > 0 => {
-                FormatError::Malformed(format!("behind the first {} vertices: {text}", self.read))
+                FormatError::Malformed(format!("after the first {} vertices: {text}", self.read))
             }
             problem => problem,
         };
@@ -101,12 +101,12 @@ impl RecordReader for PlyReader {
         let (header, at) = Header::read(&head)?;
         let Some(vertex) = header.elements.first() else { return malformed("the PLY has no elements") };
         if vertex.name != "vertex" {
-            return unsupported("a PLY whose vertices do not come first");
+            return unsupported("a PLY whose first element is not vertex");
         }
         check_size(vertex, bytes)?;
         let mut columns = empty_columns(vertex);
         rename_normals(&mut columns);
-        let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with lists in its vertices") };
+        let Some(layout) = Layout::of(vertex) else { return unsupported("a PLY with list properties in its vertices") };
         let axes = axes_of(&columns)?;
         let points = vertex.count;
         let pose = match header.elements.iter().position(|element| element.name == "camera") {
@@ -124,7 +124,9 @@ impl RecordReader for PlyReader {
             return unsupported("an organized cloud");
         }
         if header.storage != Storage::Ascii && points.saturating_mul(layout.record) > bytes - at {
-            return malformed(format!("the file is truncated: its header states {points} vertices in {bytes} bytes"));
+            return malformed(format!(
+                "the file is truncated: its header states {points} vertices, but the file has {bytes} bytes"
+            ));
         }
         let (remarks, left_out) = (remarks_of(&header), left_out(&header));
         let header = VertexHeader { storage: header.storage, layout, columns, axes, pose, remarks, left_out };

@@ -159,7 +159,10 @@ pub(super) fn text_without_lists(element: &Element, body: &mut text::Body<'_>) -
                     .is_some_and(|count| count.checked_sub(1).is_none_or(|last| words.nth(last).is_some())),
             };
             if !is_complete {
-                return malformed(format!("line {number}: no {} where a vertex needs it", quoted(&property.name)));
+                return malformed(format!(
+                    "line {number}: the property {} of a vertex is missing",
+                    quoted(&property.name)
+                ));
             }
         }
         scalars.push('\n');
@@ -168,7 +171,7 @@ pub(super) fn text_without_lists(element: &Element, body: &mut text::Body<'_>) -
 }
 
 fn ended(element: &Element) -> FormatError {
-    FormatError::Malformed(format!("the file ends within element {}", quoted(&element.name)))
+    FormatError::Malformed(format!("the file is truncated: it ends within element {}", quoted(&element.name)))
 }
 
 /// Splits one record off the front of a binary body. Visits each property with its value or its list of values.

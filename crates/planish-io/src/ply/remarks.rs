@@ -30,8 +30,9 @@ pub(super) fn left_out(header: &Header) -> Vec<String> {
     let others = header.elements.iter().filter(|element| !KEPT.contains(&element.name.as_str()) && element.count > 0);
     let others: Vec<String> = others.map(|element| format!("{} ({})", brief(&element.name), element.count)).collect();
     let of_elements =
-        (!others.is_empty()).then(|| format!("other elements than vertices are dropped: {}", others.join(", ")));
-    let of_lists = (!lists.is_empty()).then(|| format!("lists of the vertices are dropped: {}", lists.join(", ")));
+        (!others.is_empty()).then(|| format!("elements other than vertices are dropped: {}", others.join(", ")));
+    let of_lists =
+        (!lists.is_empty()).then(|| format!("list properties of the vertices are dropped: {}", lists.join(", ")));
     of_elements.into_iter().chain(of_lists).collect()
 }
 

@@ -137,7 +137,7 @@ pub fn smooth_tiles(
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
     if !are_tiled(input, output) {
-        let reason = "only .las or .laz to either, and .ply to .ply, can be smoothed in tiles".to_owned();
+        let reason = "smoothing in tiles needs .las or .laz files, or .ply files, as input and output".to_owned();
         return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
     }
     match Format::of_extension(input) {
@@ -157,14 +157,15 @@ fn smooth_records<R: RecordReader>(
         return Err(ParamError { field: "passes", value: passes.to_string(), allowed }.into());
     }
     if options.settings.spaces_evenly() {
-        let allowed = "only for a file that fits into memory, not in tiles";
+        let allowed = "only for a file that fits into memory, not for one smoothed in tiles";
         return Err(ParamError { field: "even", value: "true".into(), allowed }.into());
     }
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
         // The engine must report radii by density, which the reference does not.
-        let reason = "radii by density in tiles need the CPU or GPU engine; or set a radius".to_owned();
+        let reason =
+            "radii by density in tiles need the CPU or GPU engine; use one of them, or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
     }
     let whole = AtomicFile::new(output).map_err(IoError::at(output))?;

@@ -90,7 +90,7 @@ fn is_colour(name: &str) -> bool {
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     if bytes.contains(&0) {
-        return Err(FormatError::Malformed("not lines of numbers: it is binary".into()));
+        return Err(FormatError::Malformed("the file is binary; expected lines of numbers".into()));
     }
     let text = text_of(bytes);
     // Lines from classic Mac OS end with a carriage return only.
@@ -119,7 +119,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         title.comments += usize::from(separator.ends_in_comment(line));
         let found = cells.len();
         if !(found == count || found == count + 1 && cells[count].is_empty()) {
-            return Err(FormatError::Malformed(format!("line {number}: {found} values instead of {count}")));
+            return Err(FormatError::Malformed(format!("line {number} has {found} values instead of {count}")));
         }
         points += 1;
         has_decimal_commas |= cells.iter().any(|cell| cell.contains(','));
@@ -135,7 +135,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         notes.push(format!("{comments} {} dropped", if comments == 1 { "comment is" } else { "comments are" }));
     }
     if let Some(stated) = stated.filter(|stated| *stated > points) {
-        return Err(FormatError::Malformed(format!("truncated: it states {stated} points, but has {points}")));
+        return Err(FormatError::Malformed(format!(
+            "the file is truncated: it states {stated} points, but has {points}"
+        )));
     }
     let words: Vec<String> = (0..count)
         .filter(|&k| columns[k].is_text)
@@ -156,11 +158,14 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     }
     if let Some(unit) = unit.filter(|unit| options.unit != Some(*unit)) {
         if options.unit.is_some() {
-            return Err(FormatError::Unsupported(format!("its names state the unit {}", unit.symbol)));
+            return Err(FormatError::Unsupported(format!(
+                "the given unit contradicts the unit in the column names, {}; give no unit",
+                unit.symbol
+            )));
         }
         let axes = names.iter().zip(&mut columns).filter(|(name, _)| is_axis(name));
         axes.for_each(|(_, column)| column.values.iter_mut().for_each(|value| *value *= unit.metres));
-        notes.push(format!("its names state the unit; lengths in {} become metres", unit.symbol));
+        notes.push(format!("the column names state the unit; lengths in {} are converted to metres", unit.symbol));
     }
     let mut axes = names.iter().zip(&columns).filter(|(name, _)| is_axis(name));
     let is_far = axes.any(|(_, column)| column.values.iter().any(|value| value.is_finite() && value.abs() > FAR_M));

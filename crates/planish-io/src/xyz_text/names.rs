@@ -60,7 +60,7 @@ pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<L
     let axes = cells.iter().zip(names).filter(|(_, name)| ["x", "y", "z"].contains(&name.as_str()));
     let units: Vec<Option<LengthUnit>> = axes.map(|(cell, _)| in_brackets(cell)).collect();
     if units.windows(2).any(|pair| pair[0] != pair[1]) && units.iter().flatten().any(|unit| !unit.is_metre()) {
-        return Err(FormatError::Unsupported(format!("its coordinates are in different units: {}", cells.join(", "))));
+        return Err(FormatError::Unsupported(format!("x, y and z are in different units: {}", cells.join(", "))));
     }
     Ok(units.into_iter().flatten().find(|unit| !unit.is_metre()))
 }

@@ -49,10 +49,12 @@ impl Title {
                 break;
             } else if cells.len() > MOST_NAMED {
                 let count = cells.len();
-                return Err(FormatError::Unsupported(format!("{count} columns; at most {MOST_NAMED} can have names")));
+                return Err(FormatError::Unsupported(format!(
+                    "the file has {count} named columns; at most {MOST_NAMED} are supported"
+                )));
             } else {
                 return Err(FormatError::Malformed(format!(
-                    "its first line, {}, is neither numbers nor names of columns with x, y and z",
+                    "the first line, {}, has neither numbers nor column names with x, y and z",
                     quoted(line)
                 )));
             }
@@ -76,16 +78,17 @@ impl Title {
             self.comments += 1;
         }
         match (&self.names, first) {
-            (Some(names), Some(first)) if names.len() != first => {
-                Err(FormatError::Malformed(format!("{} names of columns above lines of {first} numbers", names.len())))
-            }
+            (Some(names), Some(first)) if names.len() != first => Err(FormatError::Malformed(format!(
+                "the file has {} column names, but {first} numbers per line",
+                names.len()
+            ))),
             (Some(names), _) => Ok(names.len()),
             (None, Some(first @ 3..=MOST_UNNAMED)) => Ok(first),
             (None, None) if self.stated == Some(0) => Ok(3),
             (None, Some(first)) if first > MOST_UNNAMED => Err(FormatError::Malformed(format!(
-                "a line of {first} numbers without names: are its line ends missing?"
+                "the first line has {first} numbers without column names; its line ends may be missing"
             ))),
-            _ => Err(FormatError::Malformed("no line of three numbers or more: x, y and z".into())),
+            _ => Err(FormatError::Malformed("no line has three or more numbers; expected x, y and z".into())),
         }
     }
 

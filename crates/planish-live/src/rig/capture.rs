@@ -238,8 +238,8 @@ impl State {
         if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
             self.warnings.push_back(
-                "no time stamps of different cameras are within the tolerance; set time offsets (time_offset_s), a \
-                 larger tolerance (tolerance_ms), or for live cameras with different clocks \"clock\": \"arrival\""
+                "no time stamps of different cameras are within the tolerance; set time offsets (time_offset_s) or a \
+                 larger tolerance (tolerance_ms), or \"clock\": \"arrival\" for live cameras with different clocks"
                     .to_owned(),
             );
         }
@@ -250,7 +250,7 @@ impl State {
 fn checked(frame: Option<OwnedFrame>) -> Result<Option<OwnedFrame>, Error> {
     match frame.as_ref().and_then(OwnedFrame::timestamp_s) {
         Some(seconds) if seconds.is_nan() || seconds.abs() > LARGEST_TIMESTAMP_S => {
-            let allowed = "seconds, within 1e12 of 0";
+            let allowed = "-1e12 to 1e12 s";
             Err(ParamError { field: "timestamp", value: format!("{seconds:e}"), allowed }.into())
         }
         _ => Ok(frame),

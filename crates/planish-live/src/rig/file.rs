@@ -191,7 +191,7 @@ fn intrinsics_of(value: &serde_json::Value, folder: &Path) -> Result<(Camera, Op
             let quoted = |error: FormatError| error.to_string();
             match io::unknown_camera_key(&text).map_err(quoted)? {
                 Some(key) => Err(format!(
-                    "a camera has no field {}; depth_units_per_metre, width and height are optional",
+                    "unknown camera field {}; remove it (optional fields are depth_units_per_metre, width and height)",
                     planish_io::internal::quoted(&key)
                 )),
                 None => parse(&text).map_err(quoted),
@@ -211,7 +211,7 @@ fn pose_of(entry: &PoseEntry) -> Result<SensorPose, String> {
 /// Returns the pose of a homogeneous matrix, given row by row; the last row may be omitted.
 pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
     let &[a, b, c, ref last @ ..] = rows else {
-        return Err(format!("a matrix of {} rows; 3 or 4 are needed", rows.len()));
+        return Err(format!("the matrix has {} rows; expected 3 or 4", rows.len()));
     };
     if !matches!(last, [] | [[0.0, 0.0, 0.0, 1.0]]) {
         return Err("the last row of the matrix must be 0, 0, 0, 1".into());
@@ -219,7 +219,9 @@ pub(super) fn pose_of_matrix(rows: &[[f64; 4]]) -> Result<SensorPose, String> {
     let rotation = [a, b, c].map(|[x, y, z, _]| [x, y, z]);
     let pose = SensorPose::from_rotation([a[3], b[3], c[3]], rotation);
     pose.ok_or_else(|| {
-        "the matrix is not a rotation and translation; its columns must have length 1 and right angles".into()
+        "the matrix is not a rotation and translation; the columns of its rotation must have length 1 and be \
+         perpendicular"
+            .into()
     })
 }
 
@@ -319,7 +321,7 @@ mod tests {
             (format!("{{{camera}}}"), "pose"),
             (format!("{{{POSE},{camera}}},{{{POSE},{without_size}}}"), "viewpoint 1"),
             (format!(r#"{{{POSE},"camera":"missing.json"}}"#), "missing.json"),
-            (vec![format!("{{{POSE},{camera}}}"); 65].join(","), "64 at most"),
+            (vec![format!("{{{POSE},{camera}}}"); 65].join(","), "at most 64"),
             (format!("{{{POSE},{}}}", camera.replace("320", "16384").replace("240", "1025")), "2^24"),
         ] {
             let error = of(&viewpoint).unwrap_err().to_string();
@@ -366,12 +368,12 @@ mod tests {
             (format!(r#"{{"name":"left","camera":{{"fx":1}},{POSE}}}"#), "fx, fy, cx and cy"),
             (
                 format!(r#"{{"name":"left","camera":{{"fx":5,"fy":5,"cx":2,"cy":2,"depthscale":5000}},{POSE}}}"#),
-                "no field \"depthscale\"",
+                "unknown camera field \"depthscale\"",
             ),
             (format!(r#"{{"name":"left","mode":"big",{POSE}}}"#), "WIDTHxHEIGHT"),
             (format!(r#"{{"name":"left","align":"up",{POSE}}}"#), "align = up is not allowed: depth, color or none"),
             (r#"{"name":"left","pose":{"position_m":[0,0,0]}}"#.to_owned(), "orientation_xyzw"),
-            (r#"{"name":"left","pose":{"matrix":[[2,0,0,0],[0,1,0,0],[0,0,1,0]]}}"#.to_owned(), "right angles"),
+            (r#"{"name":"left","pose":{"matrix":[[2,0,0,0],[0,1,0,0],[0,0,1,0]]}}"#.to_owned(), "perpendicular"),
             (r#"{"name":"left","pose":{"matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,0,0,1]]}}"#.to_owned(), "last row"),
             (r#"{"name":"left","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,2]}}"#.to_owned(), "length 1"),
             (r#"{"name":"left","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,0]}}"#.to_owned(), "length 1"),

@@ -120,10 +120,10 @@ fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
         }
     }
     if !partial.is_empty() {
-        notes.push(format!("points of clouds without a field have 0 in it: {}", partial.join(", ")));
+        notes.push(format!("fields that some clouds lack are set to 0 for their points: {}", partial.join(", ")));
     }
     if clouds.iter().any(|(cloud, _)| cloud.attribute(SCAN_FIELD).is_some()) {
-        notes.push("the field scan is numbered anew".to_owned());
+        notes.push("the field scan is renumbered".to_owned());
     }
     notes
 }

@@ -181,10 +181,10 @@ impl Rig {
         // False for a NaN.
         let is_tolerance = self.tolerance_s > 0.0 && self.tolerance_s <= 1.0;
         if !is_tolerance {
-            return bad("tolerance_s", self.tolerance_s.to_string(), "above 0, at most 1 s");
+            return bad("tolerance_s", self.tolerance_s.to_string(), "above 0 and at most 1 s");
         }
         if self.viewpoints.len() > MOST_VIEWPOINTS {
-            return bad("viewpoints", self.viewpoints.len().to_string(), "64 at most");
+            return bad("viewpoints", self.viewpoints.len().to_string(), "at most 64");
         }
         self.viewpoints.iter().enumerate().try_for_each(|(i, viewpoint)| viewpoint.validate(i))?;
         let pixels: usize =
@@ -193,21 +193,25 @@ impl Rig {
             return bad(
                 "viewpoints",
                 format!("{pixels} pixels"),
-                "16,777,216 pixels (2^24) of all viewpoints together",
+                "at most 16,777,216 pixels (2^24) in all viewpoints together",
             );
         }
         for (i, camera) in self.cameras.iter().enumerate() {
             camera.validate()?;
             let before = &self.cameras[..i];
             if before.iter().any(|other| other.name.eq_ignore_ascii_case(&camera.name)) {
-                return bad("camera.name", camera.name.clone(), "a name that is unique");
+                return bad("camera.name", camera.name.clone(), "camera names must be unique");
             }
             let is_device = |source: &&String| crate::source::is_camera(source);
             if let Some(source) = camera.source.as_ref().filter(is_device)
                 && before.iter().any(|other| other.source.as_ref() == Some(source))
             {
                 let value = format!("{source} (of {:?})", camera.name);
-                return bad("camera.source", value, "a device that is unique; name it by serial number or index");
+                return bad(
+                    "camera.source",
+                    value,
+                    "two cameras cannot share a device; name each by serial number or index",
+                );
             }
         }
         Ok(())
@@ -274,7 +278,7 @@ impl RigCamera {
             // `rig.json` is in the same folder as the cameras' results.
             && !self.name.eq_ignore_ascii_case("rig.json");
         if !is_name {
-            let allowed = "letters, digits, - _ and ., 1 to 64 of them, not starting with a dot, and not rig.json";
+            let allowed = "1 to 64 letters, digits, -, _ and ., not starting with a dot, and not rig.json";
             return Err(ParamError { field: "camera.name", value: format!("{:?}", self.name), allowed });
         }
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
@@ -292,7 +296,7 @@ impl RigCamera {
         let is_offset = self.time_offset_s.abs() <= MOST_OFFSET_S;
         if !is_offset {
             let value = self.time_offset_s.to_string();
-            return Err(of(ParamError { field: "time_offset_s", value, allowed: "a number of seconds, at most 1e10" }));
+            return Err(of(ParamError { field: "time_offset_s", value, allowed: "-1e10 to 1e10 s" }));
         }
         Ok(())
     }

@@ -79,7 +79,7 @@ impl RigOptions {
         voxel_m: Option<f64>,
     ) -> Result<Self, planish_core::Error> {
         if let Some(width_px) = settings.fill {
-            let allowed = "only for single cameras";
+            let allowed = "available only for single cameras";
             return Err(ParamError { field: "fill", value: width_px.to_string(), allowed }.into());
         }
         let of_camera = |camera: &super::RigCamera| {
@@ -116,15 +116,19 @@ impl RigOptions {
             temporal.validate()?;
         }
         if self.smoother.outputs.sigma {
-            return Err(ParamError { field: "outputs", value: "sigma".into(), allowed: "only for single cameras" });
+            return Err(ParamError {
+                field: "outputs",
+                value: "sigma".into(),
+                allowed: "available only for single cameras",
+            });
         }
         let Some(size_m) = self.voxel_m else { return Ok(()) };
         if self.temporal.is_some() {
-            let allowed = "off with voxels, which differ from moment to moment";
+            let allowed = "must be off with voxels, which differ from moment to moment";
             return Err(ParamError { field: "temporal", value: "steady".to_owned(), allowed });
         }
         if self.way != RigWay::Merged {
-            let (value, allowed) = (self.way.name().to_owned(), "merged, where points are thinned to voxels");
+            let (value, allowed) = (self.way.name().to_owned(), "voxels apply only to merged");
             return Err(ParamError { field: "way", value, allowed });
         }
         if !(size_m >= SMALLEST_VOXEL_M && size_m.is_finite()) {

@@ -109,12 +109,7 @@ impl RigSmoother {
         }
         if way == RigWay::Merged && options.outputs.needs_camera() {
             let value = "depth".to_owned();
-            return Err(ParamError {
-                field: "outputs",
-                value,
-                allowed: "outputs without depth, since merged clouds have none",
-            }
-            .into());
+            return Err(ParamError { field: "outputs", value, allowed: "merged clouds have no depth" }.into());
         }
         if options.threads == Some(0) {
             return Err(ParamError { field: "threads", value: "0".into(), allowed: "1 or more" }.into());

@@ -175,7 +175,7 @@ fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamEr
     let live = sources.iter().filter(|source| source.is_live()).count();
     if live != 0 && live != sources.len() {
         let value = format!("{live} live of {}", sources.len());
-        let allowed = "only live cameras, or only recordings; recordings among live cameras need a rate (fps)";
+        let allowed = "sources must be all live or all recordings; to mix them, set a rate (fps) for the recordings";
         return Err(ParamError { field: "sources", value, allowed });
     }
     if rig.clock == Clock::Arrival && live == 0 {
@@ -318,7 +318,7 @@ impl Running<'_> {
         match self.rig.cameras.iter().zip(&moment.frames).find(is_unknown) {
             Some((camera, _)) => {
                 let value = format!("views, with camera {:?}", camera.name);
-                let allowed = "cameras with known intrinsics, from their source or \"camera\" in the rig";
+                let allowed = "views need known intrinsics, from the camera's source or \"camera\" in the rig";
                 Err(ParamError { field: "way", value, allowed })
             }
             None => Ok(()),
@@ -420,7 +420,7 @@ impl Running<'_> {
             let is_stopped = matches!(error, Error::Engine(EngineError::Stopped));
             let is_of_engine = matches!(error, Error::Engine(_)) && !is_stopped && was_gpu && self.was_open;
             if is_of_engine && !self.losses.uses_cpu() && self.smoother.leave_failed_device() {
-                tell(RigEvent::Warning(format!("{error}; its cameras move to the other devices")));
+                tell(RigEvent::Warning(format!("{error}; moving its cameras to the other devices")));
             } else {
                 match self.losses.next(&error, was_gpu, self.was_open, true) {
                     Recovery::Reopen => tell(RigEvent::Warning(format!("{error}; opening it once more"))),

@@ -44,7 +44,7 @@ impl Viewpoint {
                 ParamError {
                     field: "viewpoint.camera",
                     value,
-                    allowed: "a width and a height in pixels, and intrinsics",
+                    allowed: "a viewpoint needs a width and a height in pixels, and intrinsics",
                 }
             }
         })

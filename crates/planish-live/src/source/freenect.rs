@@ -148,8 +148,9 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
     let header = String::from_utf8_lossy(&bytes[..end]);
     let pixels = bytes_a_pixel * 640 * 480;
     if header.split_whitespace().take(3).ne([kind, "640", "480"]) || bytes.len() != end + pixels {
-        let problem =
-            format!("not an image of libfreenect: '{kind} 640 480 ..' on one line and {pixels} bytes are expected");
+        let problem = format!(
+            "not a libfreenect image; expected '{kind} 640 480 ..' on the first line, followed by {pixels} bytes"
+        );
         return Err(malformed(file, problem).into());
     }
     Ok(bytes.split_off(end))

@@ -171,7 +171,7 @@ impl KinectSource {
             if !file.is_file() {
                 // Without a recording, the playback library would exit the process.
                 let problem =
-                    "no recording for the playback library: FAKENECT_PATH names the folder that has INDEX.txt";
+                    "no recording for the playback library; set FAKENECT_PATH to the folder that contains INDEX.txt";
                 return Err(malformed(&file, problem).into());
             }
         }
@@ -271,7 +271,7 @@ fn run(
     // thread.
     unsafe {
         match (freenect.init)(&mut context, std::ptr::null_mut()) {
-            code if code < 0 => return Err(failed("libfreenect does not start", code)),
+            code if code < 0 => return Err(failed("cannot start libfreenect", code)),
             _ => {}
         }
         (freenect.set_log_level)(context, LOG_ERROR);
@@ -280,7 +280,7 @@ fn run(
         let number = c_int::try_from(index).unwrap_or(c_int::MAX);
         let result = if count <= number {
             Err(DeviceError::NotFound {
-                what: format!("no Kinect number {index}: {} found", count.max(0)),
+                what: format!("Kinect number {index} not found; connected Kinects: {}", count.max(0)),
                 help: "check its cable, its power supply and your permissions (Debian: the group plugdev)",
             })
         } else {
@@ -342,10 +342,10 @@ unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -
     unsafe {
         let format = if registered { DEPTH_REGISTERED } else { DEPTH_11BIT };
         let mode = (freenect.find_depth_mode)(RESOLUTION_MEDIUM, format);
-        check("the depth camera lacks the mode", (freenect.set_depth_mode)(device, mode))?;
+        check("cannot set the mode of the depth camera", (freenect.set_depth_mode)(device, mode))?;
         (freenect.set_depth_callback)(device, on_depth);
         let mode = (freenect.find_video_mode)(RESOLUTION_MEDIUM, VIDEO_RGB);
-        check("the colour camera lacks the mode", (freenect.set_video_mode)(device, mode))?;
+        check("cannot set the mode of the colour camera", (freenect.set_video_mode)(device, mode))?;
         (freenect.set_video_callback)(device, on_video);
         check("the colour camera does not start", (freenect.start_video)(device))?;
         check("the depth camera does not start", (freenect.start_depth)(device))

@@ -253,7 +253,7 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
         "realsense" => Box::new(RealSenseSource::open(&RealSenseInput::parse(rest), camera, alignment, mode)?),
         "openni2" => Box::new(OpenNi2Source::open(rest, camera, alignment, mode)?),
         "synthetic" if camera.is_some() => {
-            let allowed = "no value for the simulator, which has a fixed camera";
+            let allowed = "the simulator has a fixed camera; omit camera";
             return Err(ParamError { field: "camera", value: "given".into(), allowed }.into());
         }
         "synthetic" => {
@@ -265,7 +265,7 @@ pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Erro
     match fps {
         None => Ok(source),
         Some(fps) if source.is_live() => {
-            let allowed = "no value for a camera, which sets the rate";
+            let allowed = "a camera sets its own rate; omit fps";
             Err(ParamError { field: "fps", value: fps.to_string(), allowed }.into())
         }
         Some(fps) => Ok(Box::new(Paced::new(source, fps)?)),
@@ -321,7 +321,7 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
     match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
         None => Ok(()),
         Some(topic) => {
-            let allowed = "no topic, since this source is not an MCAP recording";
+            let allowed = "topics apply only to MCAP recordings";
             Err(ParamError { field: "topic", value: topic.clone(), allowed })
         }
     }
@@ -329,7 +329,7 @@ fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
 
 /// Refuses depth units for sources that state their own.
 fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
-    let allowed = "no value for this source, which states it";
+    let allowed = "this source states its own units; omit depth_units_per_metre";
     options
         .tum_units_per_metre
         .map_or(Ok(()), |units| Err(ParamError { field: "depth_units_per_metre", value: units.to_string(), allowed }))
@@ -337,7 +337,7 @@ fn refuse_units(options: &SourceOptions) -> Result<(), ParamError> {
 
 /// Refuses options that apply only to RealSense and OpenNI2 cameras.
 fn refuse_modes(options: &SourceOptions) -> Result<(), ParamError> {
-    let allowed = "only a RealSense or an OpenNI2 camera";
+    let allowed = "available only for RealSense and OpenNI2 cameras";
     if let Some(alignment) = options.alignment {
         return Err(ParamError { field: "align", value: format!("{alignment:?}").to_lowercase(), allowed });
     }
@@ -351,7 +351,7 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
     if number.is_empty() {
         return Ok(default);
     }
-    number.parse().map_err(|_| malformed(Path::new(name), "a whole number after the colon").into())
+    number.parse().map_err(|_| malformed(Path::new(name), "expected a whole number after the colon").into())
 }
 
 /// Returns the camera with this shape if it has none, otherwise unchanged.

@@ -41,7 +41,7 @@ impl Reconnecting {
     ) -> Result<Self, Error> {
         let source = match super::open(name, &options) {
             Err(Error::Device(error @ DeviceError::NotFound { .. })) => {
-                tell(&format!("{error}; waiting for it"));
+                tell(&format!("{error}; waiting for the camera"));
                 None
             }
             opened => Some(opened?),
@@ -84,7 +84,7 @@ impl Source for Reconnecting {
             if let Some(source) = &mut self.source {
                 match source.next_frame() {
                     Err(Error::Device(DeviceError::Gone { what })) => {
-                        (self.tell)(&format!("{what}; waiting for it to return"));
+                        (self.tell)(&format!("{what}; waiting for the camera to return"));
                         self.dropped_before += source.dropped();
                         self.source = None;
                     }
@@ -171,7 +171,7 @@ mod tests {
             assert!(source.next_frame().unwrap().is_some());
         }
         assert!(source.next_frame().unwrap().is_none());
-        let gone = "the test's camera; waiting for it to return";
+        let gone = "the test's camera; waiting for the camera to return";
         assert_eq!(*told.lock().unwrap(), [gone, "the camera is connected", gone]);
         source.until = None;
         stop.store(true, Ordering::Relaxed);

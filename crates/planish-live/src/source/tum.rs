@@ -78,7 +78,8 @@ impl Source for TumSource {
         let shape = frame.shape();
         if self.is_assumed && shape != KINECT_SHAPE {
             let problem = format!(
-                "{}x{}, but TUM data sets assume a Kinect's {}x{}; give the camera, or add a camera.json to the folder",
+                "the image is {}x{}, but TUM data sets assume a Kinect's {}x{}; give the camera, or add a camera.json \
+                 to the folder",
                 shape.0, shape.1, KINECT_SHAPE.0, KINECT_SHAPE.1
             );
             return Err(malformed(&file, problem).into());
@@ -90,7 +91,10 @@ impl Source for TumSource {
                 let file = self.folder.join(rgb);
                 let image = planish_io::internal::read_rgb_png_with(&file, &self.read)?;
                 if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
-                    let problem = format!("the colour is {}x{}, the depth is not", image.width, image.height);
+                    let problem = format!(
+                        "the colour image is {}x{}, but the depth image has another size",
+                        image.width, image.height
+                    );
                     return Err(malformed(&file, problem).into());
                 }
                 depth.rgb = Some(image.rgb);
@@ -116,14 +120,16 @@ fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
 
 fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| malformed(list, format!("'{word}' is not a time stamp; a line is: seconds file")))
+    number.ok_or_else(|| {
+        malformed(list, format!("'{word}' is not a time stamp; expected lines of the form: seconds file"))
+    })
 }
 
 /// Returns the time in seconds and the file of every line.
 fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     let line = |words: Vec<String>| match &words[..] {
         [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
-        _ => Err(malformed(list, format!("'{}' is not: seconds file", words.join(" ")))),
+        _ => Err(malformed(list, format!("invalid line '{}'; expected: seconds file", words.join(" ")))),
     };
     read_list(list)?.into_iter().map(line).collect()
 }
@@ -133,7 +139,10 @@ fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
 fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     let line = |words: Vec<String>| {
         let [first_s, first, second_s, second] = &words[..] else {
-            return Err(malformed(list, format!("'{}' is not: seconds file seconds file", words.join(" "))));
+            return Err(malformed(
+                list,
+                format!("invalid line '{}'; expected: seconds file seconds file", words.join(" ")),
+            ));
         };
         let (seconds, depth, rgb) =
             if first.starts_with("rgb") { (second_s, second, first) } else { (first_s, first, second) };

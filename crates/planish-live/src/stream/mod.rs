@@ -161,7 +161,7 @@ fn run(
 ) -> Result<StreamStatistics, Error> {
     let live = source.is_live();
     if live && options.poses.as_ref().is_some_and(|poses| !poses.has_times()) {
-        let allowed = "poses with time stamps for a live source, which drops frames";
+        let allowed = "poses need time stamps for a live source, which drops frames";
         return Err(ParamError { field: "poses", value: "one per frame".into(), allowed }.into());
     }
     let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
@@ -279,7 +279,9 @@ impl Running<'_> {
                 break;
             }
             if self.left_out_in_a_row >= MOST_LEFT_OUT {
-                tell(StreamEvent::Warning(format!("the stream ends: {MOST_LEFT_OUT} frames in a row were left out")));
+                tell(StreamEvent::Warning(format!(
+                    "the stream ends, since {MOST_LEFT_OUT} frames in a row were unreadable or refused"
+                )));
                 break;
             }
             let in_flight = self.pending.len();

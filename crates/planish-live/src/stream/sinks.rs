@@ -163,7 +163,7 @@ impl Sink for FolderSink {
 const FRAMES_PER_SECOND: f64 = 30.0;
 
 /// Warning when a stream ends because all of its sinks have failed.
-pub(crate) const ALL_SINKS_FAILED: &str = "every sink has failed: the stream ends";
+pub(crate) const ALL_SINKS_FAILED: &str = "the stream ends, since every sink has failed";
 
 /// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full, a live stream drops results, and
 /// any other waits.

@@ -81,7 +81,7 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
         is_depth = True
     else:
         raise ValueError(
-            f"a frame of shape {list(array.shape)} is not allowed: depth [H, W], points [H, W, 3] or points [N, 3]"
+            f"a frame of shape {list(array.shape)} is not allowed; expected depth [H, W], points [H, W, 3] or points [N, 3]"
         )
     if is_depth and is_float and array.dtype != np.float32:
         # float32 suffices for depth in metres.
@@ -96,7 +96,7 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
         raise ValueError("a depth image needs its camera: camera=planish.Camera(width, height, fx, fy)")
     if is_depth and camera is not None and array.shape != (camera.height, camera.width):
         height, width = array.shape
-        raise ValueError(f"the depth image is {width}x{height}, but its camera {camera.width}x{camera.height}")
+        raise ValueError(f"the depth image is {width}x{height}, but its camera is {camera.width}x{camera.height}")
     if not array.dtype.isnative:
         array = array.astype(array.dtype.newbyteorder("="))
     return _readable(array, is_depth), is_depth

@@ -109,7 +109,7 @@ class CudaSmoother:
     ) -> list[Any]:
         """Smooth several images, up to 16 at a time; see `smooth`."""
         if outs is not None and len(outs) != len(depths):
-            raise ValueError(f"outs: one per image is expected, {len(depths)}, not {len(outs)}")
+            raise ValueError(f"outs: one array per image is expected: {len(depths)}, not {len(outs)}")
         results: list[Any] = []
         for begin in range(0, len(depths), self._most):
             group = list(depths[begin : begin + self._most])
@@ -168,7 +168,7 @@ class CudaSmoother:
             found = f"{interface['typestr']} of {tuple(interface['shape'])}"
             raise ValueError(f"out: contiguous <f4 of shape {shape} is expected, not {found}")
         if interface["data"][1]:
-            raise ValueError("out: it is read-only")
+            raise ValueError("out: the array is read-only")
         return interface, int(interface["data"][0])
 
     def _new(self, depth: Any, stream: int | None) -> Any:

@@ -184,9 +184,9 @@ def write(
         raise ValueError(f"{path}: an .npy file cannot store fields; write .npz")
     if array.ndim == 2 and (array.dtype == np.uint16 or (array.dtype == np.float32 and array.shape[1] != 3)):
         if fields or pose is not None:
-            raise ValueError("a depth image has neither fields nor a pose")
+            raise ValueError("a depth image cannot store fields or a pose")
         if array.dtype == np.float32 and Path(path).suffix.lower() != ".npy":
-            raise ValueError(f"{path}: depth in metres is written to .npy; give raw values (uint16) for .png and .tiff")
+            raise ValueError(f"{path}: depth in metres can be written only to .npy; give raw values (uint16) for .png and .tiff")
         _planish.write_depth(path, np.ascontiguousarray(array))
         return
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind != "f":

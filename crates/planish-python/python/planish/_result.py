@@ -135,7 +135,7 @@ class Smoothed:
         True
         """
         if self.status is None:
-            raise ValueError('origin: follows from the status; add "status" to the outputs')
+            raise ValueError('origin: needs the status; add "status" to the outputs')
         return np.frombuffer(_origin_values(), np.uint8)[self.status]
 
     def __repr__(self) -> str:

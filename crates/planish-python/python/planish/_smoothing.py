@@ -91,7 +91,7 @@ class Smoother:
             raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
         for name in PREPARATION:
             if settings.get(name):
-                raise ValueError(f"{name}: applies to streams and the command; a Smoother takes what planish.prepare returns")
+                raise ValueError(f"{name}: applies only to streams and the command; call planish.prepare before the Smoother")
         self._camera = camera
         self._outputs = _checked_outputs(outputs)
         self._settings: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
@@ -253,7 +253,7 @@ class Smoother:
         given = [as_frame(frame, self._camera) for frame in frames]
         kinds = {(array.shape, array.dtype.str, is_depth) for array, is_depth in given}
         if len(kinds) > 1:
-            raise ValueError(f"frames of a batch need one shape and type, but these have {len(kinds)}")
+            raise ValueError(f"frames of a batch must have the same shape and type, but these have {len(kinds)} different ones")
         if not given:
             raise ValueError("a batch needs at least one frame")
         kind = _kind_of(*given[0])
@@ -283,7 +283,7 @@ class Smoother:
 
     def _checked_camera_pose(self, pose: Pose | None) -> tuple[float, ...] | None:
         if pose is not None and (self._settings.get("temporal") != "steady" or self._settings.get("track")):
-            raise ValueError('camera_pose: has an effect only with temporal="steady", without track')
+            raise ValueError('camera_pose: applies only with temporal="steady" and without track')
         return _checked_pose(pose, "camera_pose")
 
     def close(self) -> None:

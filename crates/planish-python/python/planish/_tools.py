@@ -262,7 +262,7 @@ def clean(
     True
     """
     if all(step is None for step in (crop, voxel, statistical, radius_outliers)):
-        raise ValueError("no step is given: crop, voxel, statistical or radius_outliers")
+        raise ValueError("no step is given; use crop, voxel, statistical or radius_outliers")
     fields, pose = (cloud.fields, cloud.pose) if isinstance(cloud, Frame) else (None, None)
     box = None if crop is None else [[float(value) for value in corner] for corner in crop]
     found = _frame(_planish.clean(_cloud(_points(cloud), fields, pose), box, voxel, statistical, radius_outliers))

@@ -71,7 +71,7 @@ class SmoothFrames:
         """Smooth a batch of named columns, one of which contains the depth images."""
         column, result_column, error_column = self._columns
         if column not in batch:
-            raise KeyError(f"the batch has no column {column!r}: {', '.join(batch)}")
+            raise KeyError(f"the batch has no column {column!r}; its columns are {', '.join(batch)}")
         results: list[NDArray[Any]] = []
         errors: list[str] = []
         for frame in batch[column]:

@@ -127,14 +127,14 @@ impl Lz4Frame {
             return Ok(None);
         };
         if magic != Self::MAGIC || flags >> 6 != 1 {
-            return Err(damaged("no LZ4 frame"));
+            return Err(damaged("not an LZ4 frame"));
         }
         let largest_block = match sizes >> 4 & 7 {
             size @ 4..=7 => 1 << (8 + 2 * size),
-            _ => return Err(damaged("an LZ4 frame with blocks of an unknown size")),
+            _ => return Err(damaged("the LZ4 frame has an invalid block size")),
         };
         if flags & 1 != 0 {
-            return Err(damaged("an LZ4 frame with a dictionary"));
+            return Err(damaged("LZ4 frames with a dictionary are not supported"));
         }
         let (has_content_size, has_block_checksums, has_checksum) = (flags & 8 != 0, flags & 16 != 0, flags & 4 != 0);
         let length = 6 + if has_content_size { 8 } else { 0 } + 1;
@@ -166,7 +166,7 @@ impl Lz4 {
         }
         let stored = (size & !UNCOMPRESSED) as usize;
         if stored > frame.largest_block {
-            return Err(damaged("an LZ4 block larger than its frame allows"));
+            return Err(damaged("an LZ4 block is larger than its frame allows"));
         }
         let length = 4 + stored + if frame.has_block_checksums { 4 } else { 0 };
         if src.len() < length {

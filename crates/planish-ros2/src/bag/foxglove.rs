@@ -57,7 +57,7 @@ impl<'a> Iterator for Fields<'a> {
         if field.is_none() {
             self.0 = &[];
         }
-        Some(field.ok_or_else(|| FormatError::Malformed("a damaged message of Foxglove".into())))
+        Some(field.ok_or_else(|| FormatError::Malformed("damaged Foxglove message".into())))
     }
 }
 
@@ -194,7 +194,7 @@ impl CompressedImage {
     pub(super) fn image(self, options: &ReadOptions) -> Result<Image, FormatError> {
         if !self.is_depth() {
             return Err(FormatError::Unsupported(format!(
-                "a compressed image in the format {}; depth is a PNG of 16-bit grey",
+                "unsupported compressed image format {}; depth must be a 16-bit greyscale PNG",
                 quoted(&self.format)
             )));
         }
@@ -217,7 +217,7 @@ pub(super) fn cloud(message: &[u8]) -> Result<PointCloud2, FormatError> {
         }
     }
     if cloud.point_step == 0 {
-        return Err(FormatError::Malformed("a cloud whose points have no bytes".into()));
+        return Err(FormatError::Malformed("the point stride of the cloud is 0".into()));
     }
     cloud.width = u32::try_from(cloud.data.len() / cloud.point_step as usize).unwrap_or(u32::MAX);
     cloud.row_step = cloud.width.saturating_mul(cloud.point_step);
@@ -294,7 +294,9 @@ pub(super) fn with_compressed_image(
     let mut message = without(original, &[2])?;
     match DepthMessage::Image(image.clone()).pixels(options)? {
         DepthPixels::Millimetres(depth) => push_bytes(&mut message, 2, &encode_depth_png(&depth)?),
-        DepthPixels::Metres { .. } => return Err(FormatError::Unsupported("a PNG of floats".into())),
+        DepthPixels::Metres { .. } => {
+            return Err(FormatError::Unsupported("depth in metres cannot be written as a PNG".into()));
+        }
     }
     Ok(message)
 }
@@ -306,7 +308,10 @@ pub(super) fn with_cloud(original: &[u8], cloud: &PointCloud2) -> Result<Vec<u8>
     for PointField { name, offset, datatype, count } in &cloud.fields {
         let kind = TYPES.get(usize::from(*datatype).wrapping_sub(1)).filter(|_| *count == 1);
         let Some(kind) = kind else {
-            return Err(FormatError::Unsupported(format!("the field {} of {count} values", quoted(name))));
+            return Err(FormatError::Unsupported(format!(
+                "the field {} with {count} values per point cannot be written to a Foxglove message",
+                quoted(name)
+            )));
         };
         let mut field = Vec::new();
         push_bytes(&mut field, 1, name.as_bytes());

@@ -77,10 +77,10 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_compressed = extension == "zstd" && path.file_stem().is_some_and(|stem| is_named_mcap(Path::new(stem)));
     let kind = match extension.as_str() {
-        "bag" => "a recording of ROS 1",
-        "db3" => "a recording of ROS 2 in SQLite",
+        "bag" => "ROS 1 recordings",
+        "db3" => "ROS 2 recordings in SQLite",
         _ if is_compressed => {
-            let problem = format!("a recording in a compressed file: decompress it with `zstd -d {name}`");
+            let problem = format!("compressed files are not supported; decompress the recording with `zstd -d {name}`");
             return Err(IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) });
         }
         _ => return Ok(()),
@@ -88,8 +88,9 @@ pub fn refuse_other_bags(path: &Path) -> Result<(), IoError> {
     Err(IoError {
         path: path.to_path_buf(),
         problem: FormatError::Unsupported(format!(
-            "{kind}: convert it to MCAP with `pip install rosbags`, then `rosbags-convert --src {name} --dst \
-             converted --dst-storage mcap`; for a RealSense recording use the source realsense:{name}"
+            "{kind} are not supported; convert the file to MCAP with `pip install rosbags`, then `rosbags-convert \
+             --src {name} --dst converted --dst-storage mcap`; for a RealSense recording use the source \
+             realsense:{name}"
         )),
     })
 }
@@ -104,7 +105,7 @@ fn of_mcap(error: mcap::McapError) -> FormatError {
     match error {
         mcap::McapError::Io(error) => FormatError::Os(error),
         mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
-            FormatError::Malformed(format!("a record of {len} bytes, more than --max-memory allows or the file holds"))
+            FormatError::Malformed(format!("a record of {len} bytes exceeds --max-memory or the size of the file"))
         }
         error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
     }

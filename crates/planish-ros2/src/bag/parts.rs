@@ -19,7 +19,7 @@ pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
     let files: Vec<PathBuf> = listed(&metadata).into_iter().map(|name| path.join(name)).collect();
     if let Some(missing) = files.iter().find(|file| !file.is_file()) {
         let name = quoted(&missing.display().to_string());
-        return Err(FormatError::Malformed(format!("its metadata.yaml lists {name}, which is not there")));
+        return Err(FormatError::Malformed(format!("its metadata.yaml lists {name}, which does not exist")));
     }
     if !files.is_empty() {
         return Ok(files);
@@ -94,7 +94,7 @@ impl Numbers {
 
     /// Renumbers a record; returns `None` for a record that an earlier file already had.
     pub(super) fn renumbered(&mut self, record: Record<'static>) -> Result<Option<Record<'static>>, FormatError> {
-        let too_many = || FormatError::Malformed("more channels than a recording can have".into());
+        let too_many = || FormatError::Malformed("too many channels for one recording".into());
         Ok(Some(match record {
             Record::Header(_) if self.is_later => return Ok(None),
             Record::Schema { mut header, data } if header.id != 0 => {
@@ -127,7 +127,7 @@ impl Numbers {
             Record::Message { mut header, data } if self.is_later => {
                 header.channel_id = self.channel.get(&header.channel_id).copied().ok_or_else(|| {
                     FormatError::Malformed(format!(
-                        "damaged: a message on channel {}, which is not there",
+                        "damaged: a message refers to channel {}, which does not exist",
                         header.channel_id
                     ))
                 })?;

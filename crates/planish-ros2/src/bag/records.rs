@@ -87,7 +87,7 @@ impl Records {
             };
             let damage = match &next {
                 Ok(Next::End) => None,
-                Ok(Next::CutOff) => Some("it ends in the middle of a record".to_owned()),
+                Ok(Next::CutOff) => Some("ends in the middle of a record".to_owned()),
                 Err(error) => Some(error.to_string()),
                 _ => return next,
             };
@@ -142,7 +142,7 @@ fn open_data(path: &Path, options: &ReadOptions) -> Result<(BufReader<File>, Lin
 }
 
 fn beyond_its_chunk() -> FormatError {
-    FormatError::Malformed("damaged: a record reaches beyond its chunk".into())
+    FormatError::Malformed("damaged: a record extends past the end of its chunk".into())
 }
 
 /// Returns the options of a reader, which limit a record to half of the allowed memory: it is in memory twice, in the

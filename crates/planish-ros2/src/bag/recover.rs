@@ -61,7 +61,7 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
         _ => path.to_path_buf(),
     };
     if complete != path && complete.symlink_metadata().is_ok() {
-        let problem = format!("{} exists; rename one of them", complete.display());
+        let problem = format!("{} already exists; rename one of the two files", complete.display());
         return Err(IoError { path: path.to_path_buf(), problem: FormatError::Unsupported(problem) });
     }
     let recovered = || -> Result<Recovered, FormatError> {
@@ -70,7 +70,7 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
         }
         let mut file = OpenOptions::new().read(true).write(true).open(path)?;
         if is_being_written(&file) {
-            return Err(FormatError::Unsupported("another process is writing it".into()));
+            return Err(FormatError::Unsupported("another process is writing this file".into()));
         }
         let recovered = complete_in_place(&mut file, options)?;
         drop(file);
@@ -123,13 +123,13 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     // Recorders append, so a cut costs one record. A larger loss means damage.
     if is_ended || end.dropped > LARGEST_LOSS {
         return Err(FormatError::Malformed(format!(
-            "damaged at byte {}, not cut off: {} bytes follow; nothing was changed",
+            "damaged at byte {} rather than truncated, since {} bytes follow; nothing was changed",
             end.valid,
             bytes - end.valid
         )));
     }
     if !scan.has_header {
-        return Err(FormatError::Malformed("it ends before its first record; there is nothing to recover".into()));
+        return Err(FormatError::Malformed("ends before its first record; nothing can be recovered".into()));
     }
     let tail = scan.tail(end.valid)?;
     // Only from here on the file changes.
@@ -174,7 +174,7 @@ impl Scan {
         let mut magic = [0; MAGIC.len()];
         file.seek(SeekFrom::Start(0))?;
         if file.read_exact(&mut magic).is_err() || magic != MAGIC {
-            return Err(FormatError::Malformed("not a recording in MCAP: it does not begin as one".into()));
+            return Err(FormatError::Malformed("not an MCAP recording: its signature is missing".into()));
         }
         let mut at = MAGIC.len() as u64;
         loop {

@@ -124,7 +124,8 @@ pub fn smooth_bag(
     }
     let names = || survey.topics.iter().map(|topic| &topic.name).chain(survey.others.iter().map(|topic| &topic.name));
     if let Some(taken) = options.points_topic.as_ref().filter(|topic| names().any(|name| name == *topic)) {
-        let problem = FormatError::Unsupported(format!("already has a topic {taken}; choose another for the clouds"));
+        let problem =
+            FormatError::Unsupported(format!("already has a topic {taken}; choose another name for the clouds"));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     }
     if smoother.flags_origins() {
@@ -195,7 +196,7 @@ pub fn smooth_bag(
                 return Err(IoError { path: input.to_path_buf(), problem }.into());
             }
             Ok(Next::CutOff) => {
-                cut_off = Some("it ends in the middle of a record".to_owned());
+                cut_off = Some("ends in the middle of a record".to_owned());
                 break;
             }
             // Keep the messages that were read.

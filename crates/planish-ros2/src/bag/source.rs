@@ -123,8 +123,8 @@ impl BagSource {
             let record = match self.records.next() {
                 Ok(Next::Record(record)) => record,
                 Ok(Next::DamagedChunk) => {
-                    let problem =
-                        "damaged: the checksum of a chunk is wrong; its frames, already delivered, may be damaged";
+                    let problem = "damaged: the checksum of a chunk is wrong; frames already delivered from this chunk \
+                                   may be damaged";
                     return Err(FormatError::Malformed(problem.into()));
                 }
                 Ok(Next::DamagedFile(problem)) => return Err(FormatError::Malformed(problem)),

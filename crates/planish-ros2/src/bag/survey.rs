@@ -143,8 +143,8 @@ impl Survey {
             let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
             if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
                 return Err(refuse(format!(
-                    "has no camera for {}: neither {} nor another in its frame; name one with --camera-info-topic, or \
-                     give --camera FX,FY,CX,CY",
+                    "has no camera for {}: no CameraInfo on {} or in the frame of its images; name a topic with \
+                     --camera-info-topic, or give --camera FX,FY,CX,CY",
                     topic.name,
                     beside(&topic.name)
                 )));
@@ -185,8 +185,9 @@ impl Survey {
         let described: Vec<_> =
             self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
         match &described[..] {
-            [] => "it has no images or clouds as messages of ROS 2 (CDR) or Foxglove (Protocol Buffers)".to_owned(),
-            all => format!("it has {}", all.join(", ")),
+            [] => "the recording has no images or clouds as ROS 2 (CDR) or Foxglove (Protocol Buffers) messages"
+                .to_owned(),
+            all => format!("available are {}", all.join(", ")),
         }
     }
 
@@ -231,7 +232,7 @@ impl Chosen {
             (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
             (Some(camera), _) => Ok(*camera),
             (None, Some((_, info))) => info.camera(shape, is_rectified(&self.topic)),
-            (None, None) => Err(FormatError::Unsupported("an image without a camera".into())),
+            (None, None) => Err(FormatError::Unsupported("the camera of the image is unknown".into())),
         }
     }
 }
@@ -328,7 +329,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
         }
     }
     if is_cut_off && topics.is_empty() {
-        return Err(FormatError::Malformed("ends before its first messages of images, clouds or cameras".into()));
+        return Err(FormatError::Malformed("ends before its first message with an image, a cloud or a camera".into()));
     }
     let Summary { channels: of_summary, schemas, messages, compression, .. } = summary.unwrap_or_default();
     let all = of_summary.values().chain(channels.all.values());

@@ -222,8 +222,10 @@ impl BagWriter {
     fn header(&self, timestamp_s: Option<f64>) -> Result<Header, IoError> {
         let seconds = timestamp_s.unwrap_or(f64::from(self.frames) / FRAMES_PER_SECOND);
         let stamp = Time::from_seconds(seconds).ok_or_else(|| {
-            let allowed = "messages of ROS 2 hold 0 to 2147483647 s";
-            IoError::at(&self.path)(FormatError::Unsupported(format!("a time stamp of {seconds} s; {allowed}")))
+            let allowed = "ROS 2 messages allow 0 to 2147483647 s";
+            IoError::at(&self.path)(FormatError::Unsupported(format!(
+                "the time stamp {seconds} s is out of range; {allowed}"
+            )))
         })?;
         Ok(Header { stamp, frame_id: FRAME_ID.into() })
     }
@@ -275,7 +277,7 @@ impl Open {
     fn create(path: &Path) -> Result<Self, FormatError> {
         check_target(path)?;
         if path.is_symlink() {
-            return Err(FormatError::Unsupported("a link has this name; choose another".into()));
+            return Err(FormatError::Unsupported("is a symbolic link; choose another name".into()));
         }
         let part = part_of(path);
         let file = OpenOptions::new().read(true).write(true).create_new(true).open(&part)?;
@@ -366,7 +368,8 @@ impl Open {
         }
         file.sync_all()?;
         if path.symlink_metadata().is_ok() && !path.is_file() {
-            let text = format!("something else has this name now; the recording is in {}", part.display());
+            let text =
+                format!("the name is now taken by something other than a file; the recording is in {}", part.display());
             return Err(FormatError::Unsupported(text));
         }
         // Windows renames closed files only.
@@ -388,7 +391,7 @@ pub fn refuse_cut_off(path: &Path) -> Result<(), IoError> {
     }
     let name = part.display();
     let problem = format!(
-        "a recording that is being written or was cut off; complete it with `planish recover {name}`, delete it, or \
+        "the recording is being written or was cut off; complete it with `planish recover {name}`, delete it, or \
          choose another name"
     );
     Err(IoError { path: part.clone(), problem: FormatError::Unsupported(problem) })

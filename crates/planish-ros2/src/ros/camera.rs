@@ -50,7 +50,7 @@ impl CameraInfo {
 
     fn distortion(&self) -> Result<Distortion, FormatError> {
         Distortion::of_model(&self.distortion_model, &self.d).map_err(|error| {
-            FormatError::Unsupported(format!("camera_info: {error}; images of image_proc (image_rect) are rectified"))
+            FormatError::Unsupported(format!("camera_info: {error}; use rectified images from image_proc (image_rect)"))
         })
     }
 

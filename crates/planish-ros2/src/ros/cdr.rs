@@ -17,7 +17,7 @@ const LITTLE_ENDIAN: [u8; 2] = [0, 1];
 /// # Errors
 /// If the bytes have another encoding, or are damaged or truncated.
 pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
-    let malformed = |error: cdr_encoding::Error| FormatError::Malformed(brief(&format!("a damaged message: {error}")));
+    let malformed = |error: cdr_encoding::Error| FormatError::Malformed(brief(&format!("damaged message: {error}")));
     match bytes {
         [a, b, _, _, body @ ..] if [*a, *b] == LITTLE_ENDIAN => {
             Ok(cdr_encoding::from_bytes::<T, LittleEndian>(body).map_err(malformed)?.0)
@@ -26,10 +26,10 @@ pub fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FormatError> {
             Ok(cdr_encoding::from_bytes::<T, BigEndian>(body).map_err(malformed)?.0)
         }
         [a, b, _, _, ..] => Err(FormatError::Unsupported(format!(
-            "a message in the encoding {a:02x} {b:02x}; only plain CDR (00 00 or 00 01), as ROS 2 writes it, is \
+            "unsupported message encoding {a:02x} {b:02x}; only plain CDR (00 00 or 00 01), as written by ROS 2, is \
              supported"
         ))),
-        _ => Err(FormatError::Malformed(format!("a message of {} bytes", bytes.len()))),
+        _ => Err(FormatError::Malformed(format!("the message has only {} bytes, but its header needs 4", bytes.len()))),
     }
 }
 

@@ -46,7 +46,7 @@ impl PointCloud2 {
     pub fn view(&self) -> Result<PointsView<'_>, FormatError> {
         let layout = self.layout()?;
         if self.is_bigendian != cfg!(target_endian = "big") {
-            return Err(FormatError::Unsupported("a cloud in the other byte order".into()));
+            return Err(FormatError::Unsupported("the cloud has a byte order other than this machine's".into()));
         }
         let view = PointsView::from_bytes(&self.data, layout, (self.width as usize, self.height as usize))?;
         Ok(match self.origin_m() {
@@ -65,7 +65,7 @@ impl PointCloud2 {
         for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).ok_or_else(|| {
                 FormatError::Malformed(format!(
-                    "field {} has type {}; 1 to 8 are defined",
+                    "field {} has the unknown type {}; expected 1 to 8",
                     quoted(&field.name),
                     field.datatype
                 ))
@@ -73,7 +73,7 @@ impl PointCloud2 {
             let end = u64::from(field.offset) + bytes as u64 * u64::from(field.count.max(1));
             if end > u64::from(self.point_step) {
                 return Err(FormatError::Malformed(format!(
-                    "field {} ends at byte {end} of a point of {}",
+                    "field {} ends at byte {end}, but a point has {} bytes",
                     quoted(&field.name),
                     self.point_step
                 )));
@@ -84,7 +84,8 @@ impl PointCloud2 {
         // The padding behind the last point may be missing, but not more than that.
         if is_short || step > (self.data.len() as u64).max(MOST_PADDING) {
             return Err(FormatError::Malformed(format!(
-                "points of {step} bytes, {} in a row of {} bytes, and {} bytes of data",
+                "sizes contradict each other: points of {step} bytes, {} points in a row of {} bytes, and {} bytes of \
+                 data",
                 self.width,
                 self.row_step,
                 self.data.len()
@@ -93,7 +94,7 @@ impl PointCloud2 {
         let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(|name| self.field(name)) else {
             let names: Vec<_> = self.fields.iter().map(|field| field.name.as_str()).collect();
             return Err(FormatError::Malformed(format!(
-                "a cloud without x, y, z; its fields are {}",
+                "the cloud has no x, y and z; its fields are {}",
                 quoted(&names.join(" "))
             )));
         };
@@ -490,7 +491,7 @@ pub(super) mod tests {
             change(&mut cloud);
             refused(cloud)
         };
-        assert!(with(&|cloud| cloud.fields[1].name = "X".into()).contains("without x, y, z"));
+        assert!(with(&|cloud| cloud.fields[1].name = "X".into()).contains("no x, y and z"));
         assert!(with(&|cloud| cloud.fields[1].offset = 21).contains("ends at byte 25"));
         assert!(with(&|cloud| cloud.fields[4].datatype = 9).contains("type 9"));
         assert!(with(&|cloud| cloud.fields[1].datatype = 6).contains("float32"));

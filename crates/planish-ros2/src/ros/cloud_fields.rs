@@ -22,7 +22,7 @@ impl PointCloud2 {
     pub fn to_organized(&self) -> Result<OrganizedCloud, FormatError> {
         if !self.is_organized() {
             return Err(FormatError::Unsupported(format!(
-                "a cloud of {} points without a grid; a stream needs frames on a grid",
+                "the cloud of {} points has no grid; a stream needs frames on a grid",
                 self.width
             )));
         }

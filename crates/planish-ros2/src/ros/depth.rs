@@ -119,7 +119,7 @@ fn image_pixels(image: &Image, options: &ReadOptions) -> Result<DepthPixels, For
         "32FC1" => 4,
         other => {
             return Err(FormatError::Unsupported(format!(
-                "an image in the encoding {}; depth is 16UC1 (millimetres) or 32FC1 (metres)",
+                "unsupported image encoding {}; depth must be 16UC1 (millimetres) or 32FC1 (metres)",
                 quoted(other)
             )));
         }
@@ -127,7 +127,8 @@ fn image_pixels(image: &Image, options: &ReadOptions) -> Result<DepthPixels, For
     let (row, needed) = (bytes * width, step as u64 * (height as u64 - 1) + (bytes * width) as u64);
     if step < row || (image.data.len() as u64) < needed {
         return Err(FormatError::Malformed(format!(
-            "an image of {width}x{height} in {} with {} bytes, {step} a row: {needed} are needed, {row} a row",
+            "an image of {width}x{height} in {} has {} bytes with {step} per row; expected at least {needed} with \
+             {row} per row",
             image.encoding,
             image.data.len()
         )));
@@ -198,8 +199,8 @@ impl<'a> Compressed<'a> {
             "compressedDepth rvl" => Code::Rvl,
             transport if transport.starts_with("compressedDepth") => {
                 return Err(FormatError::Unsupported(format!(
-                    "depth in the format {}; compressedDepth with PNG and RVL is supported (set the parameter `format` \
-                     of the transport to png)",
+                    "unsupported depth format {}; only compressedDepth with PNG or RVL is supported (set the parameter \
+                     `format` of the transport to png)",
                     quoted(&image.format)
                 )));
             }
@@ -212,7 +213,9 @@ impl<'a> Compressed<'a> {
         };
         let Some((configuration, bytes)) = image.data.split_first_chunk::<CONFIGURATION_BYTES>() else {
             let bytes = image.data.len();
-            return Err(FormatError::Malformed(format!("a compressed depth image of {bytes} bytes")));
+            return Err(FormatError::Malformed(format!(
+                "the compressed depth image has only {bytes} bytes and lacks its header"
+            )));
         };
         let [_, _, _, _, a @ ..] = *configuration;
         let [a0, a1, a2, a3, b0, b1, b2, b3] = a;
@@ -223,7 +226,7 @@ impl<'a> Compressed<'a> {
 
 fn not_compressed_depth(image: &CompressedImage) -> FormatError {
     FormatError::Unsupported(format!(
-        "unsupported image format {}, not compressed depth (16UC1 or 32FC1; compressedDepth png or rvl)",
+        "unsupported image format {}; expected compressed depth (16UC1 or 32FC1; compressedDepth png or rvl)",
         quoted(&image.format)
     ))
 }
@@ -319,7 +322,7 @@ mod tests {
             assert!((z - expected).abs() < expected * expected / a, "{z} {expected}");
         }
         for (format, text) in
-            [("16UC1; compressedDepth jxl", "png"), ("rgb8; jpeg compressed bgr8", "not compressed depth")]
+            [("16UC1; compressedDepth jxl", "png"), ("rgb8; jpeg compressed bgr8", "expected compressed depth")]
         {
             let error = empty(format, [0.0; 2]).pixels(&options()).unwrap_err().to_string();
             assert!(error.contains(text), "{error}");
@@ -331,7 +334,7 @@ mod tests {
         let image = Image::of_depth(Header::default(), &millimetres());
         let refused = |image: Image| DepthMessage::Image(image).pixels(&options()).unwrap_err().to_string();
         assert!(refused(Image { encoding: "rgb8".into(), ..image.clone() }).contains("16UC1"));
-        assert!(refused(Image { step: 5, ..image.clone() }).contains("6 a row"));
+        assert!(refused(Image { step: 5, ..image.clone() }).contains("6 per row"));
         assert!(refused(Image { height: u32::MAX, ..image.clone() }).contains("pixels"));
         assert!(refused(Image { width: 0, ..image }).contains("0x2"));
     }

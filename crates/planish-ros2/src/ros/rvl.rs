@@ -41,19 +41,19 @@ impl<'a> Groups<'a> {
     fn number(&mut self) -> Result<u32, FormatError> {
         let mut number = 0u32;
         for k in 0..MOST_GROUPS {
-            let group = self.next().ok_or_else(|| malformed("it is truncated"))?;
+            let group = self.next().ok_or_else(|| malformed("the data are truncated"))?;
             number |= (group & 7).checked_shl(3 * k).unwrap_or(0);
             if group & 8 == 0 {
                 return Ok(number);
             }
         }
-        Err(malformed("a number of more than 32 bits"))
+        Err(malformed("a number exceeds 32 bits"))
     }
 }
 
 /// Decodes an image.
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatError> {
-    let (size, code) = bytes.split_first_chunk::<SIZE_BYTES>().ok_or_else(|| malformed("its size is missing"))?;
+    let (size, code) = bytes.split_first_chunk::<SIZE_BYTES>().ok_or_else(|| malformed("the size is missing"))?;
     let [w0, w1, w2, w3, h0, h1, h2, h3] = *size;
     let [width, height] = [[w0, w1, w2, w3], [h0, h1, h2, h3]].map(|bytes| u32::from_le_bytes(bytes) as usize);
     validate_shape(width, height)?;
@@ -64,7 +64,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, 
     while raw.len() < pixels {
         let (holes, values) = (groups.number()? as usize, groups.number()? as usize);
         if holes.saturating_add(values) > pixels - raw.len() || holes + values == 0 {
-            return Err(malformed("a run that the image does not hold"));
+            return Err(malformed("a run extends past the end of the image"));
         }
         raw.resize(raw.len() + holes, 0);
         for _ in 0..values {

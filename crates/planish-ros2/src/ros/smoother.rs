@@ -58,8 +58,8 @@ pub struct MessageSmoother {
 
 /// Refuses settings with steps before smoothing.
 fn check_no_preparation(settings: &Settings) -> Result<(), ParamError> {
-    let allowed = "only for files and streams: messages keep their grid and camera_info (remove_floating, min_range_m, \
-                   max_range_m, decimate)";
+    let allowed = "messages keep their grid and camera_info, so these steps apply only to files and streams \
+                   (remove_floating, min_range_m, max_range_m, decimate)";
     match settings.preparation().is_empty() {
         true => Ok(()),
         false => Err(ParamError { field: "settings", value: "steps before smoothing".into(), allowed }),

@@ -215,7 +215,7 @@ fn bad_poses_and_contradictions_are_refused() {
     let error = "track=true temporal=off".parse::<Settings>().unwrap_err().to_string();
     assert_eq!(error, "track = true is not allowed: only with temporal=steady");
     let error = "track=true".parse::<Settings>().unwrap().check_no_video().unwrap_err().to_string();
-    assert!(error.starts_with("track = true is not allowed: only for the frames of a camera"), "{error}");
+    assert!(error.starts_with("track = true is not allowed: only for consecutive frames of a camera"), "{error}");
 }
 
 #[test]

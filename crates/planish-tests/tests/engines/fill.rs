@@ -326,7 +326,7 @@ fn what_cannot_be_filled_or_flagged_is_refused_or_reported() {
     // An unorganized cloud has no pixels to fill.
     let cloud = frame.deproject().unwrap().points;
     let error = session.smooth(&cloud, &mut smoothed).unwrap_err().to_string();
-    assert!(error.contains("fill = 8 is not allowed: only frames on a grid"), "{error}");
+    assert!(error.contains("fill = 8 is not allowed: only for frames on a grid"), "{error}");
     // The grid of a turning scanner is not a camera's.
     let of_scanner = |i: usize| {
         let (azimuth, elevation) = (0.02 * (i % WIDTH) as f32, 0.01 * (i / WIDTH) as f32 - 0.5);

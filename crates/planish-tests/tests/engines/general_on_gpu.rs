@@ -86,7 +86,7 @@ fn points_that_reach_more_than_a_gpu_takes_are_an_error() {
             smoother.smooth(PointsView::from_rows(points).unwrap(), &mut Smoothed::default())
         };
         let error = smooth(&mut smoother, points).unwrap_err().to_string();
-        assert!(error.contains("holds 4000 points of a cloud at once"), "{error}");
+        assert!(error.contains("holds at most 4000 points at once"), "{error}");
         smooth(&mut smoother, &sphere[..100]).unwrap();
     }
 }

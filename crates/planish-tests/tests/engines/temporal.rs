@@ -272,7 +272,7 @@ fn bad_parameters_and_shapes_are_refused_and_any_shape_works() {
     assert!(refused(TemporalParams::STEADY.with_frames(17.0)).contains("1 to 16"));
     assert!(refused(TemporalParams::STEADY.with_hold_frames(9)).contains("0 to 8"));
     let error = filter(TemporalParams::STEADY).smooth(3, 2, &mut [1.0; 5]).unwrap_err();
-    assert_eq!(error.to_string(), "the depth has 5 values where 6 are needed");
+    assert_eq!(error.to_string(), "the depth has 5 values; expected 6");
     let mut filter = filter(TemporalParams::STEADY.with_hold_frames(8));
     for (width, height) in [(1, 1), (1, 37), (41, 1), (15, 17), (16, 16), (33, 2), (0, 0), (0, 4)] {
         for _ in 0..3 {
@@ -463,7 +463,7 @@ fn a_video_keeps_its_sensor_and_starts_again_with_another_camera_or_after_a_gap(
 #[test]
 fn rigs_and_unorganized_clouds_are_not_videos() {
     let error = steady("cpu").check_no_video().unwrap_err().to_string();
-    assert!(error.starts_with("temporal = steady is not allowed: only for the frames of a camera"), "{error}");
+    assert!(error.starts_with("temporal = steady is not allowed: only for consecutive frames of a camera"), "{error}");
     assert_eq!(steady("cpu").unused_by_clouds(), ["temporal"]);
     assert!("temporal=often".parse::<Settings>().unwrap_err().to_string().contains("off or steady"));
     let mut session = Session::new(steady("cpu")).unwrap();

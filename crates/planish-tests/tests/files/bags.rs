@@ -150,7 +150,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
         let mut writer = BagWriter::create(&live).unwrap();
         writer.add(&OwnedFrame::Depth(frames[0].clone())).unwrap();
         let error = recover(&part_of(&live), &options).unwrap_err().to_string();
-        assert!(error.contains("another process is writing it"), "{error}");
+        assert!(error.contains("another process is writing this file"), "{error}");
         writer.add(&OwnedFrame::Depth(frames[1].clone())).unwrap();
         writer.finish().unwrap();
         assert_eq!(read_all(&live).len(), 2);

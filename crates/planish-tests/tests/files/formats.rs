@@ -370,13 +370,13 @@ fn lines_of_numbers_are_read_by_names_or_a_guess_and_come_back() {
     assert_eq!(names("x,y,z\n", Csv).0.len(), 0);
     for (text, what) in [
         ("1 2 3\n4 5\n", "line 2"),
-        ("x,y,z,class\n1,2,3,4\n7,8,2\n", "line 3: 3 values instead of 4"),
+        ("x,y,z,class\n1,2,3,4\n7,8,2\n", "line 3 has 3 values instead of 4"),
         ("1 2 3\n\n4 five 6\n", "line 3"),
-        ("alpha beta\n1 2\n", "names of columns"),
-        ("1 2\n3 4\n", "three numbers"),
+        ("alpha beta\n1 2\n", "column names"),
+        ("1 2\n3 4\n", "three or more numbers"),
         ("\u{0}\u{1}", "binary"),
         ("x;y;z\n0,5,1;1;2\n", "not a number"),
-        ("x,y,z\n1,000.5,2,3\n", "3 names of columns above lines of 4"),
+        ("x,y,z\n1,000.5,2,3\n", "3 column names, but 4 numbers"),
         ("x,y,z,x\n1,2,3,4\n", "two columns"),
     ] {
         let error = io::decode(text.as_bytes(), Some(Text)).unwrap_err().to_string();

@@ -51,11 +51,11 @@ fn lying_pcd_headers_are_refused_with_a_reason() {
         (&[("TYPE", "F F Q")], body, "field \"z\" has TYPE \"Q\""),
         (&[("COUNT", "1 1 0")], body, "more than 2 values"),
         (&[("COUNT", "1 1 9999999999")], body, "COUNT 9999999999"),
-        (&[("COUNT", "1 1 -1")], body, "COUNT \"-1\" should be one whole number"),
-        (&[("FIELDS", "x y w")], body, "no field z"),
+        (&[("COUNT", "1 1 -1")], body, "COUNT \"-1\" is invalid; expected one whole number"),
+        (&[("FIELDS", "x y w")], body, "missing field z"),
         (&[("FIELDS", "")], body, "no FIELDS"),
-        (&[("WIDTH", "two")], body, "WIDTH \"two\" should be one whole number"),
-        (&[("VIEWPOINT", "0 0 0")], body, "should be 7 numbers"),
+        (&[("WIDTH", "two")], body, "WIDTH \"two\" is invalid; expected one whole number"),
+        (&[("VIEWPOINT", "0 0 0")], body, "expected 7 numbers"),
         (&[("VERSION", "0.8")], body, "version \"0.8\" is unknown"),
         (&[("DATA", "zip")], body, "DATA \"zip\" is unknown"),
         (&[], "1.0 2.0 3.0\n4.0 5.0\n", "fewer than 3 values"),
@@ -105,7 +105,7 @@ fn files_that_are_something_else_are_refused() {
     assert!(error(b"II*\0....", Format::DepthTiff).contains("damaged TIFF"));
     assert!(error(b"\x93NUMPY\x01\x00\xff\xff", Format::Npy).contains("NPY header of 65535 bytes"));
     let nothing = io::decode(b"just words", None).unwrap_err().to_string();
-    assert!(nothing.contains("supported are PCD, PLY"), "{nothing}");
+    assert!(nothing.contains("expected PCD, PLY"), "{nothing}");
 }
 
 /// Returns valid files of many formats, for tests that damage them.
@@ -172,14 +172,14 @@ fn writing_where_nothing_can_be_written_says_so_and_leaves_nothing() {
     let cloud = PointCloud::new(Xyz::filled(3, 1.0));
     let write = |name: &str| io::write_cloud(&folder.path().join(name), &cloud, Encoding::Binary);
     assert!(write("missing/cloud.pcd").unwrap_err().to_string().contains("does not exist"));
-    assert!(write("cloud.abc").unwrap_err().to_string().contains("end it in .pcd"));
+    assert!(write("cloud.abc").unwrap_err().to_string().contains("expected .pcd"));
     assert!(write("cloud.png").unwrap_err().to_string().contains("cannot store points"));
     fs::create_dir(folder.path().join("taken.pcd")).unwrap();
-    assert!(write("taken.pcd").unwrap_err().to_string().contains("folder has this name"));
+    assert!(write("taken.pcd").unwrap_err().to_string().contains("path is a folder"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the folder is there");
 
     let mut uneven = cloud.clone();
     uneven.set_attribute("intensity", vec![1.0f32; 2]);
     let error = io::write_cloud(&folder.path().join("uneven.pcd"), &uneven, Encoding::Binary).unwrap_err();
-    assert!(error.to_string().contains("intensity has 2 values where 3"), "{error}");
+    assert!(error.to_string().contains("intensity has 2 values; expected 3"), "{error}");
 }

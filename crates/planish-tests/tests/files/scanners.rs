@@ -234,7 +234,7 @@ fn what_is_left_out_of_a_file_is_noted() {
     let mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float \
                 z\nelement face 1\n\
                 property list uchar int vertex_indices\nend_header\n0 0 1\n1 0\n";
-    assert_eq!(notes("a.ply", mesh.as_bytes()), ["other elements than vertices are dropped: face (1)"]);
+    assert_eq!(notes("a.ply", mesh.as_bytes()), ["elements other than vertices are dropped: face (1)"]);
 }
 
 #[test]
@@ -308,7 +308,7 @@ fn vertices_of_meshes_are_points() {
     assert_eq!(cloud.positions, Xyz::from_iter([[0.0, 0.0, 1.0], [1.5, 0.0, 0.0]]));
     assert_eq!(cloud.rgb().unwrap(), [[255, 0, 128], [0, 0, 0]]);
     assert!(decode(b"v 1 2\n", Format::Obj).unwrap_err().contains("line 1"));
-    assert!(decode(b"f 1 2 3\n", Format::Obj).unwrap_err().contains("without vertices"));
+    assert!(decode(b"f 1 2 3\n", Format::Obj).unwrap_err().contains("has no vertices"));
 
     let corners = [[0.0f32; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0; 3]];
     let text: String = corners

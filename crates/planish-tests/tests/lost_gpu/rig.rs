@@ -71,7 +71,7 @@ fn a_rig_s_lost_gpu_is_opened_once_more_and_then_the_cpu_takes_over_with_every_f
         "{warnings:?}"
     );
     assert_eq!(warnings.len(), 2, "{warnings:?}");
-    assert!(warnings[0].contains("once more") && warnings[1].contains("CPU"), "{warnings:?}");
+    assert!(warnings[0].contains("reopening") && warnings[1].contains("CPU"), "{warnings:?}");
     // Each camera's results, from the GPU and later from the CPU, equal those of the CPU alone.
     for (i, frame) in frames.iter().enumerate() {
         let mut alone = Smoothed::default();

@@ -30,7 +30,7 @@ struct Filling {
 /// Measures how well holes up to `width_px` pixels wide are filled, in simulated frames or in a file.
 pub(super) fn evaluate(args: &EvaluateArgs, width_px: u32) -> Result<ExitCode> {
     if args.general || args.out.is_some() {
-        bail!("--fill: evaluate has no --general and no --out for the filling of holes");
+        bail!("--fill cannot be combined with --general or --out");
     }
     let (name, report) = match &args.input {
         Some(file) => (file.display().to_string(), of_file(args, file, width_px)?),
@@ -55,7 +55,7 @@ fn of_suite(args: &EvaluateArgs, width_px: u32) -> Result<Option<FillReport>> {
     let mut session = session(args.smoothing.settings()?)?;
     let (mut filling, mut smoothed) = (FillEvaluation::default(), Smoothed::default());
     if let Some(folder) = &args.export {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     for seed in seeds {
         for case in suite.cases(seed).map_err(Error::from)? {
@@ -86,10 +86,12 @@ fn of_suite(args: &EvaluateArgs, width_px: u32) -> Result<Option<FillReport>> {
 fn result_in(args: &EvaluateArgs, folder: &Path, name: &str, camera: &Camera) -> Result<Vec<f32>> {
     let files = ["png", "tiff", "npy", "pcd", "ply"].map(|extension| folder.join(format!("{name}.{extension}")));
     let file = files.iter().find(|file| file.exists());
-    let file = file.with_context(|| format!("{}: has no {name}.png, .tiff, .npy, .pcd or .ply", folder.display()))?;
+    let file = file.with_context(|| {
+        format!("{}: no result for this frame; expected {name}.png, .tiff, .npy, .pcd or .ply", folder.display())
+    })?;
     let contents = read_measured(&args.memory, file)?;
     if contents.shape() != (camera.width, camera.height) {
-        bail!("{}: differs in size from the frame, {}x{}", file.display(), camera.width, camera.height);
+        bail!("{}: the size differs from the frame's; expected {}x{}", file.display(), camera.width, camera.height);
     }
     Ok(match contents {
         Contents::Depth(image) => image.raw.iter().map(|&raw| camera.depth_m(raw)).collect(),

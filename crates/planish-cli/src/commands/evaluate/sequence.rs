@@ -57,19 +57,19 @@ struct Way {
 
 pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
     if args.smoothing.settings()?.temporal == Some(TemporalChoice::Off) {
-        bail!("--sequence measures --temporal steady; leave --temporal off out");
+        bail!("--sequence measures --temporal steady; remove --temporal off");
     }
     if let Some(input) =
         args.input.as_ref().filter(|input| input.is_file() && io::Format::of_extension(input).is_some())
     {
-        bail!("{}: is one frame; --sequence needs a folder of frames, a data set or a recording", input.display());
+        bail!("{}: is a single frame; --sequence needs a folder of frames, a data set or a recording", input.display());
     }
     for folder in [&args.out, &args.export].into_iter().flatten() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     let videos = match &args.input {
         Some(input) if videos == SequenceArg::All => vec![on_input(args, input)?],
-        Some(_) => bail!("--sequence: the name of a simulated video contradicts --input"),
+        Some(_) => bail!("--sequence: the name of a simulated video cannot be combined with --input; omit the name"),
         None => on_simulated(args, videos)?,
     };
     if args.export.is_some() {
@@ -91,7 +91,7 @@ pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
 /// Evaluates the video given by `--input`.
 fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     if args.export.is_some() {
-        bail!("--export: with --input there is nothing to export");
+        bail!("--export cannot be combined with --input; it exports only simulated videos");
     }
     let options = SourceOptions::default()
         .with_camera(args.camera.camera_of_any_shape()?)
@@ -100,7 +100,10 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
         .with_read_options(args.memory.options());
     let mut source = planish::source::open(&input.display().to_string(), &options)?;
     if source.is_live() {
-        bail!("{}: a live source shows every frame only once; record it first", input.display());
+        bail!(
+            "{}: a live source delivers each frame only once; record it first with `planish record`",
+            input.display()
+        );
     }
     let mut settings = args.smoothing.settings()?;
     settings.temporal = Some(TemporalChoice::Steady);
@@ -131,10 +134,14 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     if let Some(poses) =
         poses.filter(|poses| !poses.has_times() && args.frames.is_none() && poses.len() as u64 != frames)
     {
-        bail!("--poses has {} poses without time stamps, but {} has {frames} frames", poses.len(), input.display());
+        bail!(
+            "--poses has {} poses without time stamps, but {} has {frames} frames; give one pose per frame",
+            poses.len(),
+            input.display()
+        );
     }
     if evaluated.frames < 2 {
-        bail!("{}: has {} frames; a video of at least 2 is needed", input.display(), evaluated.frames);
+        bail!("{}: has {} frames; a video needs at least 2", input.display(), evaluated.frames);
     }
     evaluated.finish(args, &input.display().to_string(), "video")
 }
@@ -189,7 +196,7 @@ fn progress(frames: Option<u64>) -> Result<ProgressBar> {
 
 /// Writes a frame and its camera.
 fn export(folder: &Path, number: u64, camera: &Camera, raw: &[u16]) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let image = DepthImage { width: camera.width, height: camera.height, raw: raw.to_vec() };
     write_depth(&folder.join(format!("{number:04}.png")), &image)?;
     let file = folder.join("camera.json");
@@ -375,12 +382,14 @@ fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
 fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
     let depth_m: Vec<f32> = match read_measured(memory, file)? {
         Contents::Depth(image) => {
-            let camera = camera.with_context(|| format!("{}: the unit of depth is unknown", file.display()))?;
+            let camera = camera.with_context(|| {
+                format!("{}: the unit of depth is unknown; add --camera FX,FY,CX,CY", file.display())
+            })?;
             image.raw.iter().map(|&raw| camera.depth_m(raw)).collect()
         }
         Contents::DepthMetres { depth_m, .. } => depth_m,
         Contents::Organized(cloud) => cloud.positions().z().to_vec(),
-        _ => bail!("{}: contains no depth image and no organized cloud", file.display()),
+        _ => bail!("{}: contains neither a depth image nor an organized cloud", file.display()),
     };
     // Zero, negative and infinite depths are holes as well.
     let is_depth = |depth_m: &f32| *depth_m > 0.0 && depth_m.is_finite();

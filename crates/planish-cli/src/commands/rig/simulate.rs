@@ -18,10 +18,10 @@ use crate::signals::{INTERRUPTED, stop_flag};
 /// Simulates a rig: writes a data set for each camera, and rig.json.
 pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-        bail!("{}: the folder is not empty; a simulated rig needs an empty folder", folder.display());
+        bail!("{}: the folder is not empty; choose a new or an empty folder for a simulated rig", folder.display());
     }
     let is_new = !folder.exists();
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let written = write(args, cameras, folder);
     if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
         // Fails without harm if a data set has already reached its final name.
@@ -36,7 +36,7 @@ fn write(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();
     let stated = scene.poses_with_errors(errors, args.seed);
     let partial = tempfile::Builder::new().prefix(".planish-rig-").tempdir_in(folder);
-    let partial = partial.with_context(|| format!("cannot make a folder in {}", folder.display()))?;
+    let partial = partial.with_context(|| format!("cannot create a folder in {}", folder.display()))?;
     let stop = stop_flag();
     let camera = Camera::kinect_v1();
     let mut rig_cameras = Vec::new();
@@ -59,7 +59,7 @@ fn write(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCode> {
     let rig = Rig::new(rig_cameras).map_err(planish::Error::from)?;
     for camera in &rig.cameras {
         let (from, to) = (partial.path().join(&camera.name), folder.join(&camera.name));
-        fs::rename(from, &to).with_context(|| format!("cannot make {}", to.display()))?;
+        fs::rename(from, &to).with_context(|| format!("cannot create {}", to.display()))?;
     }
     let file = folder.join("rig.json");
     io::write_whole(&file, rig_to_json(&rig).as_bytes()).with_context(|| file.display().to_string())?;

@@ -66,11 +66,14 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         if is_mcap(&input) {
             bail!("{}: not an MCAP recording: its signature is missing", input.display());
         }
-        bail!("{}: only a folder of frames or a recording can be written as a recording", args.output.display());
+        bail!("{}: a recording can be written only from a folder of frames or from a recording", args.output.display());
     }
     check_not_input(&input, &args.output, Some(args.overwrite))?;
     if !writes && !args.output.is_dir() && args.output.extension().is_some() {
-        bail!("{}: a recording has many frames; write a folder, or a name that ends in .mcap", args.output.display());
+        bail!(
+            "{}: the output of a recording cannot be a single file; choose a folder, or a name that ends in .mcap",
+            args.output.display()
+        );
     }
     for (option, is_given) in [
         ("--encoding", args.encoding.is_given()),
@@ -164,7 +167,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = printable_line(topic.first_failure.as_deref().unwrap_or_default());
         errln!(
-            "{}: copied unchanged: {}; the first: {first}",
+            "{}: copied unchanged because of errors: {}; the first: {first}",
             printable_line(&topic.topic),
             count(topic.failed, "message")
         );
@@ -182,7 +185,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     if report.damaged_chunks > 0 {
         let chunks = count(report.damaged_chunks, "chunk");
-        errln!("{}: {chunks} with a wrong checksum; their messages may be damaged", args.input.display());
+        errln!("{}: wrong checksum in {chunks}; messages in them may be damaged", args.input.display());
     }
     if let Some(why) = &report.cut_off {
         errln!("{}: {why}; everything before that was written", args.input.display());
@@ -206,7 +209,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     }
     let wants = |extension: &str| args.format.as_deref().is_some_and(|format| format.eq_ignore_ascii_case(extension));
     if args.format.is_some() && !["png", "pcd", "ply"].into_iter().any(wants) {
-        bail!("--format: frames of a recording can be written as png, pcd or ply");
+        bail!("--format: unsupported format for the frames of a recording; expected png, pcd or ply");
     }
     if is_bag(input) && !is_mcap(&args.output) {
         let mut settings = args.smoothing.settings()?;

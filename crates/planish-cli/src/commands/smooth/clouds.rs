@@ -27,7 +27,9 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
         return Ok(None);
     }
     let extension = match args.format.as_deref().unwrap_or("pcd") {
-        "png" => bail!("{}: clouds without a grid are no images; use --format pcd or ply", input.display()),
+        "png" => {
+            bail!("{}: clouds without a grid cannot be written as images; use --format pcd or ply", input.display())
+        }
         format => format.to_ascii_lowercase(),
     };
     std::fs::create_dir_all(&args.output).with_context(|| args.output.display().to_string())?;
@@ -51,7 +53,7 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
         };
         let output = args.output.join(format!("{:06}.{extension}", written + unreadable));
         if output.exists() && !args.overwrite {
-            bail!("{}: exists; add --overwrite to replace it", output.display());
+            bail!("{}: already exists; add --overwrite to replace it", output.display());
         }
         let smoothed = smooth(&mut session, cloud, outputs, &mut result);
         session.take_events().iter().for_each(|event| errln!("{}: {event}", output.display()));

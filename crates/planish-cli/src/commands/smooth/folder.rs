@@ -40,7 +40,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let frames = inputs.len();
     if let Some(poses) = trajectory.as_ref().filter(|poses| !poses.has_times() && poses.len() != frames) {
         bail!(
-            "--poses has {} poses without time stamps, but {} has {frames} frames",
+            "--poses has {} poses without time stamps, but {} has {frames} frames; give one pose per frame",
             poses.len(),
             args.input.display()
         );
@@ -125,8 +125,8 @@ impl Poses {
     fn report(&self, folder: &Path) {
         if self.unknown > 0 {
             errln!(
-                "{}: --poses has none for {} frames, which were smoothed as if the camera stood still; poses need to be \
-                 at most 0.2 s apart, and files named by their time in seconds",
+                "{}: --poses has no pose for {} frames, which were smoothed as if the camera stood still; poses must \
+                 be at most 0.2 s apart, and files must be named by their time in seconds",
                 folder.display(),
                 self.unknown
             );
@@ -177,7 +177,7 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     if args.output.is_file() {
         bail!("{}: is a file; the results of a folder need a folder", args.output.display());
     }
-    fs::create_dir_all(&args.output).with_context(|| format!("cannot make the folder {}", args.output.display()))?;
+    fs::create_dir_all(&args.output).with_context(|| format!("cannot create the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
     outputs.iter().try_for_each(|output| args.encoding.check(output))?;
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();

@@ -35,7 +35,7 @@ impl Worker<'_> {
                 let view = PointsView::from_organized(cloud).map_err(Error::from)?;
                 if matches!(view.range_rule(), RangeRule::Constant { .. }) {
                     let options = "--remove-floating, --decimate, --min-range and --max-range";
-                    bail!("{}: {options} need the sensor's position: give --sensor-pose", input.display());
+                    bail!("{}: {options} need the sensor's position; add --sensor-pose", input.display());
                 }
                 let sensor = sensor(&mut self.session, (&*cloud).into_frame().map_err(Error::from)?)?;
                 steps.cloud(cloud, &sensor)
@@ -58,7 +58,7 @@ impl Worker<'_> {
             return Err(NothingLeft(format!("{}: no pixel is in range; nothing is written", input.display())).into());
         }
         if let (Some(Camera { width, height, fx, fy, cx, cy, .. }), true) = (camera, steps.decimate.is_some()) {
-            let note = format!("the camera of {width}x{height} pixels is {fx},{fy},{cx},{cy}");
+            let note = format!("the decimated image is {width}x{height} with the camera {fx},{fy},{cx},{cy}");
             if self.noted.lock().is_ok_and(|mut noted| noted.insert(note.clone())) {
                 errln!("{}: {note}", input.display());
             }

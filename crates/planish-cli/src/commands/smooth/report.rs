@@ -60,12 +60,12 @@ impl StatusCounts {
     /// Lists the points that were not smoothed, by cause; omits causes without points.
     fn others(&self) -> String {
         let causes = [
-            (self.degenerate, "with collinear or coincident neighbours unchanged"),
-            (self.isolated, "with too few neighbours unchanged"),
-            (self.carried, "carried over from the frame before"),
-            (self.filled, "holes filled with the surface around them"),
-            (self.too_few, "with too few neighbours turned into holes"),
-            (self.hole, "holes before"),
+            (self.degenerate, "unchanged (collinear or coincident neighbours)"),
+            (self.isolated, "unchanged (too few neighbours)"),
+            (self.carried, "carried over from the previous frame"),
+            (self.filled, "holes filled from the surrounding surface"),
+            (self.too_few, "turned into holes (too few neighbours)"),
+            (self.hole, "holes in the input"),
         ];
         let there = causes.into_iter().filter(|(count, _)| *count > 0);
         there.map(|(count, cause)| format!(", {count} {cause}")).collect()
@@ -162,7 +162,7 @@ pub fn likely_cause(frame: Frame<'_>, params: &Params, sensor_is_given: bool) ->
     match params {
         Params::Cloud(params) => match params.radius {
             CloudRadius::Fixed { radius_m } => too_small(radius_m, "--neighbours 40"),
-            _ if frame.valid_points() < 4 => "A surface needs more points".to_owned(),
+            _ if frame.valid_points() < 4 => "The cloud has too few points for a surface".to_owned(),
             _ => "They are probably far from all others".to_owned(),
         },
         Params::Frame(params) => match (params.radius, frame) {
@@ -172,8 +172,8 @@ pub fn likely_cause(frame: Frame<'_>, params: &Params, sensor_is_given: bool) ->
                     .to_owned()
             }
             _ if !sensor_is_given => {
-                "They are probably isolated between holes. A sensor with more noise than a Kinect v1 \
-                                      has wider windows: give it with --sensor"
+                "They are probably isolated between holes. If the sensor is noisier than a Kinect v1, set it with \
+                 --sensor, which widens the windows"
                     .to_owned()
             }
             _ => "They are probably isolated between holes; try --preset strong".to_owned(),

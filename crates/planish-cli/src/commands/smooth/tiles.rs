@@ -70,7 +70,7 @@ impl Worker<'_> {
             CloudRadius::Neighbours { .. } => "they are far from denser parts of the cloud, or are floating pixels",
             _ => "the radius is below the spacing of the points",
         };
-        for (count, became) in [(status.too_few, "became holes"), (status.isolated, "stay where they are")] {
+        for (count, became) in [(status.too_few, "became holes"), (status.isolated, "were left unchanged")] {
             if count as f64 > LOST_SHARE_TOLD * report.points as f64 {
                 errln!(
                     "{}: {count} of {} points {became}: they have too few neighbours. Probably {cause}",

@@ -139,7 +139,7 @@ impl Cuda {
     /// calling thread's context, or the first device if the thread has no context.
     pub(super) fn open(wanted: Option<&str>) -> Result<Self, String> {
         // SAFETY: loading the driver's library has no other effects.
-        let library = unsafe { Library::new(LIBRARY) }.map_err(|_| format!("no CUDA driver ({LIBRARY})"))?;
+        let library = unsafe { Library::new(LIBRARY) }.map_err(|_| format!("no CUDA driver was found ({LIBRARY})"))?;
         let functions = Functions::load(library, LIBRARY)?;
         let mut cuda = Self {
             functions,
@@ -191,12 +191,12 @@ impl Cuda {
             } else if count > 0 {
                 device(0)
             } else {
-                Err("no CUDA device".into())
+                Err("no CUDA device was found".into())
             };
         };
         match find(&names, wanted) {
             Some(index) => device(index as c_int),
-            None => Err(format!("no CUDA device has the index or name '{wanted}'; there are {}", names.join(", "))),
+            None => Err(format!("no CUDA device has the index or name '{wanted}'; available are {}", names.join(", "))),
         }
     }
 

@@ -79,8 +79,8 @@ impl Nvrtc {
         }
         let names = LIBRARIES.map(|(_, name)| name).join(", ");
         Err(format!(
-            "CUDA's compiler was not found ({names}, not newer than the driver{unfit}): install CUDA's toolkit or set \
-             CUDA_PATH to its folder; in Python `pip install nvidia-cuda-nvrtc-cu12`"
+            "no usable CUDA compiler was found ({names}, not newer than the driver{unfit}); install the CUDA toolkit \
+             or set CUDA_PATH to its folder (in Python: `pip install nvidia-cuda-nvrtc-cu12`)"
         ))
     }
 

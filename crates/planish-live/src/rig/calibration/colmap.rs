@@ -29,9 +29,9 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
         camera_params: Vec<f64>,
     }
     let rigs: Vec<RigEntry> =
-        serde_json::from_str(text).map_err(|error| malformed(format!("not a rig_config.json of COLMAP: {error}")))?;
+        serde_json::from_str(text).map_err(|error| malformed(format!("not a COLMAP rig_config.json: {error}")))?;
     let [rig] = &rigs[..] else {
-        return Err(malformed(format!("{} rigs; a rig_config.json must contain one", rigs.len())));
+        return Err(malformed(format!("found {} rigs; a rig_config.json must contain exactly one", rigs.len())));
     };
     let camera = |entry: &CameraEntry| {
         let prefix = entry.image_prefix.trim_end_matches('/');
@@ -39,7 +39,7 @@ pub(super) fn rig_config(text: &str, options: &CalibrationOptions) -> Result<Vec
         let camera_from_rig = match (entry.cam_from_rig_rotation, entry.cam_from_rig_translation) {
             (Some(orientation), Some(position_m)) => SensorPose { position_m, orientation },
             (None, None) if entry.ref_sensor => SensorPose::IDENTITY,
-            _ => return Err(problem("no cam_from_rig_rotation and cam_from_rig_translation".into())),
+            _ => return Err(problem("cam_from_rig_rotation or cam_from_rig_translation is missing; add both".into())),
         };
         let name = prefix.rsplit('/').next().unwrap_or(prefix);
         let placed = place(name, &camera_from_rig, options).map_err(|error| problem(error.to_string()))?;
@@ -86,7 +86,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
             (numbers.as_deref(), &words[..])
         else {
             return Err(malformed(format!(
-                "not a line of COLMAP's images.txt: {}",
+                "invalid line in COLMAP's images.txt: {}",
                 planish_io::internal::quoted(line)
             )));
         };
@@ -102,7 +102,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
         let placed = place(of_camera, &camera_from_world, options).map_err(|error| problem(&error.to_string()))?;
         if found.iter().any(|camera| camera.name == placed.name) {
             return Err(problem(
-                "a second image of its camera; keep one image per camera in images.txt, all of one moment",
+                "its camera has a second image; keep one image per camera in images.txt, all of the same moment",
             ));
         }
         found.push(placed.with_camera(Some(*intrinsics)));

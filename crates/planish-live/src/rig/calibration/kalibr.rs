@@ -29,7 +29,7 @@ pub(super) fn is_camchain(text: &str) -> bool {
 /// Returns the cameras of a chain; the first one's frame is the rig's.
 pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let file: serde_yaml_ng::Mapping =
-        serde_yaml_ng::from_str(text).map_err(|error| malformed(format!("not a camchain of Kalibr: {error}")))?;
+        serde_yaml_ng::from_str(text).map_err(|error| malformed(format!("not a Kalibr camchain: {error}")))?;
     let mut cameras = Vec::new();
     let mut rig_from_camera = RigidTransform::IDENTITY;
     loop {
@@ -45,7 +45,7 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
                 rig_from_camera = rig_from_camera.after(from_previous.inverse());
             }
             None if cameras.is_empty() => {}
-            None => return Err(problem("no T_cn_cnm1: it was not calibrated to the previous camera".into())),
+            None => return Err(problem("T_cn_cnm1 is missing; calibrate this camera with the previous one".into())),
         }
         let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
         // Both are added to timestamps, which converts them to the IMU's clock.
@@ -54,7 +54,10 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());
     let named = file.keys().filter_map(|key| key.as_str()).filter(is_camera).count();
     if named > cameras.len() {
-        return Err(malformed(format!("{named} cameras, but no cam{}: the chain has a gap", cameras.len())));
+        return Err(malformed(format!(
+            "the chain has {named} cameras but no cam{}; number the cameras without gaps",
+            cameras.len()
+        )));
     }
     Ok(cameras)
 }
@@ -145,6 +148,6 @@ cam2:
             assert!(error.contains("cam0") && error.contains(said), "{error}");
         }
         let unlinked = CHAIN.replace("T_cn_cnm1", "T_cam_imu");
-        assert!(camchain(&unlinked).unwrap_err().to_string().contains("cam1: no T_cn_cnm1"));
+        assert!(camchain(&unlinked).unwrap_err().to_string().contains("cam1: T_cn_cnm1 is missing"));
     }
 }

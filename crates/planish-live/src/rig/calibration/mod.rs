@@ -58,7 +58,7 @@ impl CalibrationOptions {
     fn refuse_of_ros(&self, what: &str) -> Result<(), FormatError> {
         let given = [("base", self.base.is_some()), ("frames", !self.frames.is_empty())];
         match given.iter().find(|(_, is_given)| *is_given) {
-            Some((name, _)) => Err(malformed(format!("{what} has no ROS frames: omit {name}"))),
+            Some((name, _)) => Err(malformed(format!("{what} has no ROS frames; omit {name}"))),
             None => Ok(()),
         }
     }
@@ -76,7 +76,7 @@ impl CalibrationOptions {
 pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
     let read = || {
         if path.is_dir() {
-            options.refuse_of_ros("a model of COLMAP")?;
+            options.refuse_of_ros("a COLMAP model")?;
             return rig_of(colmap::model(path, options)?, None);
         }
         let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
@@ -94,16 +94,16 @@ fn parse(text: &str, options: &CalibrationOptions) -> Result<Rig, FormatError> {
             of_tree(ros::urdf(text)?, options)
         }
         Some('[') => {
-            options.refuse_of_ros("a rig of COLMAP")?;
+            options.refuse_of_ros("a COLMAP rig")?;
             rig_of(colmap::rig_config(text, options)?, None)
         }
         _ if kalibr::is_camchain(text) => {
-            options.refuse_of_ros("a camchain of Kalibr")?;
-            options.refuse_scale("a camchain of Kalibr")?;
+            options.refuse_of_ros("a Kalibr camchain")?;
+            options.refuse_scale("a Kalibr camchain")?;
             rig_of(kalibr::camchain(text)?, None)
         }
         _ if text.contains("transforms:") => {
-            options.refuse_scale("a list of transforms of ROS")?;
+            options.refuse_scale("a list of ROS transforms")?;
             of_tree(ros::transforms(text)?, options)
         }
         _ => Err(malformed(format!("unknown kind of calibration; {HELP}"))),

@@ -48,7 +48,7 @@ impl Tree {
         roots.dedup();
         match roots[..] {
             [root] => Ok(root.clone()),
-            [] => Err(malformed("it has no transforms, or they form a cycle")),
+            [] => Err(malformed("the file has no transforms, or they form a cycle")),
             _ => {
                 Err(malformed(format!("several frames have no parent ({roots:?}); choose the rig's frame with --base")))
             }
@@ -76,8 +76,8 @@ impl Tree {
         if let Some(moving) = on_one_side(&of_base, &of_frame).or_else(|| on_one_side(&of_frame, &of_base)) {
             let joint = self.moving.get(&moving).cloned().unwrap_or_default();
             return Err(malformed(format!(
-                "between {base:?} and {frame:?} the joint {joint:?} moves, but a rig is rigid; choose a frame beyond \
-                 it as the rig's (--base), and only the cameras there (--frame)"
+                "the joint {joint:?} moves between {base:?} and {frame:?}, but a rig must be rigid; choose a base \
+                 beyond the joint (--base), and only cameras attached to that side (--frame)"
             )));
         }
         // Via their common ancestor: base_from_common after common_from_frame.
@@ -87,7 +87,7 @@ impl Tree {
                 .find(|(other, _)| other == common)
                 .map(|(_, from_base)| from_base.inverse().after(*from_frame))
         });
-        met.ok_or_else(|| malformed(format!("no transforms lead from {base:?} to {frame:?}")))
+        met.ok_or_else(|| malformed(format!("no transforms connect {base:?} and {frame:?}")))
     }
 
     /// Returns the frame of the rig, and its cameras.
@@ -108,8 +108,8 @@ impl Tree {
         }
         if frames.is_empty() {
             return Err(malformed(format!(
-                "no frame name ends in optical_frame; choose cameras with --frame, looking along their z; available \
-                 are {all:?}"
+                "no frame name ends in optical_frame; choose camera frames, which look along z, with --frame; \
+                 available are {all:?}"
             )));
         }
         let camera = |frame: &String| {
@@ -173,7 +173,10 @@ pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
     let document = roxmltree::Document::parse(text).map_err(|error| malformed(format!("not a URDF: {error}")))?;
     let robot = document.root_element();
     if robot.tag_name().name() != "robot" {
-        return Err(malformed(format!("not a URDF: <{}> where <robot> is expected", robot.tag_name().name())));
+        return Err(malformed(format!(
+            "not a URDF: the root element is <{}>; expected <robot>",
+            robot.tag_name().name()
+        )));
     }
     let mut tree = Tree::default();
     for joint in robot.children().filter(|node| node.has_tag_name("joint")) {
@@ -193,7 +196,7 @@ pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
         };
         let (Some(xyz), Some(rpy)) = (numbers("xyz"), numbers("rpy")) else {
             return Err(problem(
-                "has an origin that is not three numbers, such as xyz=\"0 0 0.1\"; expand xacro first",
+                "has an invalid origin; expected three numbers, such as xyz=\"0 0 0.1\" (expand xacro first)",
             ));
         };
         // About fixed axes: first roll about x, then pitch about y, then yaw about z.

@@ -139,7 +139,7 @@ impl Functions {
             let functions = unsafe { Self::find(library) }
                 .map_err(|error| DeviceError::Driver { what: format!("not OpenNI2 2.2: {error}"), help })?;
             // SAFETY: the call has no preconditions.
-            functions.check("OpenNI2 does not start", unsafe { (functions.Initialize)(VERSION) })?;
+            functions.check("cannot start OpenNI2", unsafe { (functions.Initialize)(VERSION) })?;
             Ok(functions)
         })
     }
@@ -156,7 +156,7 @@ impl Functions {
         };
         let reason: Vec<&str> = reason.split_whitespace().collect();
         let reason = if reason.is_empty() { format!("status {status}") } else { reason.join(" ") };
-        let what = format!("{what} (OpenNI2 says: {reason})");
+        let what = format!("{what} (OpenNI2: {reason})");
         Err(if status == STATUS_NO_DEVICE { DeviceError::Gone { what } } else { DeviceError::Failed { what } })
     }
 
@@ -246,7 +246,7 @@ impl Functions {
                 Holder::Stream(stream) => (self.StreamSetProperty)(stream, property, from, bytes),
             }
         };
-        self.check("the device refuses a setting", status)
+        self.check("the device rejected a setting", status)
     }
 }
 

@@ -28,8 +28,8 @@ unsafe impl Send for Watch {}
 impl Device {
     pub(super) fn open(library: &'static Functions, uri: &str) -> Result<Self, DeviceError> {
         let mut handle = std::ptr::null_mut();
-        let text =
-            CString::new(uri).map_err(|_| DeviceError::Failed { what: format!("{uri:?}: a zero byte in a URI") })?;
+        let text = CString::new(uri)
+            .map_err(|_| DeviceError::Failed { what: format!("{uri:?}: the URI contains a zero byte") })?;
         let name = if uri.is_empty() { std::ptr::null() } else { text.as_ptr() };
         // SAFETY: the text outlives the call; a null name selects any device.
         let status = unsafe { (library.DeviceOpen)(name, &raw mut handle) };
@@ -167,7 +167,7 @@ impl Watch {
         // SAFETY: the watched data live until the callbacks are unregistered.
         let status =
             unsafe { (library.RegisterDeviceCallbacks)(&raw mut callbacks, watched.cast(), &raw mut registration) };
-        library.check("the device cannot be watched", status)?;
+        library.check("cannot register for the device's events", status)?;
         watch.registration = registration;
         Ok(watch)
     }

@@ -83,7 +83,7 @@ impl OpenNi2Source {
             // The library's error does not tell whether the file exists.
             std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
             if let Some(mode) = mode {
-                let allowed = "no value for a recording, which states it";
+                let allowed = "a recording has a fixed mode; omit mode";
                 return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
             }
         }
@@ -167,7 +167,7 @@ impl OpenNi2Source {
         if status == api::STATUS_TIME_OUT {
             return Ok(Polled::Nothing);
         }
-        self.library.check("the camera fails", status)?;
+        self.library.check("the camera failed", status)?;
         if ready == 0 {
             let frame = self.depth.read()?;
             return Ok(Polled::Depth(self.depth_frame(&frame)?));
@@ -186,7 +186,7 @@ impl OpenNi2Source {
             api::DEPTH_1_MM => 1000.0,
             api::DEPTH_100_UM => 10_000.0,
             format => {
-                let what = format!("depth in OpenNI2's format {format}; 1 mm (100) or 0.1 mm (101) is expected");
+                let what = format!("unsupported OpenNI2 depth format {format}; expected 1 mm (100) or 0.1 mm (101)");
                 return Err(DeviceError::Failed { what }.into());
             }
         };
@@ -217,7 +217,7 @@ impl OpenNi2Source {
         let focal_length = |pixels: c_int, angle: f64| 0.5 * f64::from(pixels) / (0.5 * angle).tan();
         let VideoMode { width, height, .. } = frame.mode;
         let Some(fx) = angle(api::HORIZONTAL_FOV).map(|angle| focal_length(width, angle)) else {
-            let what = format!("{} states no field of view", self.description);
+            let what = format!("{} reports no field of view", self.description);
             return Err(DeviceError::Driver { what, help: "give its intrinsics with --camera FX,FY,CX,CY" });
         };
         let fy = angle(api::VERTICAL_FOV).map_or(fx, |angle| focal_length(height, angle));
@@ -251,8 +251,8 @@ impl OpenNi2Source {
     fn over(&self) -> Result<Option<OwnedFrame>, Error> {
         match &self.recording {
             Some(_) if self.last_index.is_some() => Ok(None),
-            Some(file) => Err(malformed(file, "it has no depth that OpenNI2 can play").into()),
-            None => Err(DeviceError::Gone { what: format!("{} is gone", self.description) }.into()),
+            Some(file) => Err(malformed(file, "contains no depth that OpenNI2 can play").into()),
+            None => Err(DeviceError::Gone { what: format!("{} was disconnected", self.description) }.into()),
         }
     }
 
@@ -260,7 +260,7 @@ impl OpenNi2Source {
     fn silent(&self) -> Error {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
-            Some(file) => malformed(file, format!("{what}: it is truncated")).into(),
+            Some(file) => malformed(file, format!("{what}; the recording is truncated")).into(),
             None => DeviceError::Gone { what }.into(),
         }
     }
@@ -310,7 +310,9 @@ fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<Vide
             let text = |mode: &VideoMode| format!("{}x{}@{}", mode.width, mode.height, mode.fps);
             let mut there: Vec<String> = modes.iter().filter(usable).map(text).collect();
             there.dedup();
-            Err(DeviceError::Failed { what: format!("the camera has no mode {asked} of depth: {}", there.join(", ")) })
+            Err(DeviceError::Failed {
+                what: format!("the camera has no depth mode {asked}; available are {}", there.join(", ")),
+            })
         }
     }
 }

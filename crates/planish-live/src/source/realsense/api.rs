@@ -175,7 +175,7 @@ impl Functions {
             (self.free_error)(error);
             (is_gone, message)
         };
-        let what = format!("{what} (librealsense says: {message})");
+        let what = format!("{what} (librealsense: {message})");
         Err(if is_gone { DeviceError::Gone { what } } else { DeviceError::Failed { what } })
     }
 
@@ -198,15 +198,15 @@ impl Functions {
         // SAFETY: these calls have no preconditions. The library checks the version for which its caller was built;
         // its own version always passes.
         unsafe {
-            let version = self.call("librealsense has no version", |f, e| (f.get_api_version)(e))?;
-            self.create("librealsense does not start", self.delete_context, |f, e| (f.create_context)(version, e))
+            let version = self.call("cannot read the version of librealsense", |f, e| (f.get_api_version)(e))?;
+            self.create("cannot start librealsense", self.delete_context, |f, e| (f.create_context)(version, e))
         }
     }
 
     pub(super) fn create_pipeline(&self, context: &Owned) -> Result<Owned, DeviceError> {
         // SAFETY: the context outlives the call, and the pipeline keeps references to its parts.
         let call = |f: &Self, e| unsafe { (f.create_pipeline)(context.get(), e) };
-        self.create("no pipeline", self.delete_pipeline, call)
+        self.create("cannot create a pipeline", self.delete_pipeline, call)
     }
 
     /// Takes ownership of a context and a pipeline.
@@ -256,7 +256,7 @@ impl Functions {
             let mut frames: Object = std::ptr::null_mut();
             // SAFETY: the pipeline outlives the call.
             let call = |f: &Self, e| unsafe { (f.pipeline_poll_for_frames)(pipeline.get(), &raw mut frames, e) };
-            if self.call("the camera fails", call)? != 0 && !frames.is_null() {
+            if self.call("the camera failed", call)? != 0 && !frames.is_null() {
                 return Ok(Some(Owned { object: frames, delete: self.release_frame }));
             }
             if Instant::now() >= deadline {

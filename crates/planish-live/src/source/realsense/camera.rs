@@ -69,8 +69,8 @@ fn fitted(intrinsics: &Intrinsics, coefficients: [f64; 5]) -> Result<Distortion,
         Some((distortion, error_px)) if error_px <= MOST_ERROR_PX => Ok(distortion),
         _ => {
             let what = format!(
-                "the camera's distortion, model {} with {coefficients:?}, has no equivalent in OpenCV's to \
-                 {MOST_ERROR_PX} pixels",
+                "the camera's distortion, model {} with {coefficients:?}, cannot be converted to OpenCV's model to \
+                 within {MOST_ERROR_PX} pixels",
                 intrinsics.model
             );
             Err(DeviceError::Failed { what })

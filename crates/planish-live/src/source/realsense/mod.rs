@@ -117,7 +117,7 @@ impl RealSenseSource {
             _ => None,
         };
         if let (Some(mode), Some(_)) = (mode, &recording) {
-            let allowed = "no value for a recording, which states it";
+            let allowed = "a recording has a fixed mode; omit mode";
             return Err(ParamError { field: "mode", value: mode.to_string(), allowed }.into());
         }
         let named = |error: DeviceError| named(recording.as_deref(), error.into());
@@ -301,7 +301,7 @@ impl RealSenseSource {
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
         let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
-        malformed(file, format!("it has {what}, or is damaged{}", self.advice())).into()
+        malformed(file, format!("contains {what}, or is damaged{}", self.advice())).into()
     }
 
     /// Returns the error of a source that has been silent for too long.
@@ -309,7 +309,8 @@ impl RealSenseSource {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
             Some(file) => {
-                malformed(file, format!("{what}: it is truncated, or one of its streams is{}", self.advice())).into()
+                malformed(file, format!("{what}; the recording or one of its streams is truncated{}", self.advice()))
+                    .into()
             }
             None => DeviceError::Gone { what }.into(),
         }

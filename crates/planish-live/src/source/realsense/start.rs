@@ -95,7 +95,7 @@ fn configure(
 ) -> Result<Owned, DeviceError> {
     let what = "the camera cannot be set up";
     let c_text = |text: &str| {
-        CString::new(text).map_err(|_| DeviceError::Failed { what: format!("{text:?}: a zero byte in a name") })
+        CString::new(text).map_err(|_| DeviceError::Failed { what: format!("{text:?}: the name contains a zero byte") })
     };
     // 0 leaves the choice to the library.
     let number = |value: usize| c_int::try_from(value).unwrap_or(c_int::MAX);

@@ -172,7 +172,7 @@ fn what_it_lacks_is_refused() {
     let absent = refused(open("1d27/0601@1/99", None, None));
     assert!(absent.contains("1d27/0601@1/99") && absent.contains("planish-test (planish test camera)"), "{absent}");
     let options = SourceOptions::default().with_fps(Some(30.0));
-    assert!(refused(planish::source::open("openni2", &options)).contains("sets the rate"));
+    assert!(refused(planish::source::open("openni2", &options)).contains("sets its own rate"));
 }
 
 fn one_that_is_unplugged_is_gone_and_comes_back(folder: &Path) {

@@ -38,20 +38,20 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     set(&mut records, 100, 1u32.to_le_bytes());
     let (cloud, notes) = cloud_as("a.las", &records);
     assert_eq!(cloud.len(), 40);
-    assert_eq!(notes, ["the header states 1 records ahead of the points, but 0 are there"]);
+    assert_eq!(notes, ["the header states 1 records before the points, but the file has 0"]);
 
     let mut legacy = las(4, 1);
     set(&mut legacy, 107, 7u32.to_le_bytes());
     let (cloud, notes) = cloud_as("a.las", &legacy);
     assert_eq!(cloud.len(), 40);
-    assert!(notes[0].contains("40 points, and 7 for older programs"), "{notes:?}");
+    assert!(notes[0].contains("40 points, but 7 in the legacy field"), "{notes:?}");
 
     let mut extended = las(4, 6);
     set(&mut extended, 235, 1_000_000_000_000u64.to_le_bytes());
     set(&mut extended, 243, 1u32.to_le_bytes());
     let (cloud, notes) = cloud_as("a.las", &extended);
     assert_eq!(cloud.len(), 40);
-    assert!(notes[0].contains("1 extended records from byte 1000000000000 on, of which 0 can be read"), "{notes:?}");
+    assert!(notes[0].contains("1 extended records at offset 1000000000000, but only 0 can be read"), "{notes:?}");
     // Reading in parts, as for clouds larger than memory, also gives all points and a note.
     let folder = tempfile::tempdir().unwrap();
     for bytes in [&records, &legacy, &extended] {
@@ -63,7 +63,7 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     }
 
     for (minor, stated, note) in
-        [(2, 0u32, "states no points, but the file has 40"), (2, 30, "30 points, which are read")]
+        [(2, 0u32, "no points; all 40 points of the file"), (2, 30, "only the 30 points stated")]
     {
         let mut fewer = las(minor, 1);
         set(&mut fewer, 107, stated.to_le_bytes());
@@ -75,7 +75,7 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     let mut newer = las(4, 6);
     newer[25] = 6;
     let error = read_as("a.las", &newer).unwrap_err();
-    assert!(error.contains("LAS 1.6 is newer than what is read, LAS 1.0 to 1.5"), "{error}");
+    assert!(error.contains("LAS 1.6 is not supported; expected 1.0 to 1.5"), "{error}");
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn las_headers_keep_their_bytes_and_waveforms_are_not_lost_in_silence() {
     let mut waves = las(3, 4);
     waves[6] |= 2;
     let (_, notes) = cloud_as("a.las", &waves);
-    assert_eq!(notes, ["its waveforms are dropped; the points keep only where they were"]);
+    assert_eq!(notes, ["its waveforms are dropped; the points keep only their references to them"]);
 }
 
 #[test]

@@ -75,7 +75,7 @@ fn lists_of_vertices_are_dropped_with_a_note() {
     for bytes in [ascii.as_bytes(), &binary] {
         let (cloud, notes) = cloud_as("a.ply", bytes);
         assert_eq!((cloud.positions.get(0), cloud.positions.get(1)), ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0]));
-        assert_eq!(notes, ["lists of the vertices are dropped: seen_by"]);
+        assert_eq!(notes, ["list properties of the vertices are dropped: seen_by"]);
         assert!(read_as("a.ply", &bytes[..bytes.len() - 3]).is_err());
     }
 }
@@ -116,13 +116,13 @@ fn what_is_wrong_with_a_ply_header_is_said_in_a_sentence_with_its_line() {
     let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
     let body = "end_header\n1 2 3\n";
     for (line, problem) in [
-        ("property int64 t\n", "line 7 of the PLY header, \"property int64 t\": \"int64\" is no type of PLY"),
-        ("Created by a modeller\n", "line 7 of the PLY header, \"Created by a modeller\": it begins with none of"),
+        ("property int64 t\n", "line 7 of the PLY header, \"property int64 t\": \"int64\" is not a PLY type"),
+        ("Created by a modeller\n", "line 7 of the PLY header, \"Created by a modeller\": unknown keyword"),
         ("property float a b\n", "without white space"),
-        ("property list float int a\n", "the count of a list is an integer"),
+        ("property list float int a\n", "the count of a list must be an integer"),
         ("element face many\n", "\"many\" is not a number of elements"),
         ("property float x\n", "two properties of element \"vertex\" have the same name, \"x\""),
-        ("format ascii 2.0\n", "its version 1.0"),
+        ("format ascii 2.0\n", "and version 1.0"),
     ] {
         let error = read_as("a.ply", format!("{header}{line}{body}").as_bytes()).unwrap_err();
         assert!(error.contains(problem) && !error.contains("ParseError"), "{line}: {error}");
@@ -181,7 +181,7 @@ fn columns_of_text_are_read_as_other_programs_write_them() {
     assert_eq!(names(&cloud_as("a.csv", b"x,y,z,R,G,B\n1,2,3,4,5,6\n").0), ["red", "green", "blue"]);
     // Units in the names.
     let (cloud, notes) = cloud_as("a.csv", b"X (mm),Y (mm),Z (mm)\n1000,2000,3000\n");
-    assert_eq!((cloud.positions.get(0), notes[0].contains("mm become metres")), ([1.0, 2.0, 3.0], true));
+    assert_eq!((cloud.positions.get(0), notes[0].contains("mm are converted to metres")), ([1.0, 2.0, 3.0], true));
     assert!(read_as("a.csv", b"x [m],y [m],z [ft]\n1,2,3\n").unwrap_err().contains("different units"));
     // Quotes, tabs, comments in prose, colours, Excel's first line, and line ends of old Macs.
     for (text, fields) in [
@@ -227,7 +227,7 @@ fn text_compressed_by_gzip_is_read() {
 fn a_colour_without_a_number_leaves_the_others() {
     let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3 1 0.5 0\nv 5 6 7 nan 0.5 1\n");
     assert_eq!(cloud.rgb().unwrap(), [[255, 128, 0], [0, 128, 255]]);
-    assert_eq!(notes, ["1 values of colours are missing; they become 0"]);
+    assert_eq!(notes, ["1 colour values are missing; they become 0"]);
     let (cloud, notes) = cloud_as("a.obj", b"v 1 2 3\nv 5 6 7 255 128 1\nv 1 1 1 1\n");
     assert_eq!(cloud.rgb().unwrap(), [[0; 3], [255, 128, 1], [0; 3]]);
     assert_eq!(notes, ["2 of 3 vertices have no colour; they are black"]);
@@ -310,7 +310,7 @@ fn lengths_in_other_units_become_metres() {
     let FileRead { contents: Contents::General(found), notes, .. } = read("mm") else { panic!("points") };
     assert_eq!(
         (found.positions.get(1), &notes[..]),
-        ([0.3, 0.0, 2.0], &["lengths in mm become metres".to_owned()][..])
+        ([0.3, 0.0, 2.0], &["lengths in mm are converted to metres".to_owned()][..])
     );
     assert!(read("m").notes.is_empty());
     let inch = read("inch").contents;
@@ -401,9 +401,9 @@ fn scans_of_a_ptx_are_in_the_frame_of_the_file() {
     assert_eq!((cloud.len(), cloud.pose.position_m, names(&cloud)), (1, [0.0, 0.0, 1.0], vec!["intensity"]));
     for (text, problem) in [
         (PTX.replace("1 2 3 0.25 10 20 30\n", ""), "truncated"),
-        (PTX.replace("1 2 3 0.5\n", "1 2 3\n"), "line 11 of the PTX: 3 values"),
+        (PTX.replace("1 2 3 0.5\n", "1 2 3\n"), "line 11 of the PTX has 3 values"),
         (PTX.replacen('2', "-2", 1), "-2 columns"),
-        ("hello\n".into(), "no numbers"),
+        ("hello\n".into(), "not numbers"),
     ] {
         let error = read_as("a.ptx", text.as_bytes()).unwrap_err();
         assert!(error.contains(problem), "{error}");
@@ -425,9 +425,9 @@ fn vertices_of_an_off_have_their_normals_and_colours() {
     for (text, problem) in [
         ("OFF\n3 0 0\n1 2 3\n5 6 7\n", "states 3 vertices, but has 2"),
         ("OFF\n2 0 0\n1 2 3\n5 6\n", "line 4"),
-        ("4OFF\n1 0 0\n1 2 3 4\n", "not the beginning of an OFF"),
-        ("OFF\nmany\n", "numbers of vertices, faces and edges are expected"),
-        ("OFF\n999999999999 0 0\n", "vertices in a file of"),
+        ("4OFF\n1 0 0\n1 2 3 4\n", "unsupported OFF header"),
+        ("OFF\nmany\n", "expected the numbers of vertices, faces and edges"),
+        ("OFF\n999999999999 0 0\n", "states 999999999999 vertices"),
     ] {
         let error = read_as("a.off", text.as_bytes()).unwrap_err();
         assert!(error.contains(problem), "{error}");
