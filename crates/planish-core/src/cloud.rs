@@ -444,7 +444,7 @@ mod tests {
     #[test]
     fn shapes_that_do_not_fit_are_refused() {
         let error = OrganizedCloud::from_positions(4, 3, Xyz::filled(11, 0.0)).unwrap_err();
-        assert!(error.to_string().contains("11 values where 12"), "{error}");
+        assert!(error.to_string().contains("11 values; expected 12"), "{error}");
         assert!(OrganizedCloud::from_positions(0, 3, Xyz::default()).is_err());
         assert!(OrganizedCloud::from_positions(usize::MAX, 2, Xyz::default()).is_err());
     }

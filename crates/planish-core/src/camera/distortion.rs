@@ -103,7 +103,7 @@ impl Distortion {
         let shown: String = model.chars().take(40).collect();
         Err(FormatError::Unsupported(format!(
             "unsupported distortion model {shown:?}; expected plumb_bob, rational_polynomial or equidistant, or \
-             rectified images"
+             rectify the images first"
         )))
     }
 

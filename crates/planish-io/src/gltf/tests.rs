@@ -80,7 +80,7 @@ fn what_cannot_be_read_is_refused() {
         (r#""componentType":5126"#, r#""componentType":5123"#, "expected floats"),
         (r#""scene":0"#, r#""extensionsRequired":["KHR_draco_mesh_compression"]"#, "KHR_draco"),
         (r#""byteOffset":48"#, r#""byteOffset":49"#, "outside its buffer"),
-        (r#""version":"2.0""#, r#""version":"1.0","profile":{}"#, "version 1.0 of glTF"),
+        (r#""version":"2.0""#, r#""version":"1.0","profile":{}"#, "glTF version 1.0"),
     ] {
         let json = document(r#"{"byteLength":56}"#).replace(from, to);
         let error = read(&glb(&json, &data())).unwrap_err().to_string();

@@ -235,10 +235,10 @@ fn every_layout_of_input_and_output_has_the_same_bits() {
             }
             let mut short = vec![[0f32; 3]; 10];
             let error = smoother.smooth_into(views[0], SmoothedMut::new().with_points(&mut short)).unwrap_err();
-            assert!(error.to_string().contains("10 values where 19200"), "{error}");
+            assert!(error.to_string().contains("10 values; expected 19200"), "{error}");
             let mut depth = vec![0; views[0].len()];
             let error = smoother.smooth_into(views[0], SmoothedMut::new().with_depth(&mut depth)).unwrap_err();
-            assert!(error.to_string().contains("without depth"), "{error}");
+            assert!(error.to_string().contains("without the output depth"), "{error}");
         }
     }
 }
