@@ -423,7 +423,7 @@ impl Running<'_> {
                 tell(RigEvent::Warning(format!("{error}; moving its cameras to the other devices")));
             } else {
                 match self.losses.next(&error, was_gpu, self.was_open, true) {
-                    Recovery::Reopen => tell(RigEvent::Warning(format!("{error}; opening it once more"))),
+                    Recovery::Reopen => tell(RigEvent::Warning(format!("{error}; reopening the GPU"))),
                     Recovery::UseCpu => {
                         self.smoother.close(Some(Engine::Cpu));
                         tell(RigEvent::Warning(format!("{error}; continuing with the CPU engine")));
