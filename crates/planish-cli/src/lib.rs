@@ -8,9 +8,10 @@ mod commands;
 mod exit;
 mod signals;
 
+use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::ffi::OsString;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicPtr, Ordering};
 
 use clap::{ArgAction, CommandFactory, FromArgMatches};
 use planish_bench::errln;
@@ -20,6 +21,7 @@ use args::{Args, Command};
 /// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
 /// end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    keep_reserve();
     // SAFETY: the process has no other thread yet.
     unsafe { planish::silence_vulkan_drivers() };
     quiet_caught_panics();
@@ -95,8 +97,8 @@ pub fn end_without_memory(bytes: usize) -> ! {
     }
     static IS_CLAIMED: AtomicBool = AtomicBool::new(false);
     if IS_ENDING.replace(true) {
-        // The steps below ran out of memory themselves.
-        std::process::abort();
+        // The steps below ran out of memory themselves. Recordings stay in their part files.
+        end_now();
     }
     if IS_CLAIMED.swap(true, Ordering::Relaxed) {
         // Another thread ends the process.
@@ -104,6 +106,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
             std::thread::park();
         }
     }
+    release_reserve();
     print_unlocked(format_args!(
         "error: out of memory: the system refuses {} KiB more; see --max-memory\n",
         bytes.div_ceil(1024)
@@ -111,7 +114,48 @@ pub fn end_without_memory(bytes: usize) -> ! {
     #[cfg(feature = "mcap")]
     planish::bag::finish_recordings();
     planish::io::remove_temporaries();
-    std::process::exit(2);
+    end_now();
+}
+
+/// Bytes that the steps at the end may need when the system has no more.
+const RESERVE_BYTES: usize = 1 << 20;
+static RESERVE: AtomicPtr<u8> = AtomicPtr::new(std::ptr::null_mut());
+
+fn reserve_layout() -> Option<Layout> {
+    Layout::from_size_align(RESERVE_BYTES, 1).ok()
+}
+
+/// Allocates the reserve. It is never written, so it takes address space only.
+fn keep_reserve() {
+    if let Some(layout) = reserve_layout()
+        && RESERVE.load(Ordering::Relaxed).is_null()
+    {
+        // SAFETY: the layout has a size. Without memory there is no reserve.
+        RESERVE.store(unsafe { System.alloc(layout) }, Ordering::Relaxed);
+    }
+}
+
+fn release_reserve() {
+    let reserve = RESERVE.swap(std::ptr::null_mut(), Ordering::Relaxed);
+    if let Some(layout) = reserve_layout().filter(|_| !reserve.is_null()) {
+        // SAFETY: it was allocated with this layout, and only this call has the pointer.
+        unsafe { System.dealloc(reserve, layout) };
+    }
+}
+
+/// Ends the process with exit code 2 and without any cleanup. Cleanup takes locks of the standard library, and a thread
+/// that ran out of memory while it started may hold one.
+fn end_now() -> ! {
+    #[cfg(unix)]
+    {
+        unsafe extern "C" {
+            fn _exit(code: std::ffi::c_int) -> !;
+        }
+        // SAFETY: the function has this signature on every Unix.
+        unsafe { _exit(2) }
+    }
+    #[cfg(not(unix))]
+    std::process::exit(2)
 }
 
 /// Prints to standard error without its lock, which a thread that waits for memory may never release.
