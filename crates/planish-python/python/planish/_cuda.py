@@ -202,7 +202,7 @@ def _load_compiler() -> None:
     folders = [Path(folder) for folder in (nvidia.submodule_search_locations or [])] if nvidia else []
     for pattern in ("*/lib/libnvrtc.so.*", "*/bin/nvrtc64_*_0.dll", "*/bin/*/nvrtc64_*_0.dll"):
         for file in (file for folder in folders for file in folder.glob(pattern)):
-            if hasattr(os, "add_dll_directory"):
+            if sys.platform == "win32":
                 # NVRTC loads another library from its folder.
                 os.add_dll_directory(str(file.parent))
             # A library for another architecture cannot be loaded; others may be.
