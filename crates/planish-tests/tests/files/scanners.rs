@@ -244,6 +244,8 @@ fn any_field_goes_through_an_e57() {
     cloud.set_attribute("normal_x", vec![0.5f32; 5]);
     cloud.set_attribute("gps_time", vec![1e9 + 0.25; 5]);
     cloud.set_attribute("reflectance", vec![-3i16, 2, 1, 0, 5]);
+    // A name that XML does not allow.
+    cloud.set_attribute("-1e300rgb", vec![7.0f32; 5]);
     let again = write_and_read(&cloud, "cloud.e57").1;
     assert_eq!(again.positions, cloud.positions);
     assert_eq!(again.attribute("normal_x"), cloud.attribute("normal_x"));
@@ -256,6 +258,7 @@ fn any_field_goes_through_an_e57() {
         assert_eq!(found, expected);
     }
     assert_eq!(again.attribute("gps_time"), cloud.attribute("gps_time"));
+    assert_eq!(again.attribute("_-1e300rgb").unwrap().values, AttributeValues::F32(vec![7.0; 5]));
 }
 
 #[test]
