@@ -21,7 +21,6 @@ use args::{Args, Command};
 /// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
 /// end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    keep_reserve();
     // SAFETY: the process has no other thread yet.
     unsafe { planish::silence_vulkan_drivers() };
     quiet_caught_panics();
@@ -125,8 +124,9 @@ fn reserve_layout() -> Option<Layout> {
     Layout::from_size_align(RESERVE_BYTES, 1).ok()
 }
 
-/// Allocates the reserve. It is never written, so it takes address space only.
-fn keep_reserve() {
+/// Allocates the reserve. It is never written, so it takes address space only. For programs whose allocator calls
+/// [`end_without_memory`].
+pub fn keep_reserve() {
     if let Some(layout) = reserve_layout()
         && RESERVE.load(Ordering::Relaxed).is_null()
     {

@@ -41,5 +41,6 @@ fn or_end(memory: *mut u8, bytes: usize) -> *mut u8 {
 static ALLOCATOR: OrEnd = OrEnd;
 
 fn main() -> ExitCode {
+    planish_cli::keep_reserve();
     ExitCode::from(planish_cli::run(std::env::args_os()))
 }

@@ -26,9 +26,9 @@ class CudaSmoother:
     """Smooths depth images that are CUDA arrays, into CUDA arrays, without a copy to the host.
 
     Needs NVIDIA's driver and NVRTC, CUDA's compiler, which PyTorch includes (otherwise ``pip install nvidia-cuda-nvrtc-cu12``).
-    Accepts arrays of PyTorch, CuPy, JAX and Numba (any array with ``__cuda_array_interface__`` or ``__dlpack__``). Calls return at
-    once. For arrays of PyTorch and CuPy, the work runs on the library's current stream; for others, on the stream that writes the
-    array, if the array names one, otherwise on the default stream. `smooth_batch` smooths up to 16 images at once, in less time per image.
+    Accepts arrays of PyTorch, CuPy, JAX and Numba (any array with ``__cuda_array_interface__`` or ``__dlpack__``). For
+    arrays of PyTorch and CuPy, calls return at once, and the work runs on the library's current stream. For others, it runs on the
+    stream that writes the array, if the array names one, otherwise on the default stream. `smooth_batch` smooths up to 16 images at once, in less time per image.
 
     Parameters
     ----------

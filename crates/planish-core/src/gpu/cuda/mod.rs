@@ -65,7 +65,6 @@ pub struct CudaSmoother {
 /// GPU memory for one result. Dropping it frees the memory after the GPU has finished all work that uses it.
 pub struct CudaMemory {
     memory: Memory,
-    bytes: usize,
     /// Event at the end of the work that writes the result.
     written: Event,
     cuda: Arc<Cuda>,
@@ -266,10 +265,9 @@ impl CudaSmoother {
     /// # Errors
     /// If the GPU has too little free memory.
     pub fn new_result(&self) -> Result<CudaMemory, Error> {
-        let bytes = self.frame.output as usize;
-        let memory = self.cuda.allocate(bytes, false)?;
+        let memory = self.cuda.allocate(self.frame.output as usize, false)?;
         let written = self.cuda.event().map_err(|reason| self.cuda.failed(reason))?;
-        Ok(CudaMemory { memory, bytes, written, cuda: Arc::clone(&self.cuda) })
+        Ok(CudaMemory { memory, written, cuda: Arc::clone(&self.cuda) })
     }
 
     /// Returns the number of frames submitted and not yet received.
@@ -353,11 +351,6 @@ impl CudaMemory {
     /// Returns its address.
     pub fn address(&self) -> u64 {
         self.memory.address
-    }
-
-    /// Returns its length in bytes.
-    pub fn bytes(&self) -> usize {
-        self.bytes
     }
 
     /// Returns the CUDA number of its GPU.
