@@ -322,7 +322,7 @@ export class Planish {
 /** Returns the number of a frame or result. */
 function idOf(held: object | null | undefined, kind: "frame" | "result"): number {
   const id = (held as Record<string, unknown> | null | undefined)?.[kind];
-  if (typeof id !== "number") throw new PlanishError(`a ${kind} of planish is expected, not ${held === null ? "null" : typeof held}`);
+  if (typeof id !== "number") throw new PlanishError(`expected a ${kind} of planish, not ${held === null ? "null" : typeof held}`);
   return id;
 }
 

@@ -1,9 +1,11 @@
 // PCL: an organized cloud with colours, and the class that replaces pcl::MovingLeastSquares, compared with PCL's.
+#include <pcl/common/io.h>
 #include <pcl/search/kdtree.h>
 #include <pcl/surface/mls.h>
 #include <planish/pcl.hpp>
 
 #include <cmath>
+#include <cstring>
 #include <cstdio>
 #include <random>
 
@@ -74,6 +76,14 @@ int main() {
   expect(error_mm(smoothed) < 0.5 * error_mm(cloud), "the wall is smoother");
   expect(smoothed.points[4].r == 4 && std::isnan(smoothed.points[3].z), "colours and holes are kept");
   expect(smoothed.points[9000].normal_z < -0.9f && smoothed.points[9000].curvature < 0.05f, "normals look at the sensor");
+  pcl::PointCloud<pcl::PointXYZRGB> coloured, of_coloured(3, 1);
+  pcl::copyPointCloud(cloud, coloured);
+  planish::smooth(session, coloured, of_coloured);
+  bool equal = of_coloured.width == 160 && of_coloured.size() == cloud.size();
+  for (std::size_t i = 0; equal && i < cloud.size(); ++i) {
+    equal = of_coloured.points[i].rgba == cloud.points[i].rgba && std::memcmp(&of_coloured.points[i].x, &smoothed.points[i].x, 12) == 0;
+  }
+  expect(equal, "types without normals give the same points, with their colours");
   auto in_place = cloud;
   planish::smooth(session, in_place, in_place);
   expect(in_place.points[9000].z == smoothed.points[9000].z, "in place gives the same");

@@ -30,23 +30,28 @@ void calls(unsigned seed, long count) {
     const std::size_t width = 4 + below(29), height = 4 + below(21), pixels = width * height;
     std::vector<std::uint16_t> depth(pixels, 1200), result(pixels);
     for (auto &value : depth) value = static_cast<std::uint16_t>(value + below(7));
-    std::vector<float> points(4 * pixels);
+    // Every fourth value is a gap between points.
+    std::vector<float> points(4 * pixels), gaps(4 * pixels, static_cast<float>(i)), normals(3 * pixels);
     const planish::Camera camera(width, height, 40, 40, 16, 12);
     auto frame = planish::depth(depth.data(), camera);
     planish::Output output(pixels);
-    output.points(points.data(), 16).depth(result.data());
+    output.points(points.data(), 16).gaps_from(gaps.data()).depth(result.data());
     const bool is_wrong = i % 10 == 9;
-    switch (is_wrong ? below(5) : 9) {
+    switch (is_wrong ? below(8) : 9) {
       case 0: frame.data(nullptr); break;
       case 1: frame.row_stride(2 * width - 2); break;
       case 2: output.points(points.data(), 10); break;
       case 3: output.depth(depth.data()); break;
       case 4: output = planish::Output(pixels + 1).points(points.data(), 16); break;
-      default: break;
+      case 5: output.gaps_from(points.data()); break;
+      case 6: output.points(nullptr, 16); break;
+      case 7: output.normals(points.data() + 1, 16); break;
+      default: output.normals(normals.data()); break;
     }
     const planish::Result done = session.try_smooth(frame, output);
     expect(static_cast<bool>(done) != is_wrong, "calls fail where they are wrong, and only there");
     expect(!is_wrong || !done.text().empty(), "an error has a text");
+    if (!is_wrong) expect(points[4 * pixels - 1] == static_cast<float>(i), "gaps are copied, after the last point too");
     if (!is_wrong) expect(std::abs(points[4 * (pixels / 2) + 2] - 1.203f) < 0.01f, "the wall stays where it is");
     // Now and then, open another session, or keep a result in the library's memory.
     if (i % 1000 == 500) session = planish::Session(engine + " preset=light");

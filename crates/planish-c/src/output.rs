@@ -5,7 +5,7 @@ use std::slice;
 
 use planish::{Outputs, SmoothedMut, Status, StridedMut};
 
-use crate::buffers::{Extent, sized};
+use crate::buffers::{Extent, check_apart, sized};
 use crate::error::{Done, PLANISH_ARGUMENT, failure};
 
 /// The smoothed points.
@@ -59,7 +59,7 @@ pub struct planish_output {
     /// x, y and z of the smoothed points in metres.
     pub points: *mut f32,
     /// Bytes from one point to the next, a multiple of 4; 0 if there are no gaps. Bytes between points are left
-    /// unchanged.
+    /// unchanged, unless `gaps_from` is set.
     pub points_stride: usize,
     /// Unit normals towards the sensor.
     pub normals: *mut f32,
@@ -80,12 +80,19 @@ pub struct planish_output {
     pub frames: *mut f32,
     /// Standard error of each point along its ray, in metres; needs a grid.
     pub sigma: *mut f32,
+    /// The first point of an array of structs with the same stride, such as the input: the bytes after each point, up
+    /// to the next one, are copied to the result. Both arrays must have `count` times `points_stride` bytes, and
+    /// nothing else may be written into the gaps. Null leaves them unchanged.
+    pub gaps_from: *const f32,
 }
 
 /// The caller's buffers, checked.
 pub(crate) struct Wanted {
     output: planish_output,
-    pub(crate) extents: Vec<Extent>,
+    /// The memory that is written.
+    extents: Vec<Extent>,
+    /// The memory that is read.
+    read: Vec<Extent>,
 }
 
 /// Returns the outputs that a mask selects.
@@ -118,7 +125,7 @@ impl Wanted {
         // SAFETY: as the caller promises.
         let mut output = unsafe { sized("the output", pointer, size_of::<planish_output>())? };
         let count = output.count;
-        let mut extents = Vec::new();
+        let (mut extents, mut read) = (Vec::new(), Vec::new());
         for (what, pointer, stride) in [
             ("the buffer for points", output.points, &mut output.points_stride),
             ("the buffer for normals", output.normals, &mut output.normals_stride),
@@ -127,6 +134,15 @@ impl Wanted {
             if !pointer.is_null() {
                 extents.push(Extent::new(what, pointer, align_of::<f32>(), (12, *stride, count))?);
             }
+        }
+        if !output.gaps_from.is_null() {
+            let (stride, align) = (output.points_stride, align_of::<f32>());
+            if output.points.is_null() {
+                return failure(PLANISH_ARGUMENT, "gaps_from is set, but the output has no buffer for points");
+            }
+            // The gaps are part of what is read and written.
+            extents[0] = Extent::new("the buffer for points", output.points, align, (stride, stride, count))?;
+            read.push(Extent::new("gaps_from", output.gaps_from, align, (stride, stride, count))?);
         }
         let mut add = |what, pointer: *const u8, bytes: usize| -> Done<()> {
             if !pointer.is_null() {
@@ -145,7 +161,13 @@ impl Wanted {
         if extents.is_empty() && count > 0 {
             return failure(PLANISH_ARGUMENT, "the output has no buffer; give one for points or another result");
         }
-        Ok(Self { output, extents })
+        Ok(Self { output, extents, read })
+    }
+
+    /// Refuses buffers that overlap each other, the input or the buffer from which gaps are copied.
+    pub(crate) fn check_apart(&self, input: &[Extent]) -> Done<()> {
+        check_apart(input, &self.extents)?;
+        check_apart(&self.read, &self.extents)
     }
 
     /// Refuses buffers for outputs that were not requested when the frame was submitted.
@@ -206,7 +228,13 @@ impl Wanted {
         };
         let out = &self.output;
         let mut buffers = SmoothedMut::new();
-        buffers.points = vectors(out.points, out.points_stride).map(Into::into);
+        let points = vectors(out.points, out.points_stride);
+        let points = match NonNull::new(out.gaps_from.cast_mut()) {
+            // SAFETY: the same, with the gaps.
+            Some(gaps) => points.map(|points| unsafe { points.with_gaps_from(gaps) }),
+            None => points,
+        };
+        buffers.points = points.map(Into::into);
         buffers.normals = vectors(out.normals, out.normals_stride).map(Into::into);
         // SAFETY: the same. Zeros are valid as every type here.
         unsafe {

@@ -2,7 +2,6 @@
 
 use planish::{DepthFrame, Frame, IntoFrame, OrganizedCloud, Outputs, PointCloud, Session, Smoothed, Xyz};
 
-use crate::buffers::check_apart;
 use crate::error::{Done, PLANISH_SETTING, failure, guarded, planish_code};
 use crate::frame::{Given, planish_frame};
 use crate::output::{Wanted, outputs_of, planish_output};
@@ -121,7 +120,7 @@ pub unsafe extern "C" fn planish_smooth(
         let [width, height] = state.output_shape(given.width(), given.height());
         let is_decimated = (width, height) != (given.width(), given.height());
         wanted.check_count(width * height, if is_decimated { DECIMATED } else { "" })?;
-        check_apart(&given.extents, &wanted.extents)?;
+        wanted.check_apart(&given.extents)?;
         state.smooth_into(&given, &mut wanted)
     })
 }
@@ -208,7 +207,7 @@ pub unsafe extern "C" fn planish_receive(
         let mut state = held.lock()?;
         // SAFETY: as the caller promises.
         let (mut wanted, received) = unsafe { (Wanted::new(output)?, writable("received", received)?) };
-        check_apart(&[], &wanted.extents)?;
+        wanted.check_apart(&[])?;
         *received = false;
         // A frame that cannot be delivered stays in flight.
         if let Some(&(count, outputs)) = state.flights.front() {

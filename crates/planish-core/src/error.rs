@@ -269,7 +269,7 @@ pub enum DeviceError {
         what: String,
     },
     /// The device worked and was disconnected (unplugged or hung); it may return.
-    #[error("{what}: unplugged?")]
+    #[error("{what}; check whether it was unplugged")]
     Gone {
         /// Description of the event.
         what: String,

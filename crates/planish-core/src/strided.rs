@@ -1,13 +1,17 @@
 //! Vectors in the caller's memory with gaps between them, as in structs of other libraries.
 
 use std::marker::PhantomData;
+use std::mem::MaybeUninit;
 use std::ptr::NonNull;
 
-/// Vectors of three values that begin every `stride` values; values between them are left unchanged.
+/// Vectors of three values that begin every `stride` values. Values between them are left unchanged, or copied from
+/// another buffer ([`with_gaps_from`](Self::with_gaps_from)).
 #[derive(Debug)]
 pub struct StridedMut<'a> {
     first: NonNull<f32>,
     stride: usize,
+    /// The first vector of a buffer from which the values between vectors are copied.
+    gaps: Option<NonNull<f32>>,
     len: usize,
     lifetime: PhantomData<&'a mut [f32]>,
     /// Makes the type uninhabited on WebAssembly, so that no code is generated for it.
@@ -16,7 +20,7 @@ pub struct StridedMut<'a> {
     never: std::convert::Infallible,
 }
 
-// SAFETY: the type is an exclusive borrow of the values of its vectors, like a mutable slice.
+// SAFETY: the type is an exclusive borrow of the values of its vectors, like a mutable slice, and a shared one of `gaps`.
 unsafe impl Send for StridedMut<'_> {}
 // SAFETY: a shared reference allows only reading.
 unsafe impl Sync for StridedMut<'_> {}
@@ -29,7 +33,7 @@ impl<'a> StridedMut<'a> {
         let len = if stride < 3 { return None } else { values.len().div_ceil(stride) };
         let rest = values.len() % stride;
         let first = NonNull::from(values).cast();
-        (rest == 0 || rest >= 3).then_some(Self { first, stride, len, lifetime: PhantomData })
+        (rest == 0 || rest >= 3).then_some(Self { first, stride, gaps: None, len, lifetime: PhantomData })
     }
 
     /// Borrows `len` vectors that begin at `first` and every `stride` values (at least 3) after it.
@@ -39,7 +43,19 @@ impl<'a> StridedMut<'a> {
     /// Values between them may be in use.
     #[cfg(not(target_family = "wasm"))]
     pub unsafe fn from_raw(first: NonNull<f32>, stride: usize, len: usize) -> Self {
-        Self { first, stride, len, lifetime: PhantomData }
+        Self { first, stride, gaps: None, len, lifetime: PhantomData }
+    }
+
+    /// Copies the values between a vector and the next from another buffer, whenever the vector is set. This keeps the
+    /// other members of structs, and costs less than copying the structs before.
+    ///
+    /// # Safety
+    /// `first` must be the first vector of a buffer with the same stride and number of vectors. In both buffers, all
+    /// values from the first vector to `stride` values after the last one must be valid, and accessed by nothing else
+    /// for `'a`, except that the other buffer may be read.
+    #[cfg(not(target_family = "wasm"))]
+    pub unsafe fn with_gaps_from(self, first: NonNull<f32>) -> Self {
+        Self { gaps: Some(first), ..self }
     }
 
     /// The number of vectors.
@@ -75,8 +91,13 @@ impl<'a> StridedMut<'a> {
     /// If `i` is not less than [`len`](Self::len).
     #[inline(always)]
     pub fn set(&mut self, i: usize, value: [f32; 3]) {
+        let to = self.at(i);
+        if let Some(gaps) = self.gaps {
+            // SAFETY: `stride` values are valid from this vector on, in both buffers.
+            unsafe { copy_values(gaps.add(i * self.stride), to.cast(), self.stride) };
+        }
         // SAFETY: the vector is valid for writes, and nothing else accesses it.
-        unsafe { self.at(i).write(value) }
+        unsafe { to.write(value) }
     }
 
     pub(crate) fn reborrow(&mut self) -> StridedMut<'_> {
@@ -87,8 +108,35 @@ impl<'a> StridedMut<'a> {
     pub(crate) fn split_at(self, at: usize) -> (Self, Self) {
         assert!(at <= self.len, "{at} of {}", self.len);
         // An empty rest may keep the address of the first vector.
-        let rest = if at == self.len { self.first } else { self.at(at).cast() };
-        (Self { len: at, ..self }, Self { first: rest, len: self.len - at, ..self })
+        let is_whole = at == self.len;
+        let rest = if is_whole { self.first } else { self.at(at).cast() };
+        // SAFETY: vector `at` is within the other buffer too.
+        let gaps = self.gaps.map(|gaps| if is_whole { gaps } else { unsafe { gaps.add(at * self.stride) } });
+        (Self { len: at, ..self }, Self { first: rest, gaps, len: self.len - at, ..self })
+    }
+}
+
+/// Copies values that need not be initialized. The sizes of usual structs are inlined.
+///
+/// # Safety
+/// `count` values must be valid for reads at `from` and for writes at `to`, and the two must not overlap.
+#[inline(always)]
+unsafe fn copy_values(from: NonNull<f32>, to: NonNull<f32>, count: usize) {
+    /// # Safety
+    /// The same, for N values.
+    #[inline(always)]
+    unsafe fn copy<const N: usize>(from: NonNull<f32>, to: NonNull<f32>) {
+        // SAFETY: as the caller promises.
+        unsafe { to.cast::<[MaybeUninit<f32>; N]>().write(from.cast().read()) }
+    }
+    // SAFETY: as the caller promises.
+    unsafe {
+        match count {
+            4 => copy::<4>(from, to),
+            8 => copy::<8>(from, to),
+            12 => copy::<12>(from, to),
+            _ => std::ptr::copy_nonoverlapping(from.as_ptr().cast::<MaybeUninit<f32>>(), to.as_ptr().cast(), count),
+        }
     }
 }
 
@@ -114,6 +162,27 @@ mod tests {
             i => before[i],
         });
         assert_eq!(buffer, expected.collect::<Vec<f32>>());
+    }
+
+    #[test]
+    fn gaps_are_copied_from_another_buffer() {
+        for stride in [3, 4, 5, 8, 12, 13] {
+            let other: Vec<f32> = (0..4 * stride).map(|i| i as f32).collect();
+            let mut buffer = vec![-1.0; 4 * stride];
+            let vectors = StridedMut::new(&mut buffer, stride).unwrap();
+            // SAFETY: both buffers have four whole structs.
+            let vectors = unsafe { vectors.with_gaps_from(NonNull::from(other.as_slice()).cast()) };
+            let (mut first, mut rest) = vectors.split_at(2);
+            first.set(1, [-2.0; 3]);
+            rest.reborrow().set(1, [-3.0; 3]);
+            let expected = (0..4 * stride).map(|k| match (k / stride, k % stride) {
+                (1, 0..3) => -2.0,
+                (3, 0..3) => -3.0,
+                (1 | 3, _) => k as f32,
+                _ => -1.0,
+            });
+            assert_eq!(buffer, expected.collect::<Vec<f32>>());
+        }
     }
 
     #[test]

@@ -35,7 +35,7 @@ impl<'py> Input<'py> {
         if let (Ok(array), false) = (array.cast::<PyArrayDyn<f64>>(), is_depth) {
             return Ok(Self::PointsF64(array.try_readonly().map_err(borrowed)?));
         }
-        Err(PyTypeError::new_err("an array of uint16, float32 or float64 is expected"))
+        Err(PyTypeError::new_err("expected an array of uint16, float32 or float64"))
     }
 
     /// Returns the frame in the array.
@@ -173,7 +173,7 @@ pub struct Slices<'a> {
 
 fn writable<'py, T: Element>(name: &str, array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
     let array = array.cast::<PyArrayDyn<T>>().map_err(|_| {
-        PyTypeError::new_err(format!("out[{name:?}]: an array of {} is expected", T::get_dtype(array.py())))
+        PyTypeError::new_err(format!("out[{name:?}]: expected an array of {}", T::get_dtype(array.py())))
     })?;
     array.try_readwrite().map_err(borrowed)
 }

@@ -158,7 +158,7 @@ pub fn cloud_of(
         let name: String = name.extract()?;
         let values = attribute_values(&values).ok_or_else(|| {
             PyTypeError::new_err(format!(
-                "fields[{name:?}]: an array of integers or floats with one value per point is expected"
+                "fields[{name:?}]: expected an array of integers or floats with one value per point"
             ))
         })?;
         // Python has checked the shape of fields with several values per point.

@@ -47,7 +47,7 @@ fn value_of(key: &str, value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
     let texts =
         value.try_iter().and_then(|items| items.map(|item| item?.extract::<String>()).collect::<PyResult<Vec<_>>>());
     texts.map(SettingValue::List).map_err(|_| {
-        PyTypeError::new_err(format!("{key}: a number, a string, True, False or a list of strings is expected"))
+        PyTypeError::new_err(format!("{key}: expected a number, a string, True, False or a list of strings"))
     })
 }
 

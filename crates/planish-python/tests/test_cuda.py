@@ -34,7 +34,7 @@ def test_dlpack_says_where_an_array_is_and_how_it_lies(kind: str):
         assert found["data"][0] == truth["data"][0]
     with pytest.raises(TypeError, match="DLPack's device 1"):
         _cuda._interface(OnGpu(array, device=1), "depth", 0)
-    with pytest.raises(TypeError, match="out: an array in CUDA's memory is expected .* not list"):
+    with pytest.raises(TypeError, match="out: expected an array in CUDA's memory .* not list"):
         _cuda._interface([1], "out", 0)
 
 

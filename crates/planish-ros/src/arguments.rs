@@ -80,7 +80,7 @@ impl Arguments {
         }
         for assignment in set {
             let (name, value) =
-                assignment.split_once(":=").with_context(|| format!("-p {assignment}: NAME:=VALUE is expected"))?;
+                assignment.split_once(":=").with_context(|| format!("-p {assignment}: expected NAME:=VALUE"))?;
             let value: Value = yaml(value).with_context(|| format!("-p {assignment}"))?;
             // A parameter may be for one node of several.
             let (node, name) = name.split_once(':').unwrap_or((&parsed.node, name));
@@ -93,7 +93,7 @@ impl Arguments {
     }
 
     fn remap(&mut self, rule: &str) -> Result<()> {
-        let (from, to) = rule.split_once(":=").with_context(|| format!("-r {rule}: FROM:=TO is expected"))?;
+        let (from, to) = rule.split_once(":=").with_context(|| format!("-r {rule}: expected FROM:=TO"))?;
         match from {
             "__ns" if to.starts_with('/') => self.namespace = to.to_owned(),
             "__ns" => bail!("-r {rule}: a namespace must begin with a slash"),
@@ -128,7 +128,7 @@ impl Arguments {
         let text = String::from_utf8(read_bytes(path, &options).with_context(of_file)?).with_context(of_file)?;
         let file = yaml(&text).with_context(of_file)?;
         if !matches!(file, Value::Mapping(_)) {
-            bail!("{}: a node's name with ros__parameters is expected", path.display());
+            bail!("{}: expected a node's name with ros__parameters", path.display());
         }
         self.read_nodes(&file, "").with_context(|| path.display().to_string())
     }
@@ -137,14 +137,14 @@ impl Arguments {
     fn read_nodes(&mut self, entries: &Value, name: &str) -> Result<()> {
         let Value::Mapping(entries) = entries else { bail!("{name} has no ros__parameters") };
         for (key, entry) in entries {
-            let key = key.as_str().context("a node's name is expected")?;
+            let key = key.as_str().context("expected a node's name")?;
             if key != "ros__parameters" {
                 self.read_nodes(entry, &format!("{}/{}", name.trim_end_matches('/'), key.trim_start_matches('/')))?;
                 continue;
             }
             let Value::Mapping(parameters) = entry else { bail!("{name}: ros__parameters must map names to values") };
             for (parameter_name, value) in parameters {
-                let parameter_name = parameter_name.as_str().context("a parameter's name is expected")?;
+                let parameter_name = parameter_name.as_str().context("expected a parameter's name")?;
                 // Parameters of other nodes and of middleware may have any value.
                 if self.is_meant(name) && parameter_name != "qos_overrides" {
                     let value = parameter(value).with_context(|| parameter_name.to_owned())?;
@@ -184,7 +184,7 @@ fn parameter(value: &Value) -> Result<ParameterValue> {
             (None, Some(value)) => ParameterValue::Double(value),
             (None, None) => bail!("{value}: the number is out of range"),
         },
-        _ => bail!("true, false, a number or a string is expected"),
+        _ => bail!("expected true, false, a number or a string"),
     })
 }
 

@@ -119,7 +119,7 @@ fn domain_id() -> Result<u16> {
         Ok(text) if text.is_empty() => Ok(0),
         Ok(text) => {
             let number = text.parse().ok().filter(|number| *number <= HIGHEST);
-            number.with_context(|| format!("ROS_DOMAIN_ID={text}: a number from 0 to {HIGHEST} is expected"))
+            number.with_context(|| format!("ROS_DOMAIN_ID={text}: expected a number from 0 to {HIGHEST}"))
         }
     }
 }

@@ -106,16 +106,16 @@ impl NodeSettings {
         };
         let text = |name: &str| match get(name)? {
             ParameterValue::String(text) => Ok(text),
-            _ => bail!("{name}: a string is expected"),
+            _ => bail!("{name}: expected a string"),
         };
         let truth = |name: &str| match get(name)? {
             ParameterValue::Boolean(value) => Ok(value),
-            _ => bail!("{name}: true or false is expected"),
+            _ => bail!("{name}: expected true or false"),
         };
         let is_reliable = |name: &str| match text(name)?.as_str() {
             "reliable" => Ok(true),
             "sensor_data" | "best_effort" => Ok(false),
-            other => bail!("{name}: {other:?} is unknown; sensor_data or reliable is expected"),
+            other => bail!("{name}: {other:?} is unknown; expected sensor_data or reliable"),
         };
         let smoothing = smoothing(values, truth("normals")?, truth("sigma")?)?;
         let input = match (text("input")?.as_str(), text("image_transport")?.as_str()) {
@@ -124,8 +124,8 @@ impl NodeSettings {
             ("points", "raw") if truth("publish_depth")? => bail!("publish_depth: applies only if input is depth"),
             ("points", "raw") => Input::Points,
             ("points", _) => bail!("image_transport: applies only if input is depth"),
-            ("depth", other) => bail!("image_transport: {other:?} is unknown; raw or compressedDepth is expected"),
-            (other, _) => bail!("input: {other:?} is unknown; depth or points is expected"),
+            ("depth", other) => bail!("image_transport: {other:?} is unknown; expected raw or compressedDepth"),
+            (other, _) => bail!("input: {other:?} is unknown; expected depth or points"),
         };
         match input {
             Input::Points => {
@@ -176,7 +176,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool, sigma: bo
             ParameterValue::Integer(value) => (*value as f64).into(),
             ParameterValue::Double(value) => (*value).into(),
             ParameterValue::String(value) => value.clone().into(),
-            _ => bail!("{name}: a number, a string, true or false is expected"),
+            _ => bail!("{name}: expected a number, a string, true or false"),
         };
         settings.set(name, value)?;
     }

@@ -14,10 +14,8 @@
 
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <memory>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "planish.hpp"
@@ -73,28 +71,22 @@ Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float
   return output;
 }
 
-/// Copies a cloud into another. If the sizes match, the points are copied as bytes into the existing memory.
+/// Whether the library can copy the other fields while it writes the points. Normals would be overwritten.
 template <typename PointT>
-void copy(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
-  if (to.size() != cloud.size() || cloud.empty()) {
-    to = cloud;
-    return;
-  }
+constexpr bool copies_fields() {
+  return offset_of<PointT, pcl::fields::x>() == 0 && !pcl::traits::has_normal<PointT>::value && !pcl::traits::has_curvature<PointT>::value;
+}
+
+/// Copies everything but the points, for which it makes room.
+template <typename PointT>
+void copy_shape(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
   to.header = cloud.header;
+  to.points.resize(cloud.size());
   to.width = cloud.width;
   to.height = cloud.height;
+  to.is_dense = false;
   to.sensor_origin_ = cloud.sensor_origin_;
   to.sensor_orientation_ = cloud.sensor_orientation_;
-  // Registered points are plain structs of numbers. For a large cloud, another thread copies one half.
-  const auto copy_part = [&](std::size_t begin, std::size_t end) {
-    std::memcpy(static_cast<void *>(to.points.data() + begin), static_cast<const void *>(cloud.points.data() + begin),
-                (end - begin) * sizeof(PointT));
-  };
-  const std::size_t bytes = cloud.size() * sizeof(PointT), middle = bytes > (std::size_t{1} << 20) ? cloud.size() / 2 : 0;
-  std::thread other;
-  if (middle > 0) other = std::thread(copy_part, 0, middle);
-  copy_part(middle, cloud.size());
-  if (other.joinable()) other.join();
 }
 
 template <typename PointT>
@@ -128,10 +120,14 @@ Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::Poin
     const pcl::PointCloud<PointT> copy(cloud);
     return smooth(session, copy, smoothed, status);
   }
-  detail::copy(cloud, smoothed);
-  smoothed.is_dense = false;
+  detail::copy_shape(cloud, smoothed);
   std::vector<float> curvature;
   Output output = detail::output_of(smoothed, true, curvature);
+  if (detail::copies_fields<PointT>()) {
+    output.gaps_from(reinterpret_cast<const float *>(cloud.points.data()));
+  } else {
+    smoothed.points = cloud.points;
+  }
   if (status) output.status(status->data());
   Result done = session.try_smooth(detail::frame_of(cloud), output);
   if (done) detail::put_curvature(smoothed, curvature);

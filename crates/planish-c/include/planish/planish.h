@@ -211,7 +211,7 @@ typedef struct planish_output {
   // x, y and z of the smoothed points in metres.
   float *points;
   // Bytes from one point to the next, a multiple of 4; 0 if there are no gaps. Bytes between points are left
-  // unchanged.
+  // unchanged, unless `gaps_from` is set.
   size_t points_stride;
   // Unit normals towards the sensor.
   float *normals;
@@ -232,6 +232,10 @@ typedef struct planish_output {
   float *frames;
   // Standard error of each point along its ray, in metres; needs a grid.
   float *sigma;
+  // The first point of an array of structs with the same stride, such as the input: the bytes after each point, up
+  // to the next one, are copied to the result. Both arrays must have `count` times `points_stride` bytes, and
+  // nothing else may be written into the gaps. Null leaves them unchanged.
+  const float *gaps_from;
 } planish_output;
 
 // Success.

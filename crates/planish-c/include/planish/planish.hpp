@@ -229,6 +229,12 @@ class Output {
     output_.points_stride = stride;
     return *this;
   }
+  /// Copies the bytes after each point, up to the next one, from other structs with the same stride; `first` is their
+  /// first point. Both arrays must have room for `count` structs that begin with a point.
+  Output &gaps_from(const float *first) {
+    output_.gaps_from = first;
+    return *this;
+  }
   Output &normals(float *normals, std::size_t stride = 0) {
     output_.normals = normals;
     output_.normals_stride = stride;

@@ -56,5 +56,5 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
         text => (text, 0),
     };
     let bytes = number.parse::<u64>().ok().and_then(|number| number.checked_mul(1 << shift));
-    bytes.ok_or_else(|| "a number of bytes is expected, such as 500M or 4G".to_owned())
+    bytes.ok_or_else(|| "expected a number of bytes, such as 500M or 4G".to_owned())
 }

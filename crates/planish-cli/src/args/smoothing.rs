@@ -401,7 +401,7 @@ impl std::str::FromStr for RadiusArg {
 pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<CloudParams> {
     let Some(size_m) = voxel_m else { return Ok(merged_params()) };
     if !(size_m > 0.0 && size_m.is_finite()) {
-        bail!("--voxel {size_m}: a size in metres above 0 is expected, such as 0.005");
+        bail!("--voxel {size_m}: expected a size in metres above 0, such as 0.005");
     }
     Ok(merged_params_in_voxels(size_m))
 }

@@ -113,7 +113,7 @@ fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<C
 /// Compares two files.
 pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
     if args.max.is_some_and(|max| max.is_nan() || max < 0.0) {
-        bail!("--max: a distance of 0 or more is expected");
+        bail!("--max: expected a distance of 0 or more");
     }
     let options = args.reading.read_options();
     let a = read(&args.a, &args.camera, &options)?;

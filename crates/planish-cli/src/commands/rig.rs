@@ -50,7 +50,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     let mut named_before: Vec<&str> = Vec::new();
     for named in &args.source {
         let pair = named.split_once('=').filter(|(_, source)| !source.is_empty());
-        let (name, source) = pair.with_context(|| format!("--source {named}: NAME=SOURCE is expected"))?;
+        let (name, source) = pair.with_context(|| format!("--source {named}: expected NAME=SOURCE"))?;
         if named_before.contains(&name) {
             bail!("--source {named}: camera {name} already has a source");
         }
@@ -101,7 +101,7 @@ fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
         calibration::CalibrationOptions::default().with_base(args.base.clone()).with_frames(args.frame.clone());
     if let Some(metres) = args.scale {
         if !(metres > 0.0 && metres.is_finite()) {
-            bail!("--scale {metres}: a number of metres per unit above 0 is expected");
+            bail!("--scale {metres}: expected a number of metres per unit above 0");
         }
         options = options.with_metres_per_unit(metres);
     }

@@ -65,7 +65,7 @@ impl LimitArgs {
     pub fn max_duration(&self) -> Result<Option<Duration>> {
         let duration = |seconds| {
             let duration = Duration::try_from_secs_f64(seconds).ok();
-            duration.with_context(|| format!("--duration {seconds:?}: a number of seconds, 0 or more, is expected"))
+            duration.with_context(|| format!("--duration {seconds:?}: expected a number of seconds, at least 0"))
         };
         self.duration.map(duration).transpose()
     }

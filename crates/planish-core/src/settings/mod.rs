@@ -248,15 +248,15 @@ impl Settings {
         if self.preset.is_some() && self.strength.is_some() {
             return contradiction(
                 "strength",
-                "set together with a preset",
-                "only without a preset; set one of the two",
+                &self.strength.map(|strength| strength.to_string()).unwrap_or_default(),
+                "set either preset or strength",
             );
         }
         if self.radius.is_some() && self.neighbours.is_some() {
             return contradiction(
                 "neighbours",
-                "set together with a radius",
-                "only without radius_m; set one of the two",
+                &self.neighbours.map(|neighbours| neighbours.to_string()).unwrap_or_default(),
+                "set either radius_m or neighbours",
             );
         }
         if ONE_THREAD && self.even == Some(true) {
@@ -277,7 +277,7 @@ impl Settings {
                 return contradiction("adapter", adapter, "only with the engine gpu");
             }
             if self.devices.is_some() {
-                return contradiction("adapter", adapter, "only without devices; set one of the two");
+                return contradiction("adapter", adapter, "set either devices or adapter");
             }
         }
         if let Some(devices) = &self.devices

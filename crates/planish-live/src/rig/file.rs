@@ -123,12 +123,12 @@ fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
     let clock = match file.clock.as_deref() {
         None | Some("source") => Clock::Source,
         Some("arrival") => Clock::Arrival,
-        Some(other) => return Err(malformed(format!("clock is {other:?}; \"source\" or \"arrival\" is expected"))),
+        Some(other) => return Err(malformed(format!("clock is {other:?}; expected \"source\" or \"arrival\""))),
     };
     let cameras = file.cameras.into_iter().map(|entry| camera_of(entry, folder)).collect::<Result<_, _>>()?;
     if let Some(tolerance_ms) = file.tolerance_ms.filter(|ms| !(*ms > 0.0 && *ms <= 1000.0)) {
         return Err(malformed(format!(
-            "tolerance_ms is {tolerance_ms:?}; a value above 0 and at most 1000 is expected"
+            "tolerance_ms is {tolerance_ms:?}; expected a value above 0 and at most 1000"
         )));
     }
     let tolerance_s = file.tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |tolerance_ms| 1e-3 * tolerance_ms);

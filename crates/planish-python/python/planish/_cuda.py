@@ -52,7 +52,7 @@ class CudaSmoother:
         **settings: Unpack[Settings],
     ) -> None:
         if not isinstance(camera, Camera):
-            raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
+            raise TypeError(f"camera: expected a planish.Camera, not {type(camera).__name__}")
         names = list(outputs) if not isinstance(outputs, str) else [outputs]
         unknown = [name for name in names if name not in CHANNELS]
         if unknown or not names:
@@ -109,7 +109,7 @@ class CudaSmoother:
     ) -> list[Any]:
         """Smooth several images, up to 16 at a time; see `smooth`."""
         if outs is not None and len(outs) != len(depths):
-            raise ValueError(f"outs: one array per image is expected: {len(depths)}, not {len(outs)}")
+            raise ValueError(f"outs: expected one array per image ({len(depths)}), not {len(outs)}")
         results: list[Any] = []
         for begin in range(0, len(depths), self._most):
             group = list(depths[begin : begin + self._most])
@@ -149,7 +149,7 @@ class CudaSmoother:
         shape, kind = tuple(interface["shape"]), interface["typestr"]
         expected = (self._camera.height, self._camera.width)
         if shape != expected or kind not in types:
-            raise ValueError(f"depth: {' or '.join(types)} of shape {expected} is expected, not {kind} of {shape}")
+            raise ValueError(f"depth: expected {' or '.join(types)} of shape {expected}, not {kind} of {shape}")
         item = int(kind[2:])
         strides = interface.get("strides") or (item * shape[1], item)
         # The stride of an axis of length 1 is arbitrary.
@@ -166,7 +166,7 @@ class CudaSmoother:
         is_contiguous = strides is None or tuple(strides) == _contiguous(shape, 4)
         if tuple(interface["shape"]) != shape or interface["typestr"] != "<f4" or not is_contiguous:
             found = f"{interface['typestr']} of {tuple(interface['shape'])}"
-            raise ValueError(f"out: contiguous <f4 of shape {shape} is expected, not {found}")
+            raise ValueError(f"out: expected contiguous <f4 of shape {shape}, not {found}")
         if interface["data"][1]:
             raise ValueError("out: the array is read-only")
         return interface, int(interface["data"][0])
@@ -222,7 +222,7 @@ def _interface(array: Any, name: str, stream: int | None) -> dict[str, Any]:
         interface = None
     if interface is None:
         found = type(array).__name__
-        raise TypeError(f"{name}: an array in CUDA's memory is expected (PyTorch, CuPy, JAX, Numba), not {found}")
+        raise TypeError(f"{name}: expected an array in CUDA's memory (PyTorch, CuPy, JAX, Numba), not {found}")
     return interface
 
 
@@ -253,7 +253,7 @@ _KINDS = {0: "i", 1: "u", 2: "f"}
 def _of_dlpack(array: Any, name: str, stream: int | None) -> dict[str, Any]:
     device, _ = array.__dlpack_device__()
     if int(device) not in _CUDA_DEVICES:
-        raise TypeError(f"{name}: an array in CUDA's memory is expected, not one of DLPack's device {int(device)}")
+        raise TypeError(f"{name}: expected an array in CUDA's memory, not one of DLPack's device {int(device)}")
     # 1 is the default stream. The capsule frees its tensor when it is deleted, since no other library takes ownership.
     capsule = array.__dlpack__(stream=stream or 1)
     tensor = _DlTensor.from_address(_pointer_of(capsule, b"dltensor"))

@@ -214,7 +214,7 @@ def _cloud(array: NDArray[Any], fields: Mapping[str, NDArray[Any]] | None, pose:
     for name, values in (fields or {}).items():
         values = _plain(np.asarray(values))
         if values.shape[: array.ndim - 1] != array.shape[:-1] or values.ndim > array.ndim:
-            raise ValueError(f"fields[{name!r}]: the shape {list(array.shape[:-1])} is expected, not {list(values.shape)}")
+            raise ValueError(f"fields[{name!r}]: expected the shape {list(array.shape[:-1])}, not {list(values.shape)}")
         flat[name] = np.ascontiguousarray(values).reshape(-1)
     rows = np.ascontiguousarray(array, dtype=np.float64).reshape(-1, 3)
     return rows, origin_of(rows) or (0.0, 0.0, 0.0), grid, flat, None if pose is None else tuple(pose)

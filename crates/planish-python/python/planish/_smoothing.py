@@ -88,7 +88,7 @@ class Smoother:
         **settings: Unpack[Settings],
     ) -> None:
         if camera is not None and not isinstance(camera, Camera):
-            raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
+            raise TypeError(f"camera: expected a planish.Camera, not {type(camera).__name__}")
         for name in PREPARATION:
             if settings.get(name):
                 raise ValueError(f"{name}: applies only to streams and the command; call planish.prepare before the Smoother")
@@ -366,7 +366,7 @@ def smooth(
 
 def _checked_outputs(outputs: Iterable[str]) -> tuple[str, ...]:
     if isinstance(outputs, str):
-        raise TypeError(f"outputs: a list of names is expected, such as [{outputs!r}]")
+        raise TypeError(f"outputs: expected a list of names, such as [{outputs!r}]")
     names = tuple(dict.fromkeys(outputs))
     unknown = [name for name in names if name not in _OUTPUTS]
     if unknown or not names:
@@ -408,16 +408,16 @@ def _given_arrays(out: Smoothed | Mapping[str, NDArray[Any]], kind: _Kind) -> di
     elif isinstance(out, Mapping):
         given = dict(out)
     else:
-        raise TypeError(f"out: a planish.Smoothed or a dict of arrays is expected, not {type(out).__name__}")
+        raise TypeError(f"out: expected a planish.Smoothed or a dict of arrays, not {type(out).__name__}")
     _checked_outputs(given)
     for name, array in given.items():
         dtype = kind.points if name == "points" else _OUTPUTS[name][0]
         if not isinstance(array, np.ndarray):
-            raise TypeError(f"out[{name!r}]: a numpy array is expected, not {type(array).__name__}")
+            raise TypeError(f"out[{name!r}]: expected a numpy array, not {type(array).__name__}")
         if array.dtype != dtype:
-            raise TypeError(f"out[{name!r}]: an array of {np.dtype(dtype)} is expected, not of {array.dtype}")
+            raise TypeError(f"out[{name!r}]: expected an array of {np.dtype(dtype)}, not of {array.dtype}")
         if array.shape != _shape_of(name, kind):
-            raise ValueError(f"out[{name!r}]: the shape {list(_shape_of(name, kind))} is expected, not {list(array.shape)}")
+            raise ValueError(f"out[{name!r}]: expected the shape {list(_shape_of(name, kind))}, not {list(array.shape)}")
         if not array.flags.writeable:
             raise ValueError(f"out[{name!r}]: the array is read-only")
         if not array.flags.c_contiguous or not array.flags.aligned:

@@ -165,9 +165,9 @@ def stream(
     (2, True)
     """
     if camera is not None and not isinstance(camera, Camera):
-        raise TypeError(f"camera: a planish.Camera is expected, not {type(camera).__name__}")
+        raise TypeError(f"camera: expected a planish.Camera, not {type(camera).__name__}")
     if frames is not None and not isinstance(frames, int):
-        raise TypeError(f"frames: a whole number is expected, not {type(frames).__name__}")
+        raise TypeError(f"frames: expected a whole number, not {type(frames).__name__}")
     if frames is not None and not 0 <= frames < 2**63:
         raise ValueError(f"frames: {frames} is not allowed: 0 to 2**63 - 1")
     if not isinstance(source, str) and not os.path.exists(source):

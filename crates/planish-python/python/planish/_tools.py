@@ -188,7 +188,7 @@ def merge(
     files = list(inputs)
     placed = None if poses is None else [tuple(float(value) for value in pose) for pose in poses]
     if placed is not None and len(placed) != len(files):
-        raise ValueError(f"poses: one per input is expected: {len(files)}, not {len(placed)}")
+        raise ValueError(f"poses: expected one per input ({len(files)}), not {len(placed)}")
     if placed is not None and any(len(pose) != 7 for pose in placed):
         raise ValueError("poses: 7 numbers each are expected: x, y, z, qw, qx, qy, qz")
     if placed is not None and any(abs(sum(value * value for value in pose[3:]) - 1.0) > 1e-3 for pose in placed):
