@@ -127,9 +127,7 @@ fn parse(text: &str, folder: &Path) -> Result<Rig, FormatError> {
     };
     let cameras = file.cameras.into_iter().map(|entry| camera_of(entry, folder)).collect::<Result<_, _>>()?;
     if let Some(tolerance_ms) = file.tolerance_ms.filter(|ms| !(*ms > 0.0 && *ms <= 1000.0)) {
-        return Err(malformed(format!(
-            "tolerance_ms is {tolerance_ms:?}; expected a value above 0 and at most 1000"
-        )));
+        return Err(malformed(format!("tolerance_ms is {tolerance_ms:?}; expected a value above 0 and at most 1000")));
     }
     let tolerance_s = file.tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |tolerance_ms| 1e-3 * tolerance_ms);
     let viewpoint = |(i, entry): (usize, ViewpointEntry)| {
