@@ -72,6 +72,7 @@ fn main() {
         depth_m: ptr::null_mut(),
         frames: ptr::null_mut(),
         sigma: ptr::null_mut(),
+        gaps_from: ptr::null(),
     };
     let mut handle: *mut planish_session = ptr::null_mut();
     // SAFETY: the text ends with a zero, and the handle is writable.

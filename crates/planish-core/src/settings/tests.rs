@@ -63,8 +63,8 @@ fn errors_name_the_field_and_its_range() {
         ("average_blocks=yes", "average_blocks", "true or false"),
         ("speed=1", "settings", "preset, strength"),
         ("strong", "settings", "name=value"),
-        ("preset=light strength=0.5", "strength", "either preset or strength"),
-        ("radius=0.03,neighbours=20", "neighbours", "either radius_m or neighbours"),
+        ("preset=light strength=0.5", "strength", "set either preset"),
+        ("radius=0.03,neighbours=20", "neighbours", "set either radius_m"),
         ("adapter=0", "adapter", "only with the engine gpu"),
         ("devices=cpu engine=cpu", "devices", "only with the engine auto or gpu"),
     ] {
