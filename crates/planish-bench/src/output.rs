@@ -22,14 +22,17 @@ pub fn print(text: Arguments<'_>) {
             CLOSED.store(true, Ordering::Relaxed);
             return;
         }
-        print_error(format_args!("error: cannot write to standard output: {error}\n"));
+        print_error(format_args!("error: cannot write to standard output: {error}"));
         exit(FAILED);
     }
 }
 
-/// Writes to standard error; ignores failures.
+/// Writes a line to standard error; ignores failures. Line breaks in the text are escaped, since they may come from the
+/// name of a file and imitate another message.
 pub fn print_error(text: Arguments<'_>) {
-    let _ = write(&mut std::io::stderr().lock(), text);
+    let text = text.to_string();
+    let line = planish::io::printable_line(&text) + "\n";
+    let _ = std::io::stderr().lock().write_all(line.as_bytes());
 }
 
 /// Writes a text in one call, without terminal control characters.
@@ -56,5 +59,5 @@ macro_rules! out {
 /// `eprintln!` without its panic.
 #[macro_export]
 macro_rules! errln {
-    ($($text:tt)*) => { $crate::output::print_error(format_args!("{}\n", format_args!($($text)*))) };
+    ($($text:tt)*) => { $crate::output::print_error(format_args!($($text)*)) };
 }

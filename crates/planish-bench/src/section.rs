@@ -1,10 +1,10 @@
 //! The report of an experiment: text with tables, JSON, plots and pictures.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use planish::Error;
+use planish::io::internal::create_output_folder;
 use planish::io::write_rgb_png;
 use planish::io::{RgbImage, write_whole};
 use serde_json::{Value, json};
@@ -87,7 +87,7 @@ impl Section {
 
     /// Writes the section into a folder, including the origin of the numbers.
     pub fn write(&self, folder: &Path, origin: &Origin) -> Result<()> {
-        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         let write = |name: &str, bytes: &[u8]| {
             let file = folder.join(name);
             write_whole(&file, bytes).with_context(|| file.display().to_string())

@@ -75,13 +75,20 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
             .mut_subcommands(with_negative_numbers)
     }
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let is_plain = |argument: &OsString| argument.to_str().is_some_and(|text| planish::io::printable(text) == text);
+    let is_plain =
+        |argument: &OsString| argument.to_str().is_some_and(|text| planish::io::printable_line(text) == text);
     let matches = with_negative_numbers(Args::command()).try_get_matches_from(&arguments).unwrap_or_else(|error| {
         if arguments.iter().all(is_plain) {
             error.exit();
         }
-        // The message quotes the arguments, in which `errln` escapes control characters.
-        errln!("{}", error.render());
+        // The message quotes the arguments, whose line breaks must not look like those of the message.
+        let message = arguments
+            .iter()
+            .filter_map(|argument| argument.to_str())
+            .fold(error.render().to_string(), |message, argument| {
+                message.replace(argument, &planish::io::printable_line(argument))
+            });
+        message.lines().for_each(|line| errln!("{line}"));
         std::process::exit(error.exit_code());
     });
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())

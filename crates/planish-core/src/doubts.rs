@@ -54,7 +54,7 @@ pub enum Doubt {
         /// The camera.
         camera: Camera,
     },
-    /// Coordinates of an unorganized cloud are too large for f32's precision.
+    /// Coordinates of a cloud are too large for f32's precision.
     Coarse {
         /// The difference between adjacent f32 values at such coordinates, in metres.
         step_m: f32,
@@ -79,11 +79,15 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
 }
 
 /// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since any scanner may
-/// have measured it.
+/// have measured it. The camera's lens model is not checked, see [`doubt_about_lens`].
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
-    if let (None, Frame::Points(points)) = (frame.grid(), frame) {
-        // The web build omits this check.
-        return if ONE_THREAD { Vec::new() } else { about_resolution(&points).into_iter().collect() };
+    // The web build omits this check.
+    let coarse = match frame {
+        Frame::Points(points) if !ONE_THREAD => about_resolution(&points),
+        _ => None,
+    };
+    if coarse.is_some() || frame.grid().is_none() {
+        return coarse.into_iter().collect();
     }
     let units = match frame {
         Frame::Depth(depth) => (!depth.is_metres()).then_some(depth.camera().depth_units_per_metre),
@@ -102,7 +106,7 @@ pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
 }
 
 /// Compares the steps of f32 with the distances between neighbours, for a sample of points far from the origin.
-fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
+pub(crate) fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     /// Step of f32 that is always fine enough, in metres: no sensor is more precise from a kilometre away.
     const FINE_M: f32 = 1e-4;
     /// Ratio of a step of f32 to the distance between neighbours above which the step is too coarse.
@@ -221,8 +225,8 @@ impl fmt::Display for Doubt {
             Self::Coarse { step_m, spacing_m, share } => write!(
                 f,
                 "{:.0} % of the points have coordinates too large for f32, which rounds them to {step_m:.1e} m, but \
-                 neighbours are {spacing_m:.1e} m apart; crop distant parts with `planish clean --box` and smooth them \
-                 separately",
+                 neighbours are {spacing_m:.1e} m apart; remove stray points with `planish clean --crop`, or give distant \
+                 parts as separate files",
                 100.0 * share
             ),
             Self::Lens { lost } => write!(
@@ -246,6 +250,18 @@ mod tests {
     fn of(raw: u16, camera: Camera) -> Vec<Doubt> {
         let raw = vec![raw; camera.width * camera.height];
         doubts(DepthView::new(&raw, &camera).unwrap().into_frame().unwrap())
+    }
+
+    #[test]
+    fn an_organized_cloud_in_two_distant_parts_is_doubtful() {
+        let of = |offset_m: f32| {
+            let points: Xyz = (0..1600)
+                .map(|i| [0.01 * (i % 40) as f32, if i < 600 { offset_m } else { 0.0 }, 0.01 * (i / 40) as f32])
+                .collect();
+            let cloud = crate::OrganizedCloud::new(40, 40, PointCloud::new(points)).unwrap();
+            doubts((&cloud).into_frame().unwrap()).iter().any(|doubt| matches!(doubt, Doubt::Coarse { .. }))
+        };
+        assert!(of(5.4e6) && !of(50.0));
     }
 
     #[test]

@@ -121,6 +121,9 @@ pub enum FrameError {
     /// Coordinates that f32 cannot hold.
     #[error("a coordinate exceeds 3.4e38 m, the largest in f32")]
     TooFar,
+    /// Coordinates that f32 rounds too coarsely for the distances between points; the text of the doubt.
+    #[error("{0}")]
+    TooCoarse(String),
     /// An invalid sensor pose.
     #[error("sensor pose: {0}")]
     BadPose(ParamError),

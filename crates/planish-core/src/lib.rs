@@ -72,7 +72,7 @@ pub use camera::{Camera, Distortion, SATURATED_DEPTH};
 pub use cloud::{Attribute, AttributeValues, CoordinateSteps, OrganizedCloud, PointCloud, PositionColumns, Precision};
 pub use cpu::CloudEstimate;
 pub use devices::{AdapterKind, GpuAdapter, GpuOptions, Transfer};
-pub use doubts::{Doubt, doubts};
+pub use doubts::{Doubt, doubt_about_lens, doubts};
 pub use engines::{
     Capabilities, ChoiceReason, Engine, SmootherOptions, auto_choice, gpu_adapters, silence_vulkan_drivers,
 };
@@ -114,7 +114,6 @@ pub mod internal {
     pub use crate::clean::voxel_grid::{VoxelMap, Voxels};
     pub use crate::clean::voxels::downsample;
     pub use crate::constants::GRAZING_COSINE;
-    pub use crate::doubts::doubt_about_lens;
     pub use crate::eigen::symmetric_eigen;
     pub use crate::error::{KIB, memory};
     pub use crate::fleet::lose_device as lose_fleet_device;

@@ -3,6 +3,7 @@
 use crate::camera::{Camera, Rays};
 use crate::cloud::{AttributeValues, PointCloud};
 use crate::constants::GRAZING_COSINE;
+use crate::doubts::doubt_about_lens;
 use crate::error::FrameError;
 use crate::frame::{DepthImage, Frame};
 use crate::outputs::{Outputs, SmoothedMut};
@@ -46,6 +47,9 @@ impl Smoothed {
     pub fn lost_points_warning(&self, frame: Frame<'_>) -> Option<String> {
         let (lost, valid) = (self.lost_points(frame), frame.valid_points());
         (lost as f64 > LOST_SHARE_TOLD * valid as f64).then(|| {
+            if let Some(doubt) = frame.camera().filter(|_| !ONE_THREAD).and_then(doubt_about_lens) {
+                return doubt.to_string();
+            }
             format!(
                 "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the \
                  radius; use a larger radius, or give the sensor's pose if it is missing"

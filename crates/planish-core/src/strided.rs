@@ -20,7 +20,8 @@ pub struct StridedMut<'a> {
     never: std::convert::Infallible,
 }
 
-// SAFETY: the type is an exclusive borrow of the values of its vectors, like a mutable slice, and a shared one of `gaps`.
+// SAFETY: the type is an exclusive borrow of the values of its vectors, like a mutable slice, and a shared borrow of
+// `gaps`.
 unsafe impl Send for StridedMut<'_> {}
 // SAFETY: a shared reference allows only reading.
 unsafe impl Sync for StridedMut<'_> {}

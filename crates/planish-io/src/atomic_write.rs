@@ -26,6 +26,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 struct Known {
     temporaries: Option<HashSet<PathBuf>>,
     swept: Option<HashSet<PathBuf>>,
+    /// Folders in which no file is written through a link.
+    folders: Option<HashSet<PathBuf>>,
     /// True once the process is about to end.
     is_over: bool,
 }
@@ -42,7 +44,7 @@ pub fn is_read_only(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|metadata| metadata.is_file() && metadata.permissions().readonly())
 }
 
-static KNOWN: Mutex<Known> = Mutex::new(Known { temporaries: None, swept: None, is_over: false });
+static KNOWN: Mutex<Known> = Mutex::new(Known { temporaries: None, swept: None, folders: None, is_over: false });
 
 fn known() -> MutexGuard<'static, Known> {
     KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
@@ -66,6 +68,29 @@ pub fn remove_temporaries() {
     }
 }
 
+/// Creates a folder for outputs, if it does not exist. From then on, files in it are not written through links: other
+/// users may have placed links there, and only the folder was named.
+pub fn create_output_folder(folder: &Path) -> std::io::Result<()> {
+    fs::create_dir_all(folder)?;
+    known().folders.get_or_insert_default().insert(folder.to_path_buf());
+    Ok(())
+}
+
+/// Refuses a path in an output folder that leads through a link.
+fn check_links(path: &Path) -> FormatResult<()> {
+    let folders: Vec<PathBuf> =
+        known().folders.iter().flatten().filter(|folder| path.starts_with(folder)).cloned().collect();
+    for folder in folders {
+        let stays_within = folder_of(path).canonicalize()?.starts_with(folder.canonicalize()?);
+        if path.is_symlink() || !stays_within {
+            let text =
+                "the path is a link, and files in an output folder are not written through links; remove the link";
+            return Err(FormatError::Unsupported(text.into()));
+        }
+    }
+    Ok(())
+}
+
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. Links are followed. A replaced
 /// file keeps its permissions and, if this process may set it, its owner; it stays in place until the new file is on
 /// the disk. Read-only files are refused, except after [`replace_read_only_files`].
@@ -86,6 +111,7 @@ pub struct AtomicFile {
 impl AtomicFile {
     /// Creates a temporary file in the target's folder.
     pub fn new(path: &Path) -> FormatResult<Self> {
+        check_links(path)?;
         let path = behind_links(path)?;
         let replaced = check_place(&path)?;
         let temporary = Temporary::new(folder_of(&path))?;
@@ -186,6 +212,7 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
 /// Refuses a path that cannot be written: its folder does not exist or is read-only, or it names something other than a
 /// file.
 pub fn check_target(path: &Path) -> FormatResult<()> {
+    check_links(path)?;
     let path = behind_links(path)?;
     check_place(&path)?;
     Temporary::new(folder_of(&path)).map(drop)

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use planish_core::{
     Camera, DepthFrame, DepthImage, DepthView, Error, FormatError, IoError, OrganizedCloud, Outputs, PointCloud,
-    PointsView, Precision, RangeRule, internal::doubt_about_lens,
+    PointsView, Precision, RangeRule, doubt_about_lens,
 };
 
 use super::{

@@ -48,8 +48,10 @@ pub enum Work {
     Describe,
     /// Removing outliers, cropping or thinning.
     Clean,
-    /// Comparing a frame with another of its size.
+    /// Comparing points with others.
     Compare,
+    /// Comparing a depth image with another of its size.
+    CompareDepth,
     /// Smoothing by any engine.
     Smooth,
     /// Smoothing in a stream or for a recording, while other frames are read and written.
@@ -62,6 +64,8 @@ pub enum Work {
     BenchCopies,
     /// Merging clouds; per point of all clouds.
     Merge,
+    /// Reducing the size of a depth image, cutting its range or removing floating pixels, before smoothing.
+    Prepare,
 }
 
 /// Returns the number of pixels of a grid with the engines' margin, which dominates if the grid is one pixel wide.
@@ -88,13 +92,15 @@ impl Work {
             Self::MeshText => 270,
             Self::Describe => 64,
             Self::Clean => 100,
-            Self::Compare => 82,
+            Self::Compare => 110,
+            Self::CompareDepth => 30,
             Self::Smooth => 240,
             Self::Stream => 480,
             Self::Evaluate => 240,
             Self::Bench => 760,
             Self::BenchCopies => 1900,
-            Self::Merge => 64,
+            Self::Merge => 110,
+            Self::Prepare => 10,
         }
     }
 }

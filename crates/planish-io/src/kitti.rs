@@ -3,6 +3,7 @@
 //!
 //! The files have no header. The number of columns is detected from the values, unless it is given.
 
+use super::write::check_f32;
 use super::xyz_text::guessed_names;
 use super::{CloudRef, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
@@ -198,6 +199,7 @@ pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8
             fields.join(", ")
         )));
     }
+    check_f32(points.origin_m, points.positions.iter())?;
     let values: Vec<Option<&AttributeValues>> =
         fields.iter().map(|name| points.attribute(name).map(|attribute| &attribute.values)).collect();
     let mut bytes = Vec::with_capacity(points.len() * 4 * (3 + fields.len()));

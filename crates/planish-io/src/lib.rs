@@ -66,6 +66,7 @@ mod triangle_files;
 mod triangles;
 mod write;
 mod xyz_text;
+mod yaml;
 
 pub use adapt::{adapt_fields, losses};
 pub use atomic_write::{is_read_only, remove_temporaries, replace_read_only_files, write_whole};
@@ -110,7 +111,7 @@ pub use write::{
 /// For planish's other crates and tests; it may change with every version.
 #[doc(hidden)]
 pub mod internal {
-    pub use crate::atomic_write::{AtomicFile, check_target};
+    pub use crate::atomic_write::{AtomicFile, check_target, create_output_folder};
     pub use crate::camera_file::{colmap_camera, read_text as camera_text};
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};
@@ -118,5 +119,6 @@ pub mod internal {
     pub use crate::guarded::{catches_panics, guarded};
     pub use crate::pcd::lzf;
     pub use crate::rgb_png::read_rgb_png_with;
+    pub use crate::yaml::parse_yaml;
     pub use planish_core::AttributeValues;
 }

@@ -147,7 +147,10 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         let corner = |(number, line): (usize, &str)| {
             let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
             let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
-            values.ok_or_else(|| FormatError::Malformed(format!("line {number}: a vertex needs three numbers")))
+            // Numbers beyond f32 are read as infinite.
+            let values = values.filter(|values| values.iter().all(|value| !value.is_infinite()));
+            let text = || format!("line {number}: a vertex needs three numbers of at most 3.4e38");
+            values.ok_or_else(|| FormatError::Malformed(text()))
         };
         lines.map(corner).collect::<Result<_, _>>()?
     } else {

@@ -53,13 +53,18 @@ pub(super) fn decode(
         let file = archive.by_index(i).map_err(damaged)?;
         let name = file.name().map_err(damaged)?.into_owned();
         let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
-        let mut array = Vec::new();
-        // The size stated in the archive may be wrong.
-        file.take(left.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
-        left = left.checked_sub(array.len() as u64).ok_or(FormatError::TooLarge {
-            needed: options.max_memory_bytes.saturating_add(1),
+        let stated = file.size();
+        left = left.checked_sub(stated).ok_or(FormatError::TooLarge {
+            needed: stated.saturating_add(options.max_memory_bytes - left),
             allowed: options.max_memory_bytes,
         })?;
+        let mut array = Vec::new();
+        array.try_reserve_exact(stated.saturating_add(1) as usize).map_err(damaged)?;
+        // The stated size may be wrong.
+        file.take(stated.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
+        if array.len() as u64 != stated {
+            return Err(damaged("an array is longer or shorter than stated"));
+        }
         arrays.push((name, array));
     }
     let named = arrays.iter().position(|(name, _)| INTRINSICS.contains(&name.as_str()));

@@ -2,11 +2,15 @@
 
 use std::path::Path;
 
-use super::{FormatResult, ReadOptions};
+use super::yaml::parse_yaml;
+use super::{FormatResult, ReadOptions, brief};
 use planish_core::{FormatError, IoError, Settings};
 
 /// Maximum size of a settings file in bytes.
 const MAX_BYTES: u64 = 1 << 20;
+
+/// Length in bytes from which an error's text is shortened, since it quotes the file.
+const LONGEST: usize = 1000;
 
 /// Limit on the number of brackets, which settings never reach.
 const MOST_BRACKETS: usize = 100;
@@ -38,9 +42,11 @@ pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     // JSON is not always YAML: tabs may indent it.
     let parsed = match text.trim_start().chars().next() {
         Some('{') => serde_json::from_str(text).map_err(|error| error.to_string()),
-        _ => serde_yaml_ng::from_str(text).map_err(|error| error.to_string()),
+        _ => parse_yaml(text),
     };
-    parsed.map_err(|error| FormatError::Malformed(format!("settings: {error}")))
+    parsed.map_err(|error| {
+        FormatError::Malformed(format!("settings: {}", if error.len() > LONGEST { brief(&error) } else { error }))
+    })
 }
 
 /// Returns settings as JSON, with only the fields that are set.
@@ -73,7 +79,7 @@ mod tests {
             ("strenght: 0.5", "\"strenght\" (did you mean strength?) is not allowed: preset, strength"),
             ("strength: much", "strength = \"much\" is not allowed: 0 (light) to 1 (strong)"),
             ("[1, 2]", "an object of settings"),
-            ("preset: light\nstrength: 0.2", "set one of the two"),
+            ("preset: light\nstrength: 0.2", "set either preset or strength"),
             (&"[".repeat(100_000), "more than 100 brackets"),
         ] {
             let error = parse_settings(text).unwrap_err().to_string();

@@ -113,7 +113,13 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
 /// Appends a value; `None` if the word is not of this type.
 fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
     if push_plain(values, word).is_some() {
-        return Some(());
+        let is_infinite = match values {
+            AttributeValues::F32(values) => values.last().is_some_and(|value| value.is_infinite()),
+            AttributeValues::F64(values) => values.last().is_some_and(|value| value.is_infinite()),
+            _ => false,
+        };
+        // 1e39 is too large for f32, and must not become a hole.
+        return (!is_infinite || !word.contains(|c: char| c.is_ascii_digit())).then_some(());
     }
     // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs integers as 255.0.
     let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));

@@ -7,6 +7,7 @@ use glam::DVec3;
 use planish_core::{FormatError, IoError};
 
 use super::triangles::TriangleMesh;
+use super::write::check_f32;
 use super::{FormatResult, write_whole};
 
 /// The extensions of mesh formats, for messages.
@@ -26,7 +27,7 @@ pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
         )),
         Some("ply") => Ok(ply(mesh)),
         Some("obj") => Ok(obj(mesh).into_bytes()),
-        Some("stl") => Ok(stl(mesh)),
+        Some("stl") => check_f32(mesh.origin_m, mesh.positions.iter()).map(|()| stl(mesh)),
         Some("glb") => glb(mesh),
         _ => Err(FormatError::Unsupported(format!("unsupported mesh extension; expected {WRITTEN_MESHES}"))),
     };

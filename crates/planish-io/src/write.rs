@@ -31,6 +31,22 @@ pub fn is_same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
+/// Refuses coordinates that f32 would round by more than a tenth of a millimetre, for formats that store nothing finer.
+pub(crate) fn check_f32(origin_m: [f64; 3], mut positions: impl Iterator<Item = [f32; 3]>) -> Result<(), FormatError> {
+    const FINE_M: f64 = 1e-4;
+    let rounding_m = |axis: usize, value: f32| {
+        let exact = origin_m[axis] + f64::from(value);
+        (f64::from(exact as f32) - exact).abs()
+    };
+    let is_coarse = |p: [f32; 3]| (0..3).any(|axis| rounding_m(axis, p[axis]) > FINE_M);
+    if origin_m != [0.0; 3] && positions.any(is_coarse) {
+        let text = "the format stores coordinates as f32, which would round these by more than 0.1 mm; write .ply or another \
+                    format, or subtract an offset";
+        return Err(FormatError::Unsupported(text.into()));
+    }
+    Ok(())
+}
+
 /// Encodes a cloud as the bytes of a file. Text files name their columns in a comment, CSV in the first line. LAS and
 /// LAZ lose holes, and NPY stores only positions.
 ///

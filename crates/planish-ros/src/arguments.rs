@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{ReadOptions, read_bytes};
+use planish::io::{ReadOptions, internal::parse_yaml, read_bytes};
 use ros2_client::ParameterValue;
 use serde_yaml_ng::Value;
 
@@ -27,17 +27,8 @@ pub struct Arguments {
 /// Maximum size of a parameter file in bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// Parses YAML; refuses deep nesting, since the parser's time grows with the square of the depth.
 fn yaml(text: &str) -> Result<Value> {
-    const DEEPEST: i64 = 64;
-    let step = |depth: &mut i64, c: char| {
-        *depth += i64::from(matches!(c, '[' | '{')) - i64::from(matches!(c, ']' | '}'));
-        Some(*depth)
-    };
-    if text.chars().scan(0, step).any(|depth| depth > DEEPEST) {
-        bail!("brackets are nested more than {DEEPEST} deep");
-    }
-    Ok(serde_yaml_ng::from_str(text)?)
+    parse_yaml(text).map_err(anyhow::Error::msg)
 }
 
 impl Arguments {

@@ -103,9 +103,8 @@ fn read(file: &Path, camera: &CameraArgs, options: &io::ReadOptions) -> Result<C
         false => camera.camera(shape)?,
     };
     question(file, &contents, camera.as_ref());
-    if camera.is_some() || !contents.is_depth() {
-        check_work(io::Work::Compare, &contents, options, file)?;
-    }
+    let stays_depth = contents.is_depth() && camera.is_none();
+    check_work(if stays_depth { io::Work::CompareDepth } else { io::Work::Compare }, &contents, options, file)?;
     let contents = contents.with_points(camera.as_ref()).with_context(|| file.display().to_string())?;
     Ok(contents)
 }

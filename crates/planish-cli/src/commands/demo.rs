@@ -1,11 +1,11 @@
 //! `planish demo`: smooths a simulated frame and compares it with its truth.
 
 use crate::exit::ExitCode;
-use std::fs;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use planish::evaluate::{Errors, errors, flat_pixels};
+use planish::io::internal::create_output_folder;
 use planish::io::write_rgb_png;
 use planish::io::{Encoding, write_cloud};
 use planish::render::{difference_normals, error_map, relief, side_by_side, stacked};
@@ -46,7 +46,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
     }
     times_ms.sort_by(f64::total_cmp);
 
-    fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    create_output_folder(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     write_cloud(&args.out.join("raw.pcd"), &raw, Encoding::Binary)?;
     let mut result = raw.clone();
     result.points.apply(&smoothed, outputs).map_err(Error::from)?;

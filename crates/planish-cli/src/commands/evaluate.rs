@@ -5,7 +5,6 @@ mod print;
 mod sequence;
 
 use crate::exit::ExitCode;
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -15,6 +14,7 @@ use planish::evaluate::{
     Calibration, CalibrationReport, Case, Evaluation, PatchReport, Report, Suite, TileReport, jitter_mm, patch_planes,
     tile_planes,
 };
+use planish::io::internal::create_output_folder;
 use planish::io::write_rgb_png;
 use planish::io::{self, Contents, Encoding, write_cloud, write_whole};
 use planish::render::{difference_normals, error_map, normals_of, side_by_side};
@@ -243,7 +243,7 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let mut methods = if !args.results.is_empty() || args.export.is_some() { Vec::new() } else { methods(args)? };
     let (mut raw, mut others) = (Evaluation::default(), Evaluation::default());
     for folder in [&args.export, &args.out].into_iter().flatten() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     for seed in seeds {
         for case in suite.cases(seed).map_err(Error::from)? {

@@ -10,7 +10,7 @@ use anyhow::Result;
 use planish::io::{self, Contents, DepthSummary, FileRead, Format, LengthUnit};
 use planish::{
     Attribute, AttributeValues, DepthFrame, DepthView, Error, FormatError, Frame, FrameError, IntoFrame, IoError,
-    OrganizedCloud, PointCloud, PointsView, RangeRule, SensorModel,
+    OrganizedCloud, PointCloud, PointsView, RangeRule, SensorModel, doubt_about_lens,
 };
 use planish_bench::outln;
 use serde::Serialize;
@@ -130,8 +130,9 @@ impl Info {
 impl Info {
     /// Adds notes on values that a depth camera would not measure.
     fn question(&mut self, frame: Result<Frame<'_>, FrameError>) {
-        let doubts = frame.map(planish::doubts).unwrap_or_default();
-        self.notes.extend(doubts.iter().map(ToString::to_string));
+        let Ok(frame) = frame else { return };
+        let of_lens = frame.camera().and_then(doubt_about_lens);
+        self.notes.extend(planish::doubts(frame).iter().chain(&of_lens).map(ToString::to_string));
     }
 }
 

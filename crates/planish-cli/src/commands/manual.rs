@@ -1,11 +1,11 @@
 //! `planish completions` and `planish man`.
 
 use crate::exit::ExitCode;
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::CommandFactory;
+use planish::io::internal::create_output_folder;
 use planish::io::write_whole;
 use planish_bench::out;
 
@@ -20,7 +20,7 @@ pub fn completions(args: &CompletionsArgs) -> Result<ExitCode> {
 
 pub fn man(args: &ManArgs) -> Result<ExitCode> {
     let of_folder = || args.folder.display().to_string();
-    fs::create_dir_all(&args.folder).with_context(of_folder)?;
+    create_output_folder(&args.folder).with_context(of_folder)?;
     let mut command = Args::command();
     command.build();
     write_page(&command, &args.folder)?;

@@ -26,7 +26,9 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::OrganizedCloud;
+use planish::doubt_about_lens;
 use planish::io::{self, Contents, FileRead};
+use planish_bench::errln;
 
 use crate::args::{CameraArgs, MemoryArgs, StreamArgs};
 use crate::exit::ExitCode;
@@ -68,8 +70,19 @@ fn check_work(work: io::Work, contents: &Contents, options: &io::ReadOptions, fi
     options.check_work_on(work, contents).with_context(|| file.display().to_string())
 }
 
-/// Returns the organized cloud that a file holds, deprojecting depth with the camera given.
+/// Returns the organized cloud that a file holds, deprojecting depth with the camera given. Reports a lens model that
+/// loses pixels.
 fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<OrganizedCloud> {
+    let is_depth = contents.is_depth();
+    let cloud = organized_for_session(contents, camera, file)?;
+    if let Some(doubt) = cloud.camera.filter(|_| is_depth).as_ref().and_then(doubt_about_lens) {
+        errln!("{}: {doubt}", file.display());
+    }
+    Ok(cloud)
+}
+
+/// Same as [`organized`], for a session, which reports the lens model itself.
+fn organized_for_session(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<OrganizedCloud> {
     let shape = contents.shape();
     let camera = if contents.is_depth() { Some(camera.required(shape, file)?) } else { camera.camera(shape)? };
     contents.into_organized(camera.as_ref()).with_context(|| file.display().to_string())

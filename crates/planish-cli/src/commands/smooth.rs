@@ -35,7 +35,7 @@ use super::checks::{
     check_not_input, check_not_settings, check_radius, convert_fields, report_columns, report_losses, report_notes,
     report_unit,
 };
-use super::{ms_since, organized, read_input};
+use super::{ms_since, organized_for_session, read_input};
 use crate::args::{CameraArgs, FieldArg, SmoothArgs, by_option, by_option_of_error};
 
 /// Refuses two files that would both be read from standard input.
@@ -273,7 +273,7 @@ impl Worker<'_> {
                 let camera = camera.required(shape, input)?;
                 (Some(DepthFrame::from_image(camera, image).map_err(Error::from)?), None)
             }
-            contents => (None, Some(organized(contents, camera, input)?)),
+            contents => (None, Some(organized_for_session(contents, camera, input)?)),
         };
         self.prepare(input, &mut depth, &mut cloud)?;
         let shape = match (&depth, &cloud) {

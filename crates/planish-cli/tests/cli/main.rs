@@ -11,6 +11,7 @@ mod outputs;
 mod preparation;
 mod rigs;
 mod settings;
+mod surroundings;
 mod tools;
 mod video;
 

@@ -2,7 +2,8 @@
 
 use super::{cloud_outside_box, radius_outliers, statistical_outliers, voxel_downsample};
 use crate::cloud::PointCloud;
-use crate::error::{Error, ParamError};
+use crate::doubts::about_resolution;
+use crate::error::{Error, FrameError, ParamError};
 use crate::frame::PointsView;
 
 /// Cleaning steps, applied in the order of these fields; `None` skips a step.
@@ -51,7 +52,8 @@ impl CleanSteps {
     ///
     /// # Errors
     /// If a value is outside its range; `field` names the step and the value: `crop`, `voxel`,
-    /// `statistical.neighbours`, `statistical.deviations`, `radius.radius_m`, `radius.neighbours`.
+    /// `statistical.neighbours`, `statistical.deviations`, `radius.radius_m`, `radius.neighbours`. If f32 rounds the
+    /// coordinates of the points in the box too coarsely ([`Doubt::Coarse`](crate::Doubt::Coarse)).
     pub fn apply(&self, points: &mut PointCloud, grid: &mut Option<(usize, usize)>) -> Result<CleanCounts, Error> {
         let points_in = points.valid_points();
         let mut counts = CleanCounts { points_in, ..CleanCounts::default() };
@@ -63,6 +65,9 @@ impl CleanSteps {
         if let Some([low, high]) = self.crop_m {
             let is_outside = cloud_outside_box(points, low, high).map_err(named(|_| "crop"))?;
             counts.outside_box = Some(remove(points, &is_outside, grid.is_some()));
+        }
+        if let Some(doubt) = about_resolution(&PointsView::from_cloud(points)?) {
+            return Err(FrameError::TooCoarse(doubt.to_string()).into());
         }
         if let Some(size_m) = self.voxel_m {
             let before = points.valid_points();

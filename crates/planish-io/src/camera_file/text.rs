@@ -4,6 +4,7 @@
 use serde_json::Map;
 use serde_json::Value;
 
+use super::super::yaml::parse_yaml;
 use super::super::{FormatResult, brief};
 use super::malformed;
 #[cfg(feature = "more-formats")]
@@ -29,7 +30,7 @@ pub(super) fn parse(text: &str) -> FormatResult<Value> {
     let lines = text.lines().filter(|line| !line.starts_with('%')).map(as_yaml);
     let yaml = lines.collect::<Vec<_>>().join("\n").replace("!!opencv-matrix", "");
     let first = yaml.trim_start().trim_start_matches("---").split("\n---").next().unwrap_or_default();
-    serde_yaml_ng::from_str(first).map_err(|error| not_a_camera(&error))
+    parse_yaml(first).map_err(|error| not_a_camera(&error))
 }
 
 /// Converts a line `name = value`, as in ScanNet, to YAML; returns other lines unchanged.

@@ -143,11 +143,49 @@ fn name_of(name: &RecordName) -> Option<String> {
 }
 
 /// Returns true if a cloud was read from E57.
+/// Maximum number of attributes of an XML element.
+const MOST_ATTRIBUTES: usize = 1000;
+
+/// Returns the largest number of quoted values, which are those of attributes, in a tag.
+fn most_attributes(xml: &[u8]) -> usize {
+    let (mut rest, mut most) = (xml, 0);
+    while let Some(start) = rest.iter().position(|&byte| byte == b'<') {
+        rest = &rest[start..];
+        let closed_by: Option<&[u8]> = match rest {
+            [b'<', b'!', b'-', b'-', ..] => Some(b"-->"),
+            [b'<', b'!', b'[', ..] => Some(b"]]>"),
+            _ => None,
+        };
+        if let Some(end) = closed_by {
+            rest = rest.windows(3).position(|bytes| bytes == end).map_or(&[], |at| &rest[at + 3..]);
+            continue;
+        }
+        let (mut quote, mut values, mut length) = (None, 0, rest.len());
+        for (i, &byte) in rest.iter().enumerate().skip(1) {
+            match (quote, byte) {
+                (None, b'>') => {
+                    length = i;
+                    break;
+                }
+                (None, b'"' | b'\'') => quote = Some(byte),
+                (Some(open), _) if open == byte => (quote, values) = (None, values + 1),
+                _ => {}
+            }
+        }
+        (rest, most) = (&rest[length..], most.max(values));
+    }
+    most
+}
+
 pub(super) fn has_scans(cloud: &PointCloud) -> bool {
     cloud.provenance.get::<Scans>().is_some()
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
+    // The parser's time grows with the square of the number of attributes.
+    if most_attributes(&E57Reader::raw_xml(Cursor::new(bytes)).map_err(damaged)?) > MOST_ATTRIBUTES {
+        return Err(FormatError::Malformed(format!("an XML element has more than {MOST_ATTRIBUTES} attributes")));
+    }
     let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(damaged)?;
     let scans = reader.pointclouds();
     match reader.images().len() {
@@ -438,4 +476,23 @@ fn guid(cloud: &PointCloud, number: usize) -> String {
         .fold(0xcbf2_9ce4_8422_2325_u64, |hash, value| (hash ^ value).wrapping_mul(0x0100_0000_01b3));
     let [a, b, c, d] = [hash >> 32, (hash >> 16) & 0xffff, hash & 0xffff, hash.rotate_left(13)];
     format!("{{{a:08X}-{b:04X}-{c:04X}-8000-{:012X}}}", d & 0xffff_ffff_ffff)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attributes_are_counted_per_element() {
+        let many = (0..1500).map(|i| format!(" a{i}='{i}'")).collect::<String>();
+        for (xml, count) in [
+            ("<a b=\"1\" c='>\"<'><d/></a>".to_owned(), 2),
+            (format!("<!-- <a{many}> --><![CDATA[<a{many}>]]><b c=\"1\"/>"), 1),
+            (format!("<?xml version=\"1.0\"?><a{many}>"), 1500),
+            (format!("<a{many}"), 1500),
+            ("<!--".to_owned(), 0),
+        ] {
+            assert_eq!(most_attributes(xml.as_bytes()), count, "{xml}");
+        }
+    }
 }

@@ -33,6 +33,13 @@ const SAMPLE: usize = 1000;
 /// Maximum coordinate in steps in new files. It leaves room within 32 bits for points to move.
 const LARGEST_INTEGER: f64 = 2e9;
 
+/// Offset of the number of variable-length records in the header.
+const RECORDS_AT: usize = 100;
+/// Minimum size of a variable-length record in bytes.
+const LEAST_RECORD: usize = 54;
+/// Maximum number of variable-length records; each takes half a kilobyte of memory.
+const MOST_RECORDS: usize = 1 << 16;
+
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let Checked { points, record, extended, repaired } = Checked::of(bytes, las_or_laz(bytes))?;
     // The records, and positions and columns.
@@ -74,6 +81,12 @@ impl Checked {
         let short_header =
             || FormatError::Malformed(format!("the file is truncated: {size} bytes are less than a LAS header"));
         check_header(bytes).ok_or_else(short_header)??;
+        let records = validate::read_at(bytes, RECORDS_AT).map_or(0, u32::from_le_bytes) as usize;
+        if records.min(size / LEAST_RECORD) > MOST_RECORDS {
+            let text =
+                format!("the header states {records} variable-length records; at most {MOST_RECORDS} are supported");
+            return Err(FormatError::Unsupported(text));
+        }
         let repaired = Repaired::read(bytes).ok_or_else(short_header)??;
         let bytes = &Overlaid { head: &repaired.head, file: bytes };
         let Claims { points, record, extended } = claims(bytes).ok_or_else(short_header)?;
@@ -318,7 +331,7 @@ fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatR
             let name = ["x", "y", "z"][axis];
             return Err(FormatError::Unsupported(format!(
                 "LAS stores coordinates in 32 bits, so {name} would be rounded to steps of {scale} m; remove points \
-                 far from all others with `planish clean --box`, or write another format"
+                 far from all others with `planish clean --crop`, or write another format"
             )));
         }
     }

@@ -22,10 +22,12 @@ const LAYOUTS: &str =
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
-    // The values as stored, integers and columns widened to 8 bytes, and the result.
+    // The file, the values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
     let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
-        ('u', 2, _) | ('f', _, [.., 3]) => 2 * array.header.size,
+        ('u', 2, _) => 2 * array.header.size,
+        ('f', 8, [.., 3]) => 32,
+        ('f', _, [.., 3]) => 12,
         ('V', size, _) => 3 * size,
         _ => 24,
     };
@@ -52,7 +54,16 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (&[n, 3], 'f', 2 | 4) => points(n, 1, floats(&array)),
         (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) && !is_long(width, height) => {
             validate_shape(width, height)?;
-            Ok(Contents::DepthMetres { width, height, depth_m: floats(&array) })
+            let depth_m = floats(&array);
+            let is_too_large = |value: &f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
+            if array.header.size == 8
+                && let Some(value) = array.values::<f64>().iter().find(|value| is_too_large(value))
+            {
+                return Err(FormatError::Unsupported(format!(
+                    "the depth {value:e} exceeds 3.4e38, the largest in f32"
+                )));
+            }
+            Ok(Contents::DepthMetres { width, height, depth_m })
         }
         #[cfg(feature = "more-formats")]
         (&[n, columns @ 4..=16], 'f', 2 | 4 | 8) => of_table(&array, (n, 1), columns, notes),

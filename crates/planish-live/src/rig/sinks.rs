@@ -10,6 +10,7 @@ use super::{Rig, RigCamera, RigFrame, rig_to_json};
 use crate::new_folder::refuse_used;
 use crate::stream::{Consumer, FolderSink, Sink, SinkFormat};
 use planish_core::{Error, FormatError, IoError, Outputs};
+use planish_io::internal::create_output_folder;
 use planish_io::{self as io, CloudRef, Encoding};
 
 /// Consumes a rig's results, one moment after another.
@@ -67,7 +68,7 @@ impl FusedSink {
 fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option<String>) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     refuse_used(folder)?;
-    std::fs::create_dir_all(folder).map_err(at)?;
+    create_output_folder(folder).map_err(at)?;
     let mut saved = rig.clone();
     saved.cameras.iter_mut().for_each(|camera| {
         camera.source = source(camera);

@@ -13,6 +13,7 @@ use super::{StreamFrame, StreamStatistics};
 use crate::new_folder::refuse_used;
 use crate::source::OwnedFrame;
 use planish_core::{DepthFrame, DepthImage, EngineError, Error, IoError, Outputs};
+use planish_io::internal::create_output_folder;
 use planish_io::{self as io, CloudRef, Encoding, RgbImage};
 
 /// Consumes results, one after another.
@@ -76,8 +77,7 @@ impl FolderSink {
     /// Creates the folder. `outputs` are the fields to add to points. Refuses a non-empty folder.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs) -> Result<Self, Error> {
         refuse_used(folder)?;
-        std::fs::create_dir_all(folder)
-            .map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
+        create_output_folder(folder).map_err(|error| IoError { path: folder.to_path_buf(), problem: error.into() })?;
         Ok(Self { folder: folder.to_path_buf(), format, outputs, names: HashSet::new(), has_camera: false })
     }
 
@@ -107,7 +107,7 @@ impl FolderSink {
         if let OwnedFrame::Depth(DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
             let colour = format!("rgb/{name}.png");
             let folder = self.folder.join("rgb");
-            std::fs::create_dir_all(&folder).map_err(|error| IoError { path: folder, problem: error.into() })?;
+            create_output_folder(&folder).map_err(|error| IoError { path: folder, problem: error.into() })?;
             planish_io::write_rgb_png(&self.folder.join(&colour), &RgbImage { width, height, rgb: rgb.clone() })?;
             self.append("rgb.txt", &format!("{seconds:.6} {colour}\n"))?;
         }

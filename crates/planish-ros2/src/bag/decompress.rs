@@ -39,6 +39,15 @@ fn skippable(src: &[u8]) -> Option<usize> {
     is_skippable.then(|| u32_at(src, 4).map(|length| SKIPPABLE_HEADER + length as usize))?
 }
 
+/// Returns the first block of a zstd frame, with its header and the four bytes after it, which may be a checksum.
+fn first_block(src: &[u8]) -> &[u8] {
+    let Some(&[a, b, c]) = src.first_chunk() else { return src };
+    let header = u32::from_le_bytes([a, b, c, 0]);
+    // A repeated byte is stored once.
+    let stored = if (header >> 1) & 3 == 1 { 1 } else { (header >> 3) as usize };
+    &src[..src.len().min(3 + stored + 4)]
+}
+
 /// A decompressor of zstd frames, one after another.
 #[derive(Default)]
 struct Zstd {
@@ -67,16 +76,25 @@ impl Decompressor for Zstd {
                     self.skipping = length;
                     return self.decompress(src, dst);
                 }
-                let mut frame = Box::new(FrameDecoder::new());
+                let (mut frame, mut rest) = (Box::new(FrameDecoder::new()), src);
                 // The decoder needs the whole header.
-                match frame.init(&mut &src[..]) {
-                    Ok(()) => Box::new(FrameDecoder::new()),
-                    Err(_) if src.len() < LONGEST_ZSTD_HEADER => return Ok(NOTHING),
-                    Err(error) => return Err(damaged(error)),
-                }
+                return match frame.init(&mut rest) {
+                    Ok(()) => {
+                        self.frame = Some(frame);
+                        Ok(DecompressResult { consumed: src.len() - rest.len(), wrote: 0 })
+                    }
+                    Err(_) if src.len() < LONGEST_ZSTD_HEADER => Ok(NOTHING),
+                    Err(error) => Err(damaged(error)),
+                };
             }
         };
-        let (consumed, wrote) = frame.decode_from_to(src, dst).map_err(damaged)?;
+        // The decoder decodes all blocks that it is given, of up to 128 KiB for every 4 bytes.
+        let is_enough = !dst.is_empty() && frame.can_collect() >= dst.len();
+        let (consumed, wrote) = if is_enough {
+            (0, frame.read(dst).map_err(damaged)?)
+        } else {
+            frame.decode_from_to(first_block(src), dst).map_err(damaged)?
+        };
         // The decoder also counts the four bytes of a checksum that have not been read yet.
         let consumed = if consumed > src.len() { 0 } else { consumed };
         if !frame.is_finished() || frame.can_collect() > 0 {
@@ -222,5 +240,32 @@ impl Decompressor for Lz4 {
 
     fn name(&self) -> &'static str {
         "lz4"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_zstd_bomb_is_decompressed_step_by_step() {
+        const BLOCKS: usize = 1000;
+        const BLOCK_BYTES: usize = 128 << 10;
+        // A frame without size or checksum and with a window of 128 KiB, and blocks that each repeat a zero.
+        let mut src = vec![0x28, 0xB5, 0x2F, 0xFD, 0, 7 << 3];
+        for i in 1..=BLOCKS {
+            let header = (BLOCK_BYTES as u32) << 3 | 1 << 1 | u32::from(i == BLOCKS);
+            src.extend(&header.to_le_bytes()[..3]);
+            src.push(0);
+        }
+        let (mut zstd, mut dst, mut rest, mut total) = (Zstd::default(), vec![1; 64 << 10], &src[..], 0);
+        loop {
+            let DecompressResult { consumed, wrote } = zstd.decompress(rest, &mut dst).unwrap();
+            assert!(dst[..wrote].iter().all(|&byte| byte == 0));
+            (rest, total) = (&rest[consumed..], total + wrote);
+            let Some(frame) = &zstd.frame else { break };
+            assert!(frame.can_collect() <= 4 * BLOCK_BYTES, "{} bytes are in memory", frame.can_collect());
+        }
+        assert_eq!((total, rest.len()), (BLOCKS * BLOCK_BYTES, 0));
     }
 }

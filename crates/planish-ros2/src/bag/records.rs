@@ -38,6 +38,9 @@ pub(super) struct Records {
     reader: LinearReader,
     options: ReadOptions,
     path: PathBuf,
+    /// Number of bytes read, and of records found in them, in all files.
+    read_bytes: u64,
+    count: u64,
     /// Files still to be read.
     rest: std::vec::IntoIter<PathBuf>,
     numbers: Numbers,
@@ -50,7 +53,16 @@ impl Records {
             let mut rest = parts_of(path)?.into_iter();
             let first = rest.next().unwrap_or_else(|| path.to_path_buf());
             let (file, reader) = open_data(&first, options)?;
-            Ok(Self { file, reader, options: *options, path: first, rest, numbers: Numbers::default() })
+            Ok(Self {
+                file,
+                reader,
+                options: *options,
+                path: first,
+                read_bytes: 0,
+                count: 0,
+                rest,
+                numbers: Numbers::default(),
+            })
         };
         opened().map_err(IoError::at(path))
     }
@@ -71,7 +83,8 @@ impl Records {
         file.seek(SeekFrom::Start(start)).ok()?;
         let reader = LinearReader::new_with_options(reader_options(options).with_skip_start_magic(true));
         let (path, rest) = (path.to_path_buf(), Vec::new().into_iter());
-        Some(Self { file: BufReader::new(file), reader, options: *options, path, rest, numbers })
+        let file = BufReader::new(file);
+        Some(Self { file, reader, options: *options, path, read_bytes: 0, count: 0, rest, numbers })
     }
 
     /// Returns the next record. Message indices are skipped.
@@ -104,6 +117,9 @@ impl Records {
 
     fn next_of_file(&mut self) -> Result<Next, FormatError> {
         loop {
+            if self.count > most_records(self.read_bytes) {
+                return Err(FormatError::Malformed("damaged: more records than a file of this size can hold".into()));
+            }
             // With overflow checks the reader panics on a record that reaches beyond its chunk.
             let reader = &mut self.reader;
             let next = move || std::convert::identity(reader).next_event();
@@ -116,13 +132,18 @@ impl Records {
                     let to = self.reader.insert(wanted.min(READ_BYTES));
                     let read = read_some(&mut self.file, to)?;
                     self.reader.notify_read(read);
+                    self.read_bytes += read as u64;
+                }
+                Ok(LinearReadEvent::Record { opcode: 0, .. }) => {
+                    return Err(FormatError::Malformed("damaged: a record has type 0, which does not exist".into()));
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
-                Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => {}
+                Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => self.count += 1,
                 // Without overflow checks, the reader continues as if the chunk did not end. Only then it returns a
                 // chunk record.
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
+                    self.count += 1;
                     return Ok(Next::Record(parse_record(opcode, data)?.into_owned()));
                 }
                 Err(McapError::UnexpectedEof) => return Ok(Next::CutOff),
@@ -131,6 +152,12 @@ impl Records {
             }
         }
     }
+}
+
+/// Returns the maximum number of records in compressed chunks of this size. Real messages take more than a byte each; a
+/// chunk of zeros could hold billions of empty records.
+pub(super) fn most_records(bytes: u64) -> u64 {
+    1_000_000 + 16 * bytes
 }
 
 /// Opens the data section of a file.

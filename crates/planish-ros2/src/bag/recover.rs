@@ -68,6 +68,10 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
         if !path.metadata()?.is_file() {
             return Err(FormatError::Unsupported("not a regular file; give the .mcap or .mcap.part itself".into()));
         }
+        if planish_io::is_read_only(path) {
+            let problem = "the file is read-only; make it writable, or recover a copy";
+            return Err(FormatError::Unsupported(problem.into()));
+        }
         let mut file = OpenOptions::new().read(true).write(true).open(path)?;
         if is_being_written(&file) {
             return Err(FormatError::Unsupported("another process is writing this file".into()));

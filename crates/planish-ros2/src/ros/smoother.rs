@@ -264,10 +264,16 @@ impl MessageSmoother {
         depth: bool,
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
-        // A few compressed bytes may claim a gigabyte, and smoothing needs 60 times the four bytes per pixel of
-        // decoding.
-        let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / 60);
-        let pixels = message.pixels(&decoding)?;
+        /// Memory for smoothing over the four bytes per pixel of decoding.
+        const SMOOTHING: u64 = 60;
+        // A few compressed bytes may claim a gigabyte.
+        let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / SMOOTHING);
+        let pixels = message.pixels(&decoding).map_err(|error| match error {
+            FormatError::TooLarge { needed, .. } => {
+                FormatError::TooLarge { needed: needed.saturating_mul(SMOOTHING), allowed: self.read.max_memory_bytes }
+            }
+            error => error,
+        })?;
         self.session.set_frame_time(Some(message.header().stamp.seconds()));
         let camera = camera(pixels.shape())?;
         camera.check_shape(pixels.shape())?;

@@ -183,3 +183,44 @@ fn writing_where_nothing_can_be_written_says_so_and_leaves_nothing() {
     let error = io::write_cloud(&folder.path().join("uneven.pcd"), &uneven, Encoding::Binary).unwrap_err();
     assert!(error.to_string().contains("intensity has 2 values; expected 3"), "{error}");
 }
+
+#[test]
+fn numbers_too_large_for_their_type_are_refused_instead_of_becoming_holes() {
+    let ply = |kind: &str, value: &str| {
+        let properties = ["x", "y", "z"].map(|axis| format!("property {kind} {axis}\n")).concat();
+        format!("ply\nformat ascii 1.0\nelement vertex 2\n{properties}end_header\n0 0 1\n{value} 0 1\n").into_bytes()
+    };
+    let stl = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1e39 0 0\nvertex 0 1 0\n".to_vec();
+    let mut depth = Vec::new();
+    depth.extend(b"\x93NUMPY\x01\x00");
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 4), }\n";
+    depth.extend((header.len() as u16).to_le_bytes());
+    depth.extend(header.as_bytes());
+    depth.extend((0..16).flat_map(|i| if i == 5 { 1e300f64 } else { 1.5 }.to_le_bytes()));
+    for (format, bytes) in [
+        (Format::Ply, ply("float", "1e39")),
+        (Format::Ply, ply("double", "-1e400")),
+        (Format::Pcd, pcd(&[], "1 2 3\n4 5e38 6\n")),
+        (Format::Csv, b"x,y,z\n0,0,1\n1e400,0,1\n".to_vec()),
+        (Format::Stl, stl),
+        (Format::Npy, depth),
+    ] {
+        let text = error(&bytes, format);
+        assert!(
+            ["1e39", "1e400", "5e38", "3.4e38", "line 2"].iter().any(|word| text.contains(word)),
+            "{format:?}: {text}"
+        );
+    }
+    // Holes may be written as infinite.
+    assert!(io::decode(&ply("float", "inf"), Some(Format::Ply)).is_ok());
+    assert!(io::decode(&pcd(&[], "1 2 3\n-inf nan 6\n"), None).is_ok());
+}
+
+#[test]
+fn georeferenced_points_are_not_written_to_formats_of_f32() {
+    let mut cloud = PointCloud::new((0..300).map(|i| [0.01 * i as f32, 0.013 * i as f32, 0.5]).collect());
+    let encode = |cloud: &PointCloud| io::encode_cloud(Format::KittiBin, cloud, Encoding::Binary);
+    encode(&cloud).unwrap();
+    cloud.origin_m = [500_000.0, 5_400_000.0, 300.0];
+    assert!(encode(&cloud).unwrap_err().to_string().contains("f32"));
+}

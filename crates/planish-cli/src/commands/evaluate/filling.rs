@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use planish::evaluate::{FillEvaluation, FillReport, HoleReport, Suite, cut_holes, hole_mask};
+use planish::io::internal::create_output_folder;
 use planish::io::{self, Contents};
 use planish::simulate::DepthNoise;
 use planish::{Camera, DepthImage, Error, Outputs, Session, Settings, Smoothed, Xyz};
@@ -55,7 +56,7 @@ fn of_suite(args: &EvaluateArgs, width_px: u32) -> Result<Option<FillReport>> {
     let mut session = session(args.smoothing.settings()?)?;
     let (mut filling, mut smoothed) = (FillEvaluation::default(), Smoothed::default());
     if let Some(folder) = &args.export {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     for seed in seeds {
         for case in suite.cases(seed).map_err(Error::from)? {

@@ -1,12 +1,12 @@
 //! `planish evaluate --sequence`: measures how steady and how prompt smoothing over time is.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::evaluate::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
+use planish::io::internal::create_output_folder;
 use planish::io::write_animated_png;
 use planish::io::{self, Contents, RgbImage, camera_to_json, write_depth, write_whole};
 use planish::render::{difference_normals, half_size, relief, side_by_side};
@@ -65,7 +65,7 @@ pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
         bail!("{}: is a single frame; --sequence needs a folder of frames, a data set or a recording", input.display());
     }
     for folder in [&args.out, &args.export].into_iter().flatten() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     let videos = match &args.input {
         Some(input) if videos == SequenceArg::All => vec![on_input(args, input)?],
@@ -196,7 +196,7 @@ fn progress(frames: Option<u64>) -> Result<ProgressBar> {
 
 /// Writes a frame and its camera.
 fn export(folder: &Path, number: u64, camera: &Camera, raw: &[u16]) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let image = DepthImage { width: camera.width, height: camera.height, raw: raw.to_vec() };
     write_depth(&folder.join(format!("{number:04}.png")), &image)?;
     let file = folder.join("camera.json");

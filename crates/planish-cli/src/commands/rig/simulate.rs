@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result, bail};
+use planish::io::internal::create_output_folder;
 use planish::rig::{Rig, RigCamera, rig_to_json};
 use planish::simulate::{DepthNoise, DepthSimulator, RigScene};
 use planish::source::TumRecorder;
@@ -21,7 +22,7 @@ pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCod
         bail!("{}: the folder is not empty; choose a new or an empty folder for a simulated rig", folder.display());
     }
     let is_new = !folder.exists();
-    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let written = write(args, cameras, folder);
     if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
         // Fails without harm if a data set has already reached its final name.

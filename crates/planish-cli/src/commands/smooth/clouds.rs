@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use planish::bag::BagSource;
+use planish::io::internal::create_output_folder;
 use planish::io::{self, Encoding};
 use planish::source::unreadable_warning;
 use planish::{Outputs, PointCloud, Session, Settings, Smoothed};
@@ -32,7 +33,7 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
         }
         format => format.to_ascii_lowercase(),
     };
-    std::fs::create_dir_all(&args.output).with_context(|| args.output.display().to_string())?;
+    create_output_folder(&args.output).with_context(|| args.output.display().to_string())?;
     let mut source = BagSource::open_with(input, topic, camera_topic, camera, read)?;
     let outputs = args.outputs();
     let mut session = Session::new(settings.clone())?;

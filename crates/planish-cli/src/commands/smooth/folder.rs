@@ -11,6 +11,7 @@ use std::thread;
 
 use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use planish::io::internal::create_output_folder;
 use planish::io::{self, Trajectory};
 use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
 use planish_bench::{errln, outln};
@@ -177,7 +178,8 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     if args.output.is_file() {
         bail!("{}: is a file; the results of a folder need a folder", args.output.display());
     }
-    fs::create_dir_all(&args.output).with_context(|| format!("cannot create the folder {}", args.output.display()))?;
+    create_output_folder(&args.output)
+        .with_context(|| format!("cannot create the folder {}", args.output.display()))?;
     let outputs: Vec<PathBuf> = inputs.iter().map(|input| output_path(args, input)).collect();
     outputs.iter().try_for_each(|output| args.encoding.check(output))?;
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use planish::io::Work;
 use planish::{
     Camera, DepthFrame, Error, Frame, IntoFrame, OrganizedCloud, PointsView, RangeRule, SensorModel, Session,
 };
@@ -23,6 +24,12 @@ impl Worker<'_> {
             return Ok(());
         }
         let of_input = || input.display().to_string();
+        let shape = match (&*depth, &*cloud) {
+            (Some(depth), _) => (depth.camera.width, depth.camera.height),
+            (_, Some(cloud)) => (cloud.width(), cloud.height()),
+            _ => return Ok(()),
+        };
+        self.read_options().check_work(Work::Prepare, shape.0 * shape.1, 0).with_context(of_input)?;
         let sensor = |session: &mut Session, frame: Frame<'_>| -> Result<SensorModel> {
             Ok(session.params_for(frame).with_context(of_input)?.1.unwrap_or_default())
         };

@@ -5,6 +5,7 @@ use serde::Deserialize;
 use super::{camera_at, malformed};
 use crate::rig::{RigCamera, file::pose_of_matrix};
 use planish_core::{Camera, Distortion, FormatError, internal::RigidTransform};
+use planish_io::internal::parse_yaml;
 
 #[derive(Deserialize)]
 struct Entry {
@@ -29,7 +30,7 @@ pub(super) fn is_camchain(text: &str) -> bool {
 /// Returns the cameras of a chain; the first one's frame is the rig's.
 pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
     let file: serde_yaml_ng::Mapping =
-        serde_yaml_ng::from_str(text).map_err(|error| malformed(format!("not a Kalibr camchain: {error}")))?;
+        parse_yaml(text).map_err(|error| malformed(format!("not a Kalibr camchain: {error}")))?;
     let mut cameras = Vec::new();
     let mut rig_from_camera = RigidTransform::IDENTITY;
     loop {

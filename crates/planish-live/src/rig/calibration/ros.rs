@@ -8,6 +8,7 @@ use serde::Deserialize;
 use super::{CalibrationOptions, as_name, camera_at, malformed};
 use crate::rig::RigCamera;
 use planish_core::{FormatError, SensorPose, internal::RigidTransform};
+use planish_io::internal::parse_yaml;
 
 /// Maximum depth of a tree of frames; a deeper one has a cycle.
 const DEEPEST: usize = 1000;
@@ -157,7 +158,7 @@ pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     let mut tree = Tree::default();
     // Each message ends with `---`, the separator of YAML documents.
     for document in text.split("\n---").filter(|document| document.contains("transforms:")) {
-        let message: Message = serde_yaml_ng::from_str(document.trim_start().trim_start_matches("---"))
+        let message: Message = parse_yaml(document.trim_start().trim_start_matches("---"))
             .map_err(|error| malformed(format!("not a list of transforms: {error}")))?;
         for Stamped { header, child_frame_id, transform } in message.transforms {
             let Transform { translation: Vector { x, y, z }, rotation: q } = transform;

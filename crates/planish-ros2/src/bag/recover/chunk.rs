@@ -8,7 +8,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::{RECORD_HEADER, record};
 use crate::bag::decompress;
-use crate::bag::records::parse_record;
+use crate::bag::records::{most_records, parse_record};
 use planish_io::ReadOptions;
 use planish_io::internal::guarded;
 
@@ -100,7 +100,11 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
         return (contents, false);
     }
     let mut rest = &bytes[..];
+    let (mut count, mut total_bytes) = (0, 0);
     loop {
+        if count > most_records(chunk.len() as u64) || (with_bytes && total_bytes > limit) {
+            return (contents, false);
+        }
         // With overflow checks the reader panics on a record that reaches beyond its chunk.
         let next = guarded(|| match reader.next_event() {
             None => Step::End,
@@ -117,7 +121,11 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
                 rest = later;
             }
             Some(Step::Record(opcode, data))
-                if !matches!(opcode, 0 | op::CHUNK) && contents.add(opcode, &data, with_bytes) => {}
+                if !matches!(opcode, 0 | op::CHUNK) && contents.add(opcode, &data, with_bytes) =>
+            {
+                count += 1;
+                total_bytes += data.len();
+            }
             Some(Step::End) => return (contents, length == chunk.len() as u64),
             _ => return (contents, false),
         }

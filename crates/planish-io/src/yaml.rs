@@ -1,0 +1,53 @@
+//! YAML from untrusted files.
+
+use serde::de::DeserializeOwned;
+
+/// Maximum nesting depth. The parser's time grows with the square of the depth.
+const DEEPEST: usize = 64;
+
+/// Parses YAML; refuses deep nesting. The error says what is wrong and where.
+pub fn parse_yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    if nesting(text) > DEEPEST {
+        return Err(format!("lists or objects are nested more than {DEEPEST} deep"));
+    }
+    serde_yaml_ng::from_str(text).map_err(|error| error.to_string())
+}
+
+/// Returns an upper limit of the nesting depth: that of brackets, plus the most marks of lists and keys on a line.
+fn nesting(text: &str) -> usize {
+    let (mut depth, mut deepest) = (0usize, 0);
+    for c in text.chars() {
+        match c {
+            '[' | '{' => depth += 1,
+            ']' | '}' => depth = depth.saturating_sub(1),
+            _ => continue,
+        }
+        deepest = deepest.max(depth);
+    }
+    let marks = |line: &str| {
+        let words = line.split(' ').take_while(|word| matches!(*word, "" | "-" | "?"));
+        words.filter(|word| !word.is_empty()).count()
+    };
+    deepest + text.lines().map(marks).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    #[test]
+    fn deep_nesting_is_refused_and_usual_nesting_is_not() {
+        for text in ["a: ".to_owned() + &"{a: ".repeat(100_000), "[".repeat(1000), "- ".repeat(1000), "? ".repeat(1000)]
+        {
+            let error = parse_yaml::<Value>(&text).unwrap_err();
+            assert!(error.contains("more than 64 deep"), "{error}");
+        }
+        let value: Value = parse_yaml("cameras:\n  - - [1, [2, {a: 3}]]\n    - 4\n").unwrap();
+        assert_eq!(value["cameras"][0][0][1][1]["a"], 3);
+        let indented = format!("a:\n{}- b: 1\n", " ".repeat(200));
+        assert_eq!(parse_yaml::<Value>(&indented).unwrap()["a"][0]["b"], 1);
+        // Brackets of text may not match.
+        assert_eq!(parse_yaml::<Value>("a: ']}]}'\nb: [1]").unwrap()["b"][0], 1);
+    }
+}
