@@ -202,8 +202,8 @@ def main() -> None:
             text += ["        ```", ""]
     head = """# Ten things, with planish and with Open3D
 
-Lines of Python for the same inputs and the same kind of result; both columns are run and checked by `compare/ten_things.py`, which generates this page.
-planish's fits are polynomials by default, Open3D's planes.
+The table counts the lines of Python that each library needs for the same inputs and the same kind of result. `compare/ten_things.py` runs and checks
+both columns and generates this page. By default, planish fits polynomials; Open3D fits planes.
 
 """
     Path(sys.argv[1]).write_text(head + "\n".join(text).rstrip() + "\n")

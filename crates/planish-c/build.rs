@@ -1,4 +1,4 @@
-//! Names the shared library's version for the loader: programs find the library that they were linked with.
+//! Sets the soname of the shared library, so that programs load the version that they were linked with.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

@@ -8,7 +8,8 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     String::from_utf8(output.stdout).ok()?.lines().next().map(str::to_owned)
 }
 
-/// Lists the files below the folder PLANISH_PAGE for `planish view`; none by default.
+/// Writes the list of files to embed for `planish view`: those in the folder that PLANISH_PAGE names, or none if it
+/// is not set.
 fn embed_page() {
     println!("cargo::rerun-if-env-changed=PLANISH_PAGE");
     let mut files = Vec::new();
@@ -29,7 +30,7 @@ fn embed_page() {
             }
         }
     }
-    // In one order on every machine.
+    // The order must be the same on every machine.
     files.sort();
     let list = files.concat();
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by Cargo"));

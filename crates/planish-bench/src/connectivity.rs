@@ -1,4 +1,4 @@
-//! Experiment 2: time by the number of candidates.
+//! Experiment 2: time per frame by the number of candidates in a window.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams, FrameRadius};
@@ -12,7 +12,7 @@ use super::timing::Timing;
 
 /// R² of the straight line in the 2011 report.
 const REPORT_R2: f64 = 0.96;
-/// The report's radius in metres per pixel of the window's half-width.
+/// Radius in the 2011 report, in metres per pixel of the window's half-width.
 const RADIUS_M_A_STEP: f32 = 0.01;
 
 #[derive(Serialize)]
@@ -62,7 +62,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         }
     }
     let bar = context.bar("connectivity", curves.len() * windows.len())?;
-    // All engines are measured at one setting before the next, so that the reference computes it once.
+    // All engines are measured at one setting before the next, so the reference computes each setting only once.
     for (degree, &window) in [2, 3].into_iter().flat_map(|degree| windows.iter().map(move |window| (degree, window))) {
         let radius = FrameRadius::Fixed { radius_m: RADIUS_M_A_STEP * window as f32 };
         let params = FrameParams::paper().with_window(window).with_degree(degree).with_radius(radius);

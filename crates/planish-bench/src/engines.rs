@@ -1,4 +1,4 @@
-//! The engines of this machine, and frames going through them.
+//! The engines of this machine, and the frames on which they are timed.
 
 use std::hint::black_box;
 
@@ -18,9 +18,9 @@ pub struct Subject {
 /// The clock of a measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
-    /// The host's, from the frame in its memory to the result in its memory.
+    /// The host's clock, from the frame in host memory to the result in host memory.
     Host,
-    /// The device's, around the kernel alone.
+    /// The device's clock, around the kernel alone.
     Device,
 }
 
@@ -29,7 +29,7 @@ impl Subject {
         self.options.engine == Engine::Gpu
     }
 
-    /// Returns the engine with timed stages; a GPU's copies are then separate stages.
+    /// Returns the engine with timed stages. On a GPU, the copies are then separate stages.
     pub fn with_time_stamps(&self) -> Self {
         let mut subject = self.clone();
         subject.options.gpu.timestamps = true;
@@ -52,7 +52,7 @@ impl Subject {
         }
     }
 
-    /// Returns the engine's name in a table with both clocks.
+    /// Returns the engine's name for a table that contains both clocks.
     pub fn name_by(&self, clock: Clock) -> String {
         match clock {
             Clock::Host => self.name.clone(),
@@ -61,8 +61,9 @@ impl Subject {
     }
 }
 
-/// Returns the requested engines, or all of this machine by default. With `all_levels`, CPU engines at every SIMD level
-/// and with one and all threads. An unavailable engine that was requested by name is an error.
+/// Returns the requested engines, or by default all engines of this machine. With `all_levels`, the CPU engine is
+/// included at every SIMD level, with one thread and with all threads. An unavailable engine that was requested by
+/// name is an error.
 pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
     let all = asked.is_empty() || asked.contains(&Engine::Auto);
     let wants = |engine| all || asked.contains(&engine);
@@ -106,15 +107,15 @@ pub fn subjects(asked: &[Engine], all_levels: bool) -> Result<Vec<Subject>> {
 /// The way in which frames pass through an engine and results are read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Way {
-    /// One at a time; each result is copied to host memory.
+    /// One frame at a time; each result is copied to host memory.
     CopiedOut,
-    /// One at a time; each result is read in place.
+    /// One frame at a time; each result is read in place.
     InPlace,
-    /// As many frames in flight as the engine allows; each result is copied to host memory.
+    /// The engine's maximum number of frames in flight; each result is copied to host memory.
     CopiedOutInFlight,
-    /// As many frames in flight as the engine allows; each result is read in place.
+    /// The engine's maximum number of frames in flight; each result is read in place.
     InPlaceInFlight,
-    /// Several at once; results are copied to host memory.
+    /// Several frames per call; results are copied to host memory.
     Batch,
 }
 
@@ -135,8 +136,8 @@ impl<'a> Load<'a> {
         Ok(Self { smoother, way, frames, results })
     }
 
-    /// Processes the frames once; in flight, one is submitted and one received. Returns the engine's times; `None` if
-    /// it does not report them.
+    /// Processes the frames once. The ways with frames in flight submit one frame, after receiving one if the maximum
+    /// is in flight. Returns the engine's times; `None` if it does not report them.
     pub fn once(&mut self) -> Result<Option<FrameTimings>> {
         match self.way {
             Way::Batch => self.smoother.smooth_batch(&self.frames, &mut self.results)?,
@@ -164,8 +165,8 @@ impl<'a> Load<'a> {
         Ok(timings)
     }
 
-    /// Processes the frames again and passes the points of each to `look`. As many frames are in flight as during
-    /// timing, so that every reused buffer is seen.
+    /// Processes the frames again and passes the points of each result to `look`. The number of frames in flight is
+    /// the same as during timing, so every reused buffer is checked.
     pub fn show(&mut self, mut look: impl FnMut([&[f32]; 3]) -> Result<()>) -> Result<()> {
         while self.smoother.receive()?.is_some() {}
         if matches!(self.way, Way::CopiedOut | Way::Batch) {
@@ -207,7 +208,7 @@ impl<'a> Load<'a> {
     }
 }
 
-/// Reads a value of the result, which must then be available.
+/// Reads a value of the result, so that the time includes making the result available.
 fn touch(view: &SmoothedView) {
     black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
 }

@@ -33,19 +33,19 @@ pub enum Frames {
 /// Duration of a measurement.
 #[derive(Clone, Copy)]
 pub enum Patience {
-    /// For single figures: 100 frames and 3 s, but at most 20 s unless three frames take longer.
+    /// For single figures: at least 100 frames and 3 s, but at most 20 s unless three frames take longer.
     Long,
-    /// For one of many figures: 20 frames and 1 s, but at most 3 s.
+    /// For one of many figures: at least 20 frames and 1 s, but at most 3 s.
     Short,
 }
 
 /// A measurement, and the memory used during it.
 pub struct Timed {
     pub time: Timing,
-    /// Times of the engine's stages in each measurement, if it reports them.
+    /// Times of the engine's stages in each measurement, if the engine reports them.
     pub stages: Vec<FrameTimings>,
     pub buffer_bytes: u64,
-    /// Memory of the process, if the system reports it.
+    /// Resident memory of the process in MiB, if the system reports it.
     pub process_mib: Option<f64>,
 }
 
@@ -53,7 +53,7 @@ pub struct Timed {
 pub struct Bench<'a> {
     pub options: &'a Options,
     pub inputs: Vec<Input>,
-    /// Set by Ctrl-C: finished measurements are kept.
+    /// Set by Ctrl-C to end the experiment; finished measurements are kept.
     pub stop: &'a AtomicBool,
     /// The reference's last result, with the index of its frame and its parameters.
     reference: RefCell<Option<(usize, FrameParams, Smoothed)>>,
@@ -61,7 +61,7 @@ pub struct Bench<'a> {
     skipped: RefCell<Vec<String>>,
 }
 
-/// A measurement that Ctrl-C cut short.
+/// The error of a measurement that Ctrl-C interrupted.
 #[derive(Debug, thiserror::Error)]
 #[error("interrupted")]
 struct Interrupted;
@@ -82,21 +82,22 @@ impl<'a> Bench<'a> {
         Ok(ProgressBar::new(steps as u64).with_style(style).with_message(name))
     }
 
-    /// Returns the engines to measure. With `all_levels`, CPU engines are included at every SIMD level, and with one
-    /// and all threads.
+    /// Returns the engines to measure. With `all_levels`, the CPU engine is included at every SIMD level, with one
+    /// thread and with all threads.
     pub fn subjects(&self, all_levels: bool) -> Result<Vec<Subject>> {
         engines::subjects(&self.options.engines, all_levels)
     }
 
-    /// Returns all engines except the reference, which is a thousand times slower.
+    /// Returns the engines to measure except the reference, which is a thousand times slower.
     pub fn fast_subjects(&self) -> Result<Vec<Subject>> {
         let mut subjects = self.subjects(false)?;
         subjects.retain(|subject| subject.options.engine != Engine::Reference);
         Ok(subjects)
     }
 
-    /// Returns the measurement; `None` if it was interrupted, or if the engine is unavailable or has no room for the
-    /// frames, which is reported at the end. Any other failure, such as a wrong result, is an error.
+    /// Returns the measurement, or `None` if it was interrupted or skipped. It is skipped, and reported at the end,
+    /// if the engine is unavailable or has no room for the frames. Any other failure, such as a wrong result, is an
+    /// error.
     pub fn attempt<T>(&self, what: &str, measured: Result<T>) -> Result<Option<T>> {
         let error = match measured {
             Ok(measured) => return Ok(Some(measured)),
@@ -132,7 +133,7 @@ impl<'a> Bench<'a> {
         let [least, most, warm_up] = [least_ms, most_ms, warm_up_ms].map(Duration::from_millis);
         let (mut values, mut start) = (Vec::new(), Instant::now());
         values.push(one()?);
-        // A long run warms up on its own.
+        // A run that takes longer than the warm-up needs no other warm-up.
         if start.elapsed() < warm_up {
             while start.elapsed() < warm_up && !self.stopped() {
                 one()?;
@@ -152,7 +153,8 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Times consecutive frames going one way through an engine, `block` of them per measurement.
+    /// Measures the time per frame of consecutive frames that pass through an engine in the given way, over `block`
+    /// frames per measurement.
     pub fn time_way(
         &self,
         subject: &Subject,
@@ -172,7 +174,8 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Times an engine on some frames by a clock, and keeps the times of the engine's stages if it reports them.
+    /// Times an engine on the given frames with the given clock, and stores the times of the engine's stages if it
+    /// reports them.
     pub fn time_frames(
         &self,
         subject: &Subject,
@@ -217,7 +220,7 @@ impl<'a> Bench<'a> {
         Ok(Timed { time, stages, buffer_bytes: load.buffer_bytes(), process_mib: resident_mib() })
     }
 
-    /// Smooths a frame with an engine.
+    /// Smooths a frame with an engine into `points`, and compares the result with the reference.
     pub fn smooth(&self, subject: &Subject, params: FrameParams, input: &Input, points: &mut Xyz) -> Result<()> {
         Load::open(subject, params, Way::CopiedOut, vec![input.frame()?])?.show(|found| {
             self.hold(subject, params, input, found, 1)?;
@@ -226,8 +229,8 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Compares points with the reference; a difference is an error. In `copies` stacked frames, rows near a seam see
-    /// the next copy and are left out.
+    /// Compares points with the reference; a difference is an error. If `copies` frames are stacked, rows near a seam
+    /// have neighbours in the adjacent copy and are skipped.
     fn hold(
         &self,
         subject: &Subject,
@@ -278,7 +281,7 @@ fn one_under_the_other(cloud: &OrganizedCloud, copies: usize) -> Result<Organize
     Ok(tall.map_err(Error::from)?)
 }
 
-/// Returns the resident memory of the process; `None` if the system does not report it.
+/// Returns the resident memory of the process in MiB; `None` if the system does not report it.
 fn resident_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;

@@ -1,4 +1,4 @@
-//! The frames that the experiments run on: depth as a camera gives it, or an organized cloud.
+//! The frames that the experiments run on: depth as a camera delivers it, or an organized cloud.
 
 use anyhow::Result;
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
@@ -52,7 +52,7 @@ impl Input {
     }
 }
 
-/// Returns the frames of the experiments if the user gives none: a simulated room and a simulated table.
+/// Returns the default frames of the experiments: a simulated room and a simulated table.
 ///
 /// # Errors
 /// If the simulator fails.

@@ -1,4 +1,5 @@
-//! `planish bench general`: unorganized clouds, from points in the host's memory to points and normals there.
+//! `planish bench general`: measures unorganized clouds, from points in host memory to points and normals in host
+//! memory.
 
 use std::time::{Duration, Instant};
 
@@ -12,12 +13,12 @@ use serde::Serialize;
 
 use super::timing::{Spread, Timing, milliseconds};
 
-/// Number of points compared with the reference, which needs a second for about ten thousand.
+/// Number of points compared with the reference, which takes about a second for ten thousand points.
 const CHECKED_POINTS: usize = 10_000;
 /// Time after which no further run begins.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// Options of the experiment on unorganized clouds.
+/// Options of the benchmark on unorganized clouds.
 #[derive(Debug, Clone)]
 pub struct GeneralOptions {
     /// Clouds with their names.
@@ -30,9 +31,10 @@ pub struct GeneralOptions {
     pub degree: u32,
     /// Handling of edges.
     pub edges: Edges,
-    /// The engines; if empty or containing `Auto`, the CPU and a real GPU.
+    /// The engines to measure. If empty or containing `Auto`: the CPU engine, and the GPU engine if there is a real
+    /// GPU.
     pub engines: Vec<Engine>,
-    /// Whether to measure the CPU engine at every SIMD level, instead of only the widest.
+    /// True to measure the CPU engine at every SIMD level instead of only the widest.
     pub every_simd: bool,
     /// Threads of the CPU engine.
     pub threads: Option<usize>,
@@ -42,7 +44,7 @@ pub struct GeneralOptions {
     pub points_at_once: Option<usize>,
     /// Maximum number of runs per figure.
     pub runs: usize,
-    /// Whether to print one JSON array.
+    /// True to print the figures as one JSON array.
     pub json: bool,
 }
 
@@ -55,11 +57,11 @@ struct Row {
     mean_neighbours: f64,
     engine: String,
     timing: Timing,
-    /// Time on the device, if the engine reports it.
+    /// Median time of the kernels on the device, in milliseconds, if the engine reports it.
     kernel_ms: Option<f64>,
     /// Size of the engine's buffers in bytes per point.
     bytes_a_point: f64,
-    /// Distance in metres from the points of the first engine: 99.9th percentile and maximum.
+    /// Distances from the points of the first engine, in metres: 99.9th percentile and maximum.
     from_first_m: Option<[f64; 2]>,
 }
 
@@ -104,7 +106,7 @@ pub fn run(options: &GeneralOptions) -> Result<()> {
     Ok(())
 }
 
-/// Returns the engines to measure, with the instruction set if it is selected.
+/// Returns the engines to measure, each with its SIMD level if every level is measured.
 fn engines(options: &GeneralOptions) -> Vec<(Engine, Option<SimdLevel>)> {
     let engines = if !options.engines.is_empty() && !options.engines.contains(&Engine::Auto) {
         options.engines.clone()
@@ -210,7 +212,7 @@ fn view(positions: &Xyz) -> Result<PointsView<'_>> {
     Ok(PointsView::from_planes(positions.x(), positions.y(), positions.z()).map_err(Error::from)?)
 }
 
-/// Returns the points nearest to one in the middle of the file.
+/// Returns at most [`CHECKED_POINTS`] points: those nearest to the point in the middle of the file.
 fn cut(positions: &Xyz) -> Xyz {
     let mut points: Vec<[f32; 3]> = positions.iter().filter(|p| p.iter().all(|value| value.is_finite())).collect();
     let Some(&middle) = points.get(points.len() / 2) else { return Xyz::default() };
@@ -255,7 +257,7 @@ fn range_m(ray: [f64; 3]) -> f64 {
     for pillar in 0..12 {
         let angle = std::f64::consts::TAU * f64::from(pillar) / 12.0;
         let (centre, radius) = ([9.0 * angle.cos(), 9.0 * angle.sin()], 0.25);
-        // Measured in the plane, where the ray is shorter by this ratio.
+        // Distances to pillars are measured in the horizontal plane, in which the ray is shorter by this ratio.
         let flat = x.hypot(y).max(1e-9);
         let along = (x * centre[0] + y * centre[1]) / flat;
         let beside = (81.0 - along * along).max(0.0);

@@ -1,4 +1,4 @@
-//! `planish bench gpu`: kernels by timestamps of the device, frames by the host's clock.
+//! `planish bench gpu`: measures kernels with device timestamps, and frames with the host's clock.
 
 mod over_time;
 mod report;
@@ -19,10 +19,10 @@ use super::timing::Spread;
 use report::{BatchRow, FleetRow, KernelRow, LatencyRow, Report, ThroughputRow, print_text};
 
 const KINECT_SHAPE: (usize, usize) = (640, 480);
-/// Duration of the warm-up before the first measurement: an idle GPU needs as long to reach its full clock.
+/// Duration of the warm-up before the first measurement. An idle GPU needs this long to reach its full clock.
 const WARM_UP: Duration = Duration::from_millis(300);
 
-/// The way in which a result is read.
+/// The result that is read, and how it is read.
 #[derive(Clone, Copy, PartialEq)]
 enum Take {
     PointsInPlace,
@@ -45,33 +45,34 @@ impl Take {
         if self == Self::DepthInPlace { Outputs::DEPTH } else { Outputs::POINTS }
     }
 
-    /// Reads a value of the result, which must then be available.
+    /// Reads a value of the result, so that the time includes making the result available.
     fn touch(view: &SmoothedView) {
         black_box(view.points().map(|[x, ..]| x[x.len() / 2]));
         black_box(view.depth_rows().and_then(|mut rows| rows.nth(rows.len() / 2)));
     }
 }
 
-/// Returns the settings for which whole frames are timed, each with both kinds of transfer.
+/// Returns the settings for which whole frames are timed, each combined with both kinds of transfer.
 fn timed_settings() -> impl Iterator<Item = ((&'static str, FrameParams), Transfer)> {
     let settings = [("paper", FrameParams::paper()), ("default", FrameParams::default())];
     settings.into_iter().flat_map(|setting| [Transfer::Staged, Transfer::Direct].map(|transfer| (setting, transfer)))
 }
 
-/// Options of the experiment on the GPU engine.
+/// Options of the GPU engine's benchmark.
 #[derive(Debug, Clone)]
 pub struct GpuOptions {
-    /// A named frame of a 640x480 camera with a focal length of 525; by default a simulated one.
+    /// A named frame of a 640x480 camera with a focal length of 525 pixels; by default, a simulated frame.
     pub input: Option<(String, OrganizedCloud)>,
     /// The GPU, by index or part of its name; by default the first real one.
     pub adapter: Option<String>,
-    /// Devices that share frames, measured alone (the first) and together; empty to skip these figures.
+    /// Devices that share frames. The first is measured alone, then all are measured together; empty to skip these
+    /// figures.
     pub devices: Vec<FleetDevice>,
-    /// Whether only several devices are measured.
+    /// True to measure only `devices`.
     pub only_devices: bool,
     /// Number of frames per figure.
     pub runs: u32,
-    /// Whether to print one JSON object.
+    /// True to print the figures as one JSON object.
     pub json: bool,
 }
 
@@ -118,7 +119,7 @@ pub fn run(args: &GpuOptions) -> Result<()> {
     Ok(())
 }
 
-/// Returns the frame of a file, or a simulated one, as a Kinect's depth.
+/// Returns the name and the Kinect depth image of the given frame, or of a simulated frame if none is given.
 fn frame(args: &GpuOptions) -> Result<(String, DepthFrame)> {
     let camera = Camera::kinect_v1();
     let Some((name, cloud)) = &args.input else {
@@ -152,7 +153,7 @@ impl Bench<'_> {
                 options.gpu.bounds_checks = bounds_checks;
                 options.gpu.transfer = transfer;
             })?;
-            // Alone, and in a batch.
+            // The first two results come from single calls, the others from a batch.
             let mut results = vec![Smoothed::default(); 4];
             for (frame, result) in frames.into_iter().zip(&mut results) {
                 smoother.smooth(frame, result)?;
@@ -168,7 +169,7 @@ impl Bench<'_> {
                 }
                 let (found, expected) = (result.depth.iter().flatten(), reference.depth.iter().flatten());
                 let far = found.zip(expected).filter(|(a, b)| a.abs_diff(**b) > 1).count();
-                // If the status differs from the reference, depth may differ too.
+                // A few depths may differ: those of pixels whose status differs from the reference's.
                 if far > self.depth.raw.len() / 10_000 {
                     bail!(
                         "the result is wrong, so it is not timed: {params:?}: {far} depths differ by more than one unit"
@@ -179,7 +180,7 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Returns the spread of `one`'s measurements after a warm-up.
+    /// Calls `one` repeatedly after a warm-up, and returns the spread of the measurements that it returns.
     fn spread(&self, mut one: impl FnMut() -> Result<f64>) -> Result<Spread> {
         let start = Instant::now();
         while start.elapsed() < WARM_UP {
@@ -310,7 +311,7 @@ impl Bench<'_> {
         Ok(rows)
     }
 
-    /// Measures frames per second of the first device alone, and of all devices, each as a fleet.
+    /// Measures the frames per second of the first device alone and of all devices together, both as a fleet.
     fn fleets(&self) -> Result<Vec<FleetRow>> {
         let mut rows = Vec::new();
         let frame = Arc::clone(&self.depth);

@@ -1,5 +1,5 @@
 //! The experiments behind `planish bench`: measures the engines on this machine, after comparing each result with the
-//! reference. The command converts arguments and calls this.
+//! reference. The command converts its arguments and calls this crate.
 
 mod connectivity;
 mod document;
@@ -44,9 +44,9 @@ pub enum Experiment {
     Connectivity,
     /// Time for several copies of the scene, as a tall cloud and as a batch, and by number of threads.
     Scaleup,
-    /// Time per stage of a frame.
+    /// Time per frame in each stage.
     Profile,
-    /// A frame raw and smoothed, and its largest plane before and after.
+    /// A raw and a smoothed frame, and the flatness of the frame's largest plane before and after smoothing.
     Quality,
     /// Time per frame by instruction set and preset.
     Simd,

@@ -7,9 +7,9 @@ use planish::Engine;
 /// Options of the experiments: engines, duration and output.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// The engines; if empty or containing `Auto`, all of this machine except software GPUs.
+    /// The engines to measure. If empty or containing `Auto`: all engines of this machine except software GPUs.
     pub engines: Vec<Engine>,
-    /// Fewer and shorter measurements: the 2011 report's experiments take about a minute on two cores.
+    /// True for fewer and shorter measurements: the 2011 report's experiments then take about a minute on two cores.
     pub quick: bool,
     /// Folder for each experiment's JSON, Markdown and plots.
     pub out: Option<PathBuf>,

@@ -43,20 +43,20 @@ fn write(to: &mut impl Write, text: Arguments<'_>) -> std::io::Result<()> {
     }
 }
 
-/// `println!` without its panic.
+/// Same as `println!`, but does not panic.
 #[macro_export]
 macro_rules! outln {
     () => { $crate::output::print(format_args!("\n")) };
     ($($text:tt)*) => { $crate::output::print(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// `print!` without its panic.
+/// Same as `print!`, but does not panic.
 #[macro_export]
 macro_rules! out {
     ($($text:tt)*) => { $crate::output::print(format_args!($($text)*)) };
 }
 
-/// `eprintln!` without its panic.
+/// Same as `eprintln!`, but does not panic.
 #[macro_export]
 macro_rules! errln {
     ($($text:tt)*) => { $crate::output::print_error(format_args!($($text)*)) };

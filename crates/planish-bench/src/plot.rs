@@ -1,4 +1,4 @@
-//! Plots of measurements, and the straight line through them.
+//! Plots of measurements, and linear fits.
 
 use anyhow::{Result, bail};
 use plotters::coord::Shift;
@@ -19,16 +19,17 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(180, 40, 90),
 ];
 const WIDTH_PX: u32 = 900;
-/// Height of the name of a line, below the plot.
+/// Height of each line's name below the plot, in pixels.
 const NAME_PX: u32 = 20;
-/// Height of a bar with its margin.
+/// Height of a bar with its margin, in pixels.
 const BAR_PX: u32 = 22;
-/// Width of the names of bars.
+/// Width of the column with the names of bars, in pixels.
 const BAR_NAMES_PX: u32 = 380;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Returns an SVG of lines over x, starting at 0, with a mark at each value and the names below.
+/// Returns an SVG line plot. Both axes start at 0, each point has a mark, and the names of the lines are below the
+/// plot.
 pub fn lines(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)]) -> Result<String> {
     const PLOT_PX: u32 = 420;
     let largest = |of: fn(&(f64, f64)) -> f64| lines.iter().flat_map(|(_, points)| points).map(of).fold(0.0, f64::max);
@@ -61,7 +62,7 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[(String, Vec<(f64, f64)>)])
     Ok(svg)
 }
 
-/// The axis of bars.
+/// The scale of a bar chart's axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     FromZero,
@@ -69,7 +70,8 @@ pub enum Scale {
     Logarithmic,
 }
 
-/// Returns an SVG of a bar for each of `rows`, labelled with its value; `marks` are vertical lines across all bars.
+/// Returns an SVG bar chart with one bar per entry of `rows`, labelled with its value. `marks` are the positions of
+/// vertical lines across all bars.
 pub fn bars(title: &str, x: &str, scale: Scale, rows: &[(String, f64)], marks: &[f64]) -> Result<String> {
     let values = || rows.iter().map(|row| row.1).chain(marks.iter().copied());
     let (low, high) = values().fold((f64::INFINITY, 0.0), |(low, high), value| (value.min(low), value.max(high)));
@@ -125,12 +127,12 @@ where
     for &mark in marks {
         chart.draw_series([PathElement::new(vec![(mark, 0.0), (mark, bottom)], COLOURS[1].stroke_width(2))])?;
     }
-    // Over the bars' ends.
+    // The axis is drawn last, over the ends of the bars.
     chart.draw_series([PathElement::new(vec![(left, 0.0), (left, bottom)], BLACK)])?;
     Ok(())
 }
 
-/// Returns a number with the digits that a picture needs.
+/// Formats a value for a plot, with about three digits.
 fn short(value: f64) -> String {
     let digits = match value {
         _ if value < 1.0 => 3,

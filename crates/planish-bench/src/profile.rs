@@ -1,4 +1,4 @@
-//! The profile: time per stage of a frame.
+//! The profile: time per frame in each stage.
 
 use anyhow::{Result, bail};
 use planish::{FrameParams, FrameTimings};
@@ -24,14 +24,14 @@ struct Stage {
     ms: f64,
 }
 
-/// Median times of a frame's stages in milliseconds.
+/// Median time per frame in each stage, in milliseconds.
 struct Stages {
     upload: f64,
     kernel: f64,
     readback: f64,
     /// Sum of upload, kernel and readback.
     engine: f64,
-    /// Whole frame by the host's clock.
+    /// Time for the whole frame, by the host's clock.
     whole: f64,
     noisy: bool,
 }
@@ -116,7 +116,7 @@ fn of_gpu(context: &Bench<'_>, subject: &Subject, input: &Input) -> Result<Row> 
     })
 }
 
-/// Returns the stages of a frame smoothed with polynomials of this degree.
+/// Times the stages of smoothing a frame with polynomials of the given degree.
 fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, frames: Frames) -> Result<Stages> {
     let params = FrameParams::paper().with_degree(degree);
     let stamped = subject.with_time_stamps();

@@ -1,4 +1,5 @@
-//! The picture of the report: a frame raw and smoothed, and the flatness of its largest plane before and after.
+//! The picture of the 2011 report: a raw and a smoothed frame, and the flatness of its largest plane before and after
+//! smoothing.
 
 use anyhow::Result;
 use planish::evaluate::largest_plane;
@@ -14,7 +15,7 @@ use super::section::{Drawing, Figure, Section};
 struct Row {
     frame: String,
     setting: &'static str,
-    /// Points of the raw frame on its largest plane.
+    /// Number of points on the largest plane of the raw frame.
     points: usize,
     raw_variance_mm2: f64,
     smoothed_variance_mm2: f64,
@@ -22,7 +23,7 @@ struct Row {
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("quality", "Quality");
-    // By default the CPU engine, which is available everywhere.
+    // The default is the CPU engine, which is available everywhere.
     let asked = &context.options.engines;
     let by_cpu = asked.is_empty() || asked.contains(&Engine::Cpu) || asked.contains(&Engine::Auto);
     let subjects = if by_cpu { subjects(&[Engine::Cpu], false)? } else { context.subjects(false)? };

@@ -60,7 +60,7 @@ impl Origin {
     }
 }
 
-/// Returns the system's name of the processor, with its family and model if known.
+/// Returns the processor's name as the system reports it, with family and model if known.
 fn cpu() -> String {
     let of =
         |key: &str| line_after("/proc/cpuinfo", key).map(|value| value.trim_start_matches([' ', '\t', ':']).to_owned());

@@ -1,4 +1,4 @@
-//! `planish bench rig`: the moments of a simulated rig, from depth in memory to the fused cloud in memory.
+//! `planish bench rig`: measures simulated rigs, from depth in memory to the fused cloud in memory.
 
 use std::time::{Duration, Instant};
 
@@ -18,24 +18,24 @@ const WARM_UP: Duration = Duration::from_millis(500);
 /// Maximum duration of a measurement.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// Options of the experiment on rigs.
+/// Options of the rig benchmark.
 #[derive(Debug, Clone)]
 pub struct RigBenchOptions {
     /// Number of simulated 640x480 cameras around the table.
     pub cameras: usize,
-    /// The ways to measure.
+    /// The fusion methods to measure.
     pub ways: Vec<RigWay>,
     /// Size of the voxels to which merged points are thinned, in metres; `None` for all points.
     pub voxel_m: Option<f64>,
-    /// The parameters of merged points.
+    /// Parameters for smoothing merged points.
     pub general_params: CloudParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices that share the cameras; empty for the device of the options.
+    /// The devices that share the cameras; empty to use the device in `smoother`.
     pub devices: Vec<FleetDevice>,
     /// Maximum number of moments per figure; a figure takes at most 20 s.
     pub runs: usize,
-    /// Whether to print one JSON array.
+    /// True to print the figures as one JSON array.
     pub json: bool,
 }
 
@@ -46,7 +46,7 @@ struct Row {
     points: usize,
     /// Time from the frames of a moment to its fused cloud, one moment at a time.
     one_ms: Timing,
-    /// Rate in moments per second, with the useful number of moments in flight.
+    /// Rate in moments per second, with `in_flight` moments in flight.
     moments_a_second: f64,
     in_flight: usize,
 }
@@ -74,7 +74,7 @@ pub fn run(options: &RigBenchOptions) -> Result<()> {
     Ok(())
 }
 
-/// Returns a simulated rig with a frame of each camera.
+/// Returns a simulated rig and one frame from each camera.
 fn simulated(cameras: usize) -> Result<(Rig, Vec<DepthFrame>)> {
     let (scene, camera) = (RigScene::tabletop(1, cameras), Camera::kinect_v1());
     let mut placed = Vec::new();

@@ -1,5 +1,5 @@
-//! Experiment 3: several copies of the scene, as one tall cloud and as a batch; and the CPU engine by number of
-//! threads.
+//! Experiment 3: time for several copies of the scene, as one tall cloud and as a batch, and of the CPU engine by
+//! number of threads.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams};
@@ -21,9 +21,9 @@ struct Row {
     nanoseconds_a_pixel: f64,
     /// Scale-up = copies x t(1) / t(copies).
     scaleup: f64,
-    /// Memory of the engine, on the device or on the host.
+    /// Size of the engine's buffers in MiB, on the device or on the host.
     buffers_mib: f64,
-    /// Host memory of the process during the measurement, if the system reports it.
+    /// Resident host memory of the process in MiB, if the system reports it.
     process_mib: Option<f64>,
 }
 
@@ -42,7 +42,7 @@ struct Results {
 
 /// Number of threads up to which every count is timed; above it, only powers of two and the maximum are.
 const EACH_UP_TO: usize = 16;
-/// Relative difference between one thread's times at the start and at the end above which the report notes it.
+/// Relative difference between the first and the last time on one thread above which the report notes the drift.
 const THREADS_DRIFT: f64 = 0.05;
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
@@ -114,8 +114,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     Ok(section)
 }
 
-/// Times a frame on one and more threads. One thread is timed again at the end, to detect a change in the machine's
-/// speed.
+/// Times a frame on different numbers of threads. One thread is timed again at the end, to detect a change in the
+/// machine's speed.
 fn over_threads(
     context: &Bench<'_>,
     subject: &Subject,

@@ -21,7 +21,7 @@ pub struct Section {
 }
 
 pub struct Figure {
-    /// The name of its file.
+    /// Name of the figure's file.
     pub file: String,
     pub title: String,
     pub content: Drawing,
@@ -50,7 +50,7 @@ impl Section {
         }
     }
 
-    /// Adds a sentence.
+    /// Adds a paragraph.
     pub fn note(&mut self, text: impl AsRef<str>) {
         self.text += "\n";
         self.text += text.as_ref();

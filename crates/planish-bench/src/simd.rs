@@ -1,4 +1,4 @@
-//! Time per frame by instruction set on one thread, and its ratio to the time with the widest.
+//! Time per frame by instruction set on one thread, and its ratio to the time with the widest instruction set.
 
 use anyhow::Result;
 use planish::{Engine, FrameParams, SensorModel, Strength};

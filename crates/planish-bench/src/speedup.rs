@@ -17,25 +17,25 @@ use super::timing::Timing;
 const REPORT_FPS: f64 = 7.0;
 /// Time per frame of the general method on the 2011 report's CPU, in seconds.
 const REPORT_CPU_S: f64 = 4.76;
-/// The two speedups of the 2011 report.
+/// The two speedups stated in the 2011 report.
 const REPORT_SPEEDUPS: [f64; 2] = [32.9, 57.6];
 /// Minimum number of measurements for a 99th percentile.
 const FRAMES_FOR_P99: usize = 100;
-/// Frames per measurement with frames in flight, which finish in bursts.
+/// Number of frames per measurement if several are in flight, since such frames finish in bursts.
 const BLOCK: usize = 16;
 
 #[derive(Serialize)]
 struct Row {
     frame: String,
     engine: String,
-    /// Time per frame; with frames in flight, from one result to the next, averaged over blocks.
+    /// Time per frame. With frames in flight, it is the interval between results, averaged over a block of frames.
     time: Timing,
     frames: usize,
     frames_per_second: f64,
     times_the_serial_method: f64,
 }
 
-/// The ways of a GPU's frames: suffix of the engine's name, way, and number of frames per measurement.
+/// Measurements of a GPU: suffix of the engine's name, way, and number of frames per measurement.
 const GPU_WAYS: [(&str, Way, usize); 4] = [
     (", one at a time, copied out", Way::CopiedOut, 1),
     (", one at a time, read in place", Way::InPlace, 1),

@@ -6,7 +6,7 @@ use serde::Serialize;
 const HALVES_DIFFER: f64 = 0.05;
 /// Ratio of the 95th to the 5th percentile above which a measurement is noisy.
 const WIDE_SPREAD: f64 = 1.5;
-/// Minimum number of values for a statement about noise.
+/// Minimum number of values with which a measurement can be classified as noisy.
 const ENOUGH: usize = 8;
 
 /// The spread of repeated measurements.
@@ -24,19 +24,19 @@ impl Spread {
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let n = values.len();
-        // The quantile is the smallest value that is not exceeded by at least this share of the values.
+        // The quantile is the smallest value such that at least this share of the values are not larger.
         let at = |share: f64| values[((n as f64 * share).ceil() as usize).clamp(1, n) - 1];
         Self { p5: at(0.05), median: 0.5 * (values[(n - 1) / 2] + values[n / 2]), p95: at(0.95), p99: at(0.99) }
     }
 }
 
-/// The time of a frame, or of several frames at once.
+/// Statistics of a time that was measured repeatedly.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Timing {
     pub ms: Spread,
     /// Number of measurements.
     pub runs: usize,
-    /// True if the machine was busy with other work, or its clock changed.
+    /// True if the values vary too much, as on a machine that is busy with other work or changes its clock.
     pub noisy: bool,
 }
 

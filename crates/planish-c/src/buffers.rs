@@ -4,7 +4,7 @@ use std::ffi::{CStr, c_char};
 
 use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
 
-/// Memory of `count` items of `item` bytes each, `stride` bytes apart, from the address `begin`.
+/// Memory that starts at the address `begin` and has `count` items of `item` bytes each, `stride` bytes apart.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extent {
     what: &'static str,
@@ -64,7 +64,7 @@ impl Extent {
         if self.begin >= other_end || other.begin >= end {
             return false;
         }
-        // Members of one array of structs lie in each other's gaps.
+        // Two members of the same array of structs are interleaved: each is in the gaps of the other.
         if self.stride != other.stride || self.item > self.stride || other.item > other.stride {
             return true;
         }
@@ -74,7 +74,7 @@ impl Extent {
     }
 }
 
-/// Refuses outputs that overlap each other or the inputs.
+/// Returns an error if outputs overlap each other or the inputs.
 pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
     for (i, buffer) in written.iter().enumerate() {
         // Inputs are borrowed as a whole, with the gaps between their items.
@@ -92,10 +92,10 @@ pub(crate) fn check_apart(read: &[Extent], written: &[Extent]) -> Done<()> {
 }
 
 /// Reads a struct whose first member is its size. Members that the caller's version lacks become 0. `least` is the
-/// size in the first version.
+/// size of the struct's first version.
 ///
 /// # Safety
-/// The pointer must be null, or point to a struct of which as many bytes are readable as its first member states.
+/// The pointer must be null or point to a struct whose first member states its number of readable bytes.
 pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize) -> Done<T> {
     if pointer.is_null() {
         return failure(PLANISH_NULL, format!("{what} is null"));

@@ -1,11 +1,11 @@
-//! Frames in the memory of a CUDA program.
+//! Smoothing of frames in CUDA device memory.
 
 use std::ffi::{c_char, c_void};
 
 use crate::error::{Done, guarded, planish_code};
 use crate::frame::planish_camera;
 
-/// Smooths depth images of one camera in CUDA's memory.
+/// A smoother for depth images of one camera in CUDA device memory.
 pub struct planish_cuda {
     _opaque: [u8; 0],
 }
@@ -168,13 +168,15 @@ mod with_cuda {
     }
 }
 
-/// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
-/// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
-/// and depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device; the default is the
-/// current one. Needs NVRTC, CUDA's compiler, which is loaded at run time.
+/// Creates a smoother for depth images of one camera in CUDA device memory. `kind` is PLANISH_DEPTH_U16 (depth in the
+/// camera's units) or PLANISH_DEPTH_F32 (depth in metres). `settings` has the form described at planish_session_new;
+/// its outputs may be points, normals, curvature and depth_m. With engine=gpu, adapter is the index or a part of the
+/// name of a CUDA device; the default is the current device. Requires NVRTC, CUDA's compiler, which is loaded at run
+/// time.
 ///
 /// # Safety
-/// `settings` is null or a text, `camera` null or as described, `cuda` null or writable.
+/// `settings` must be null or point to a text that ends with a zero. `camera` must be null, or point to a camera
+/// whose own pointers are null or valid as its members state. `cuda` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_new(
     settings: *const c_char,
@@ -186,13 +188,14 @@ pub unsafe extern "C" fn planish_cuda_new(
     guarded(|| unsafe { with_cuda::new(settings, camera, kind, cuda) })
 }
 
-/// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
-/// and returns at once. Both addresses are in device memory and must stay valid until the stream has used them.
-/// `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
-/// curvature, depth_m.
+/// Starts smoothing an image on a stream (a cudaStream_t; null means the default stream) and returns without waiting.
+/// The rows of the image begin `row_stride` bytes apart. `depth` and `result` are addresses in device memory, which
+/// must stay valid until the stream has finished this work. `result` receives one plane of floats per channel of the
+/// outputs: x, y and z of points, then of normals, then curvature, depth_m.
 ///
 /// # Safety
-/// As described.
+/// `depth` and `result` must be null, or point to device memory that is large enough and stays valid until the stream
+/// has finished this work. `stream` must be null or a valid stream.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_smooth(
     cuda: *mut planish_cuda,
@@ -205,12 +208,12 @@ pub unsafe extern "C" fn planish_cuda_smooth(
     guarded(|| unsafe { with_cuda::smooth(cuda, (depth, row_stride), result, stream) })
 }
 
-/// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-/// flight. Images that are handed over before the first result is received are smoothed together, in less time for
-/// each.
+/// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the
+/// order of submission. At most 16 images can be in flight. Images that are submitted before the first call of
+/// planish_cuda_receive are smoothed together, which takes less time per image.
 ///
 /// # Safety
-/// As described.
+/// Same as planish_cuda_smooth.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_submit(
     cuda: *mut planish_cuda,
@@ -222,10 +225,11 @@ pub unsafe extern "C" fn planish_cuda_submit(
     guarded(|| unsafe { with_cuda::submit(cuda, (depth, row_stride), stream) })
 }
 
-/// Smooths the images that were handed over, and copies the oldest result; `received` is false if none is in flight.
+/// Smooths the submitted images and copies the oldest result to `result`. `received` becomes false if no image is in
+/// flight.
 ///
 /// # Safety
-/// As described.
+/// Same as planish_cuda_smooth; `received` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_receive(
     cuda: *mut planish_cuda,
@@ -237,10 +241,10 @@ pub unsafe extern "C" fn planish_cuda_receive(
     guarded(|| unsafe { with_cuda::receive(cuda, result, stream, received) })
 }
 
-/// Returns the number of channels of a result.
+/// Writes the number of channels of a result to `channels`.
 ///
 /// # Safety
-/// `channels` is null or writable.
+/// `channels` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_channels(cuda: *const planish_cuda, channels: *mut usize) -> planish_code {
     // SAFETY: as the caller promises.

@@ -19,9 +19,9 @@ pub const PLANISH_ARGUMENT: planish_code = 2;
 pub const PLANISH_SETTING: planish_code = 3;
 /// The engine cannot be opened, or it failed.
 pub const PLANISH_ENGINE: planish_code = 4;
-/// Another thread is using the session.
+/// Another thread is using the session or the CUDA smoother.
 pub const PLANISH_BUSY: planish_code = 5;
-/// The handle is not a session or result, or was freed.
+/// The handle does not exist, or was freed.
 pub const PLANISH_HANDLE: planish_code = 6;
 /// planish_session_stop ended the call.
 pub const PLANISH_STOPPED: planish_code = 7;
@@ -70,7 +70,7 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::new(CString::default());
 }
 
-/// Runs the body of a C function. Keeps the message of an error for `planish_last_error`, and returns its code.
+/// Runs the body of a C function and returns its code. Stores the message of an error for `planish_last_error`.
 pub(crate) fn guarded(body: impl FnOnce() -> Done<()>) -> planish_code {
     // A session that panicked refuses further calls: its lock is poisoned.
     let done = catch_unwind(AssertUnwindSafe(body))

@@ -14,13 +14,13 @@ use crate::error::{Done, PLANISH_ARGUMENT, PLANISH_NULL, failure};
 pub const PLANISH_DEPTH_U16: u32 = 1;
 /// Depth in metres; values that are not finite or not positive are holes.
 pub const PLANISH_DEPTH_F32: u32 = 2;
-/// Interleaved points of float in metres; points that are not finite are holes.
+/// Interleaved points as float in metres; points that are not finite are holes.
 pub const PLANISH_POINTS_F32: u32 = 3;
-/// Interleaved points of double in metres; points that are not finite are holes.
+/// Interleaved points as double in metres; points that are not finite are holes.
 pub const PLANISH_POINTS_F64: u32 = 4;
-/// Points as three arrays of float: x, y and z in metres; points that are not finite are holes.
+/// Points as three arrays of float, x, y and z, in metres; points that are not finite are holes.
 pub const PLANISH_PLANES_F32: u32 = 5;
-/// Points as three arrays of double: x, y and z in metres; points that are not finite are holes.
+/// Points as three arrays of double, x, y and z, in metres; points that are not finite are holes.
 pub const PLANISH_PLANES_F64: u32 = 6;
 
 /// A pinhole camera.
@@ -73,21 +73,21 @@ pub struct planish_frame {
     pub point_stride: usize,
     /// Bytes from the beginning of an interleaved point to its x, y and z; all 0 if they come first.
     pub offsets: [usize; 3],
-    /// The arrays of x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
+    /// For PLANISH_PLANES_F32 and PLANISH_PLANES_F64: the arrays of x, y and z, without gaps.
     pub planes: [*const c_void; 3],
-    /// The camera of a depth image. Optional for points on a grid, whose depth outputs need it.
+    /// The camera, required for depth images. For points on a grid, it is required only for depth outputs.
     pub camera: *const planish_camera,
     /// The sensor pose in the coordinate frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null
     /// if unknown; ignored for depth images.
     pub pose: *const f64,
-    /// x, y, z of an origin near the points in metres; results are relative to it. Null means (0, 0, 0).
-    /// Georeferenced points need an origin.
+    /// An origin near the points: x, y, z in metres. Results are relative to it. Null means (0, 0, 0). Georeferenced
+    /// points need an origin.
     pub origin_m: *const f64,
     /// Colours of a depth image: red, green and blue of each pixel, without gaps. Null if there are none.
     pub rgb: *const u8,
 }
 
-/// The caller's frame, checked, with its camera and the extents of its memory.
+/// The caller's frame after its checks, with its camera and the extents of its memory.
 pub(crate) struct Given {
     frame: planish_frame,
     camera: Option<Camera>,
@@ -299,9 +299,10 @@ impl Given {
     }
 }
 
-/// Refuses double coordinates that would lose precision as float.
+/// Returns an error if double coordinates would lose precision as float.
 fn check_near(view: &PointsView<'_>) -> Done<()> {
-    /// Largest coordinate accepted without an origin, in metres. Adjacent floats are half a millimetre apart there.
+    /// Largest coordinate accepted without an origin, in metres. Adjacent floats of this size are half a millimetre
+    /// apart.
     const FAR_M: f64 = 4096.0;
     const SAMPLE: usize = 4096;
     let step = view.len().div_ceil(SAMPLE).max(1);

@@ -11,7 +11,7 @@ use crate::error::{Done, PLANISH_HANDLE, PLANISH_NULL, failure};
 /// The next handle. Handles are never reused.
 static NEXT: AtomicUsize = AtomicUsize::new(1);
 
-/// A hasher for handles: one multiplication, since they are consecutive numbers.
+/// A hasher for handles: one multiplication, since handles are consecutive numbers.
 #[derive(Default)]
 pub(crate) struct Number(u64);
 

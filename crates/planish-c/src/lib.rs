@@ -1,4 +1,4 @@
-//! planish's C ABI. `include/planish/planish.h` is generated from these items, and states the rules.
+//! planish's C ABI. `include/planish/planish.h` is generated from these items, and states the rules for callers.
 //!
 //! Handles are numbers cast to pointers. They are looked up and never dereferenced, so a call with a freed handle, or
 //! with one in use by another thread, returns an error.

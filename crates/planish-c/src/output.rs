@@ -22,7 +22,7 @@ pub const PLANISH_NEIGHBOURS: u32 = 16;
 pub const PLANISH_DEPTH: u32 = 32;
 /// Depth in metres.
 pub const PLANISH_DEPTH_M: u32 = 64;
-/// Effective number of frames of a video in each pixel.
+/// Effective number of video frames averaged into each pixel.
 pub const PLANISH_FRAMES: u32 = 128;
 /// Standard error of each point along its ray, in metres.
 pub const PLANISH_SIGMA: u32 = 256;
@@ -76,22 +76,22 @@ pub struct planish_output {
     pub depth: *mut u16,
     /// Depth in metres; needs a camera.
     pub depth_m: *mut f32,
-    /// Effective number of frames of a video in each pixel; needs the setting temporal.
+    /// Effective number of video frames averaged into each pixel; needs the setting temporal.
     pub frames: *mut f32,
     /// Standard error of each point along its ray, in metres; needs a grid.
     pub sigma: *mut f32,
-    /// The first point of an array of structs with the same stride, such as the input: the bytes after each point, up
-    /// to the next one, are copied to the result. Both arrays must have `count` times `points_stride` bytes, and
-    /// nothing else may be written into the gaps. Null leaves them unchanged.
+    /// The first point of an array of structs whose stride is also points_stride, such as the input. The bytes from
+    /// the end of each point to the next point are copied to the result. Both arrays must have `count` times
+    /// `points_stride` bytes, and no other output may be in the gaps. Null leaves the gaps unchanged.
     pub gaps_from: *const f32,
 }
 
-/// The caller's buffers, checked.
+/// The caller's buffers after their checks.
 pub(crate) struct Wanted {
     output: planish_output,
-    /// The memory that is written.
+    /// The extents of the memory that is written.
     extents: Vec<Extent>,
-    /// The memory that is read.
+    /// The extents of the memory that is read.
     read: Vec<Extent>,
 }
 
@@ -140,7 +140,7 @@ impl Wanted {
             if output.points.is_null() {
                 return failure(PLANISH_ARGUMENT, "gaps_from is set, but the output has no buffer for points");
             }
-            // The gaps are part of what is read and written.
+            // The gaps are read and written too.
             extents[0] = Extent::new("the buffer for points", output.points, align, (stride, stride, count))?;
             read.push(Extent::new("gaps_from", output.gaps_from, align, (stride, stride, count))?);
         }
@@ -164,13 +164,13 @@ impl Wanted {
         Ok(Self { output, extents, read })
     }
 
-    /// Refuses buffers that overlap each other, the input or the buffer from which gaps are copied.
+    /// Returns an error if buffers overlap each other, the input or the array from which gaps are copied.
     pub(crate) fn check_apart(&self, input: &[Extent]) -> Done<()> {
         check_apart(input, &self.extents)?;
         check_apart(&self.read, &self.extents)
     }
 
-    /// Refuses buffers for outputs that were not requested when the frame was submitted.
+    /// Returns an error if an output has a buffer but was not requested when the frame was submitted.
     pub(crate) fn check_outputs(&self, submitted: Outputs) -> Done<()> {
         let submitted = submitted.names();
         match self.outputs().names().into_iter().find(|name| self.output.count > 0 && !submitted.contains(name)) {
@@ -200,7 +200,7 @@ impl Wanted {
             .with_sigma(!out.sigma.is_null())
     }
 
-    /// Refuses buffers whose number of items is not `expected`.
+    /// Returns an error if the number of items in the buffers is not `expected`.
     pub(crate) fn check_count(&self, expected: usize, reason: &str) -> Done<()> {
         if self.output.count == expected {
             return Ok(());
@@ -213,7 +213,8 @@ impl Wanted {
     /// Borrows the buffers.
     ///
     /// # Safety
-    /// Same as [`Wanted::new`], for the lifetime of the result. Nothing else may access the buffers during it.
+    /// Same as [`Wanted::new`], for the lifetime of the result. During that time, nothing else may access the
+    /// buffers.
     pub(crate) unsafe fn buffers(&mut self) -> SmoothedMut<'_> {
         let planish_output { count, .. } = self.output;
         /// # Safety

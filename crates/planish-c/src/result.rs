@@ -19,7 +19,7 @@ pub struct planish_result {
 pub struct planish_view {
     /// Number of columns, or of points without a grid.
     pub width: usize,
-    /// Rows; 1 for points without a grid.
+    /// Number of rows; 1 for points without a grid.
     pub height: usize,
     /// x, y and z of the smoothed points in metres.
     pub points: [*const f32; 3],
@@ -35,7 +35,7 @@ pub struct planish_view {
     pub depth: *const u16,
     /// Depth in metres.
     pub depth_m: *const f32,
-    /// Effective number of frames of a video.
+    /// Effective number of video frames averaged into each pixel.
     pub frames: *const f32,
     /// Standard error along the ray, in metres.
     pub sigma: *const f32,
@@ -43,7 +43,7 @@ pub struct planish_view {
 
 static RESULTS: Handles<Smoothed> = Handles::new("result");
 
-/// Returns the new handle of a result.
+/// Stores a result and returns its new handle.
 pub(crate) fn handle_of(smoothed: Smoothed) -> *mut planish_result {
     RESULTS.add(smoothed)
 }

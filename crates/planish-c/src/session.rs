@@ -21,11 +21,11 @@ pub(crate) struct State {
     pub(crate) session: Session,
     pub(crate) settings: Settings,
     events: VecDeque<String>,
-    /// The number of items and the outputs of each frame in flight.
+    /// For each frame in flight: the number of items in its result, and its requested outputs.
     pub(crate) flights: VecDeque<(usize, Outputs)>,
 }
 
-/// A session, and the watch that works while a thread uses the session.
+/// A session, and its watch, which is usable while another thread uses the session.
 pub(crate) struct Held {
     state: Mutex<State>,
     watch: planish::ProgressWatch,
@@ -162,7 +162,7 @@ pub unsafe extern "C" fn planish_session_set(
     })
 }
 
-/// Sets a setting that is a number, such as "radius_m".
+/// Sets a numeric setting, such as "radius_m".
 ///
 /// # Safety
 /// The name must be null or end with a zero.
@@ -176,7 +176,7 @@ pub unsafe extern "C" fn planish_session_set_number(
     guarded(|| set(session, unsafe { text("name", name)? }, SettingValue::from(value)))
 }
 
-/// Sets a setting that is true or false, such as "remove_isolated".
+/// Sets a boolean setting, such as "remove_isolated".
 ///
 /// # Safety
 /// The name must be null or end with a zero.
@@ -238,9 +238,9 @@ pub unsafe extern "C" fn planish_session_engine(
     })
 }
 
-/// Takes the next event, a sentence about something that the session decided or detected by itself, such as a lost
-/// GPU or a camera that does not fit. `length` becomes 0 if there is no event. An event that is longer than the
-/// buffer is truncated and remains the next one.
+/// Writes the next event and removes it from the queue. An event is a sentence about something that the session
+/// decided or detected by itself, such as a lost GPU or a camera that does not fit. `length` becomes 0 if there is no
+/// event. An event that is longer than the buffer is truncated and stays in the queue.
 ///
 /// # Safety
 /// Same as planish_session_settings.
@@ -265,7 +265,7 @@ pub unsafe extern "C" fn planish_next_event(
 }
 
 /// Stops another thread's smoothing of an unorganized cloud with this session; its call returns PLANISH_STOPPED.
-/// Frames on a grid take too little time to be stopped.
+/// Calls with frames on a grid are too short to be stopped.
 #[unsafe(no_mangle)]
 pub extern "C" fn planish_session_stop(session: *const planish_session) -> planish_code {
     guarded(|| {

@@ -8,11 +8,11 @@ use crate::output::{Wanted, outputs_of, planish_output};
 use crate::result::{handle_of, planish_result};
 use crate::session::{SESSIONS, State, planish_session, writable};
 
-/// The explanation in errors of a result that is smaller than the frame.
+/// Explanation appended to an error about a buffer size if the result is smaller than the frame.
 const DECIMATED: &str = "; the setting decimate makes the result smaller (see planish_output_shape)";
 
 impl State {
-    /// Calls `body` with the caller's frame, or with a copy to which the steps before smoothing were applied.
+    /// Calls `body` with the caller's frame, or with a processed copy if the settings contain steps before smoothing.
     fn with_prepared<T>(&mut self, frame: Frame<'_>, body: impl FnOnce(&mut Session, Frame<'_>) -> Done<T>) -> Done<T> {
         let steps = self.settings.preparation();
         if steps.is_empty() {
@@ -80,8 +80,8 @@ fn owned_cloud(frame: Frame<'_>) -> Done<OrganizedCloud> {
     }
 }
 
-/// Writes the number of columns and rows of the result for a frame of this size. Only the setting decimate makes them
-/// smaller than the frame's.
+/// Writes the width and height of the result for a frame of the given width and height. They are smaller than the
+/// frame's only with the setting decimate.
 ///
 /// # Safety
 /// `output_width` and `output_height` must be null or writable.
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn planish_receive(
     })
 }
 
-/// Writes the number of frames in flight and their maximum number.
+/// Writes the number of frames in flight to `in_flight` and the maximum number to `most`.
 ///
 /// # Safety
 /// `in_flight` and `most` must be null or writable.

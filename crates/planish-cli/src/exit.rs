@@ -9,7 +9,7 @@ impl ExitCode {
     /// Success.
     pub const SUCCESS: Self = Self(0);
 
-    /// Returns the number.
+    /// Returns the exit code as a number.
     pub fn number(self) -> u8 {
         self.0
     }

@@ -21,8 +21,6 @@ use args::{Args, Command};
 /// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
 /// end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    // SAFETY: the process has no other thread yet.
-    unsafe { planish::silence_vulkan_drivers() };
     quiet_caught_panics();
     if let Err(error) = signals::install() {
         errln!("warning: {error:#}");
@@ -81,7 +79,7 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
         if arguments.iter().all(is_plain) {
             error.exit();
         }
-        // The message quotes the arguments, whose line breaks must not look like those of the message.
+        // The message quotes the arguments. Line breaks in them must not look like line breaks of the message.
         let message = arguments
             .iter()
             .filter_map(|argument| argument.to_str())
@@ -123,7 +121,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     end_now();
 }
 
-/// Bytes that the steps at the end may need when the system has no more.
+/// Size of the memory reserve in bytes, for the steps that end the process when the system has no memory left.
 const RESERVE_BYTES: usize = 1 << 20;
 static RESERVE: AtomicPtr<u8> = AtomicPtr::new(std::ptr::null_mut());
 
@@ -131,13 +129,13 @@ fn reserve_layout() -> Option<Layout> {
     Layout::from_size_align(RESERVE_BYTES, 1).ok()
 }
 
-/// Allocates the reserve. It is never written, so it takes address space only. For programs whose allocator calls
-/// [`end_without_memory`].
+/// Allocates the memory reserve, for programs whose allocator calls [`end_without_memory`]. The reserve is never
+/// written, so it occupies only address space.
 pub fn keep_reserve() {
     if let Some(layout) = reserve_layout()
         && RESERVE.load(Ordering::Relaxed).is_null()
     {
-        // SAFETY: the layout has a size. Without memory there is no reserve.
+        // SAFETY: the layout's size is not 0. If the allocation fails, there is no reserve.
         RESERVE.store(unsafe { System.alloc(layout) }, Ordering::Relaxed);
     }
 }
@@ -145,7 +143,7 @@ pub fn keep_reserve() {
 fn release_reserve() {
     let reserve = RESERVE.swap(std::ptr::null_mut(), Ordering::Relaxed);
     if let Some(layout) = reserve_layout().filter(|_| !reserve.is_null()) {
-        // SAFETY: it was allocated with this layout, and only this call has the pointer.
+        // SAFETY: the reserve was allocated with this layout, and only this call has the pointer.
         unsafe { System.dealloc(reserve, layout) };
     }
 }
@@ -171,7 +169,7 @@ fn print_unlocked(text: std::fmt::Arguments<'_>) {
     {
         use std::io::Write;
         use std::os::fd::FromRawFd;
-        // SAFETY: the descriptor is open as long as the process, and never closed here.
+        // SAFETY: the descriptor stays open until the process ends, and is never closed here.
         let mut file = std::mem::ManuallyDrop::new(unsafe { std::fs::File::from_raw_fd(2) });
         let _ = file.write_fmt(text);
     }

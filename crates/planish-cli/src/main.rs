@@ -41,6 +41,8 @@ fn or_end(memory: *mut u8, bytes: usize) -> *mut u8 {
 static ALLOCATOR: OrEnd = OrEnd;
 
 fn main() -> ExitCode {
+    // SAFETY: the process has no other thread yet.
+    unsafe { planish::silence_vulkan_drivers() };
     planish_cli::keep_reserve();
     ExitCode::from(planish_cli::run(std::env::args_os()))
 }

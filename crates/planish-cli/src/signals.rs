@@ -12,7 +12,7 @@ pub const INTERRUPTED: u8 = 130;
 /// Flag set by the first signal, for commands that check it.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Whether a signal is ending the process.
+/// True once a signal is ending the process.
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
 
 /// Number of SIGXFSZ on Linux and macOS.

@@ -1,5 +1,5 @@
-//! Required agreement of every engine with the f64 reference (docs/method.md, section 9), with the cause of each
-//! figure.
+//! Required agreement of every engine with the f64 reference (docs/method.md, section 9), with the reason for each
+//! tolerance.
 
 use std::ops::Range;
 
@@ -7,8 +7,8 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame, RangeRule};
 use crate::params::{EngineParams, Params, Radius};
 use crate::smoothed::Smoothed;
 
-/// Minimum share of pixels with equal status. The others are within rounding of a threshold: the gate, the degenerate
-/// ratio, a displacement of exactly the radius.
+/// Minimum share of pixels with equal status. The other pixels are within rounding of a threshold: the gate, the
+/// degenerate ratio, a displacement of exactly the radius.
 pub const EQUAL_STATUS: f64 = 0.9999;
 
 /// Tolerance for 99.9 % of positions in metres: f32 rounding of coordinates up to 5 m (half an ulp is 2.4e-7 m) and of
@@ -25,12 +25,12 @@ pub const RADIUS_M: f64 = 0.25;
 /// Tolerance for 99.99 % of positions in metres.
 pub const POSITION_9999_M: f64 = 1e-4;
 
-/// Tolerance for all positions in metres: the normal of a few points that deviate from a plane almost equally in two
-/// directions is badly determined.
+/// Tolerance for all positions in metres: a neighbourhood of few points that deviate from a plane almost equally in
+/// two directions has a badly determined normal.
 pub const POSITION_WORST_M: f64 = 6e-4;
 
-/// Factor of all position tolerances if edges are kept and windows have nine samples, which hardly determine the
-/// surfaces that pixels share.
+/// Factor for all position tolerances if edges are kept and windows have nine samples. So few samples hardly
+/// determine the surfaces that pixels share.
 pub const NINE_SAMPLES: f64 = 10.0;
 
 /// Differences between results and the reference, collected over one or more frames.
@@ -43,7 +43,8 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Starts a comparison with the tolerances for these parameters. [`Agreement::default`] has the usual ones.
+    /// Starts a comparison with the tolerances for these parameters. [`Agreement::default`] has the tolerances
+    /// without [`NINE_SAMPLES`].
     pub fn with_params(params: impl Into<Params>) -> Self {
         let params: EngineParams = match params.into() {
             Params::Frame(params) => params.into(),
@@ -52,8 +53,9 @@ impl Agreement {
         Self { nine_samples: params.window == 1 && params.cell_px() > 1, ..Self::default() }
     }
 
-    /// Adds a frame. If a result lacks points or status, all pixels count as disagreeing. Distances between points with
-    /// a larger range than [`RANGE_M`] or a larger radius than [`RADIUS_M`] are scaled down to these.
+    /// Adds the result for a frame. If a result lacks points or status, all pixels count as disagreeing. Distances
+    /// between points with a larger range than [`RANGE_M`] or a larger radius than [`RADIUS_M`] are scaled down to
+    /// these.
     pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(usize) -> f64) {
         let pixels = reference.width * reference.height;
         self.pixels += pixels;
@@ -70,9 +72,9 @@ impl Agreement {
         }
     }
 
-    /// Compares some pixels of a result that contains only points (x, y and z). Status counts as equal if both results
-    /// have a point or both have a hole. The points that differ most are left out, as many as may differ in status.
-    /// `pixels` are indices in the reference; pixels missing in the result count as disagreeing.
+    /// Compares some pixels of a result that contains only points (x, y and z). Status counts as equal if both
+    /// results have a point or both have a hole. The points that differ most are ignored, up to the number that may
+    /// differ in status. `pixels` are indices in the reference; pixels missing in the result count as disagreeing.
     pub fn add_points(
         &mut self,
         [x, y, z]: [&[f32]; 3],
@@ -104,14 +106,15 @@ impl Agreement {
         self.equal as f64 / self.pixels as f64
     }
 
-    /// Returns the distance in metres within which this share of the positions with equal status agree.
+    /// Returns the distance in metres within which the given share of the positions with equal status agree.
     pub fn position_m(&mut self, share: f64) -> f64 {
         self.distances_m.sort_by(f64::total_cmp);
         let place = (self.distances_m.len() as f64 * share) as usize;
         self.distances_m.get(place).or(self.distances_m.last()).copied().unwrap_or(0.0)
     }
 
-    /// Returns the violated limits of section 9 as messages. (The limit on motion, the radius, is checked elsewhere.)
+    /// Returns a message for each violated limit of docs/method.md, section 9. (The limit on the motion of points is
+    /// checked elsewhere.)
     pub fn misses(mut self) -> Vec<String> {
         // In a small cloud, one pixel already exceeds the share that may differ.
         let one_pixel = 1.0 / self.pixels as f64;
@@ -153,7 +156,7 @@ pub fn sensor_position_m<'a>(frame: impl IntoFrame<'a>) -> [f64; 3] {
 }
 
 /// Returns the radius of each point of a frame in metres (docs/method.md, sections 3 and 11), in the frame's order.
-/// Windows are adapted to this frame's resolution.
+/// Window sizes are adapted to the resolution of the frame.
 pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<f64> {
     let Ok(frame) = frame.into_frame() else { return Vec::new() };
     let params: EngineParams = match params.into() {
@@ -168,7 +171,7 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<
     };
     let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // Unorganized clouds: a radius of 0 leaves the tolerances unscaled.
+        // For unorganized clouds, a radius of 0 leaves the tolerances unscaled.
         Radius::Neighbours { .. } => 0.0,
         Radius::Sensor => {
             let spacing_m = match geometry.rule {

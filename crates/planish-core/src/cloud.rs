@@ -1,4 +1,5 @@
-//! Point clouds: positions as a structure of arrays, and every other field of the input carried through untouched.
+//! Point clouds: positions as a structure of arrays, and all other fields of the input, which are passed through
+//! unchanged.
 //!
 //! Positions are f32 metres. A hole (a pixel without a measurement) is a non-finite position. An organized cloud is
 //! row-major: pixel (u, v) is index v * width + u.
@@ -15,14 +16,14 @@ use crate::xyz::{Xyz, validate_shape};
 
 macro_rules! attribute_values {
     ($($variant:ident($scalar:ty), $doc:literal;)*) => {
-        /// The values of a field, in the type of the file.
+        /// The values of a field, in the type that they have in the file.
         #[derive(Debug, Clone, PartialEq)]
         pub enum AttributeValues {
             $(#[doc = $doc] $variant(Vec<$scalar>),)*
         }
 
         impl AttributeValues {
-            /// Returns the number of values: points times values per point.
+            /// Returns the number of values, which is the number of points times the number of values per point.
             pub fn len(&self) -> usize {
                 match self { $(Self::$variant(values) => values.len(),)* }
             }
@@ -37,7 +38,7 @@ macro_rules! attribute_values {
                 match self { $(Self::$variant(values) => values[i] as f64,)* }
             }
 
-            /// Returns new values in the type of these; integers are rounded and clamped to their range.
+            /// Converts new values to the type of these values; integers are rounded and clamped to their range.
             pub fn of_f64(&self, new: Vec<f64>) -> Self {
                 match self { $(Self::$variant(_) => {
                     let convert = |value: f64| if 0.5 as $scalar == 0 as $scalar { value.round() as $scalar } else { value as $scalar };
@@ -50,12 +51,12 @@ macro_rules! attribute_values {
                 match self { $(Self::$variant(values) => values.resize(values.len() + count, 0 as $scalar),)* }
             }
 
-            /// Returns an empty column of the same type.
+            /// Returns an empty list of values of the same type.
             pub fn emptied(&self) -> Self {
                 match self { $(Self::$variant(_) => Self::$variant(Vec::new()),)* }
             }
 
-            /// Appends the values of some points of another cloud, `count` per point. Values of another type are
+            /// Appends the values that `other` has for some points, `count` per point. Values of another type are
             /// converted.
             pub fn extend_from(&mut self, other: &Self, points: &[usize], count: usize) {
                 match (self, other) {
@@ -73,7 +74,7 @@ macro_rules! attribute_values {
                 }
             }
 
-            /// Returns the values of some points, `count` each.
+            /// Returns the values of some points, `count` per point.
             fn select(&self, points: &[usize], count: usize) -> Self {
                 match self { $(Self::$variant(values) => {
                     let of_point = |&i: &usize| values[count * i..count * (i + 1)].iter().copied();
@@ -115,33 +116,33 @@ pub struct Attribute {
     pub name: String,
     /// Number of values per point; 1 for a scalar field.
     pub count: usize,
-    /// The values, `count` per point, point by point.
+    /// The values in the order of the points, `count` per point.
     pub values: AttributeValues,
 }
 
 impl Attribute {
-    /// Returns the field of some points.
+    /// Returns the field with the values of these points only.
     pub fn select(&self, points: &[usize]) -> Self {
         Self { name: self.name.clone(), count: self.count, values: self.values.select(points, self.count) }
     }
 }
 
-/// Absolute coordinate in metres beyond which 4 bytes lose more than 0.1 mm.
+/// Absolute coordinate in metres beyond which 4 bytes lose more than 0.1 mm of precision.
 const FAR_M: f64 = 1000.0;
 
-/// Indices and precision of the columns x, y and z of a file, so that it is written as it was read.
+/// Indices and precision of the columns x, y and z of a file, which let the file be written in the same layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
     pub index: [usize; 3],
-    /// The precision of x, y and z when written.
+    /// The precision with which x, y and z are written.
     pub precision: Precision,
 }
 
-/// The precision of x, y and z when written, in formats that support both.
+/// The precision with which x, y and z are written, in formats that support both 4 and 8 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Precision {
-    /// 8 bytes if 4 would lose more than 0.1 mm (beyond 1000 m), otherwise 4 bytes.
+    /// 8 bytes if 4 bytes would lose more than 0.1 mm (beyond 1000 m), otherwise 4 bytes.
     #[default]
     AsNeeded,
     /// 4 bytes.
@@ -166,7 +167,7 @@ pub struct CoordinateSteps {
 }
 
 impl CoordinateSteps {
-    /// Returns the nearest coordinate on a step.
+    /// Returns the coordinate on a step that is nearest to `coordinate_m`.
     fn nearest(&self, coordinate_m: f64) -> f64 {
         ((coordinate_m - self.offset_m) / self.step_m).round() * self.step_m + self.offset_m
     }
@@ -176,10 +177,10 @@ impl CoordinateSteps {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PointCloud {
-    /// Positions in metres, relative to `origin_m`. A non-finite one is a hole.
+    /// Positions in metres, relative to `origin_m`. A non-finite position is a hole.
     pub positions: Xyz,
     /// Offset in metres that is added to every position, in f64 so that georeferenced clouds keep their digits. Zero
-    /// for a camera.
+    /// for clouds from a camera.
     pub origin_m: [f64; 3],
     /// All fields except x, y and z, in the order of the file.
     pub attributes: Vec<Attribute>,
@@ -200,7 +201,7 @@ pub struct PointCloud {
 }
 
 impl PointCloud {
-    /// Returns a cloud of positions alone.
+    /// Creates a cloud that has only positions.
     pub fn new(positions: Xyz) -> Self {
         Self {
             positions,
@@ -235,7 +236,7 @@ impl PointCloud {
         (0..self.len()).filter(|&i| self.positions.is_finite(i)).count()
     }
 
-    /// Returns the size of a point's fields in bytes, including its f64 coordinates if they are kept.
+    /// Returns the size of a point's fields in bytes, including its f64 coordinates if they are stored.
     pub fn field_bytes_per_point(&self) -> usize {
         let bytes = |field: &Attribute| field.values.scalar_size() * field.count;
         let exact = if self.exact_m.is_some() { 3 * size_of::<f64>() } else { 0 };
@@ -247,7 +248,7 @@ impl PointCloud {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
 
-    /// Replaces the scalar field with that name in place, or appends it.
+    /// Replaces the field with this name by a scalar field, or appends the scalar field.
     pub fn set_attribute(&mut self, name: &str, values: impl Into<AttributeValues>) {
         let attribute = Attribute { name: name.to_owned(), count: 1, values: values.into() };
         match self.attributes.iter_mut().find(|a| a.name == name) {
@@ -269,7 +270,7 @@ impl PointCloud {
         Ok(())
     }
 
-    /// Returns some of the points with all their fields, in the given order.
+    /// Returns the points with these indices, with all their fields, in the given order.
     ///
     /// # Panics
     /// If an index is not less than [`len`](Self::len).
@@ -283,7 +284,8 @@ impl PointCloud {
         Self { positions, attributes, exact_m, ..self.without_points() }
     }
 
-    /// Returns coordinate `axis` of point `i` in the cloud's frame: exactly as in the file if the point has not moved.
+    /// Returns coordinate `axis` of point `i` in the cloud's frame: exactly the value in the file if the point has
+    /// not moved.
     pub fn coordinate(&self, axis: usize, i: usize) -> f64 {
         let (origin, here) = (self.origin_m[axis], self.positions.as_slices()[axis][i]);
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
@@ -315,7 +317,7 @@ impl PointCloud {
         }
     }
 
-    /// Keeps the coordinates of a file if f32 loses digits of any.
+    /// Stores the coordinates of a file in f64 if f32 loses digits of any coordinate.
     pub fn keep_exact(&mut self, coordinates_m: [Vec<f64>; 3]) {
         let loses = |axis: usize| {
             let values = self.positions.as_slices()[axis];
@@ -330,7 +332,7 @@ impl PointCloud {
         }
     }
 
-    /// Returns the cloud with a hole appended whose fields are 0.
+    /// Returns a copy of the cloud with an additional hole at the end, whose other fields are 0.
     pub fn with_an_empty_point(&self) -> Self {
         let mut cloud = self.clone();
         cloud.positions.push([f32::NAN; 3]);
@@ -339,7 +341,8 @@ impl PointCloud {
         cloud
     }
 
-    /// Returns the cloud without points: origin, pose, columns, header.
+    /// Returns an empty cloud with the same origin, pose, position columns, coordinate steps, scanners and
+    /// format-specific data.
     pub fn without_points(&self) -> Self {
         Self {
             positions: Xyz::default(),
@@ -354,7 +357,7 @@ impl PointCloud {
         }
     }
 
-    /// Returns the sides of the box around all finite points, in metres; zeros without finite points.
+    /// Returns the side lengths in metres of the bounding box of all finite points; zeros if no point is finite.
     pub fn extent_m(&self) -> [f32; 3] {
         let finite = |values: &[f32]| {
             let finite = values.iter().filter(|value| value.is_finite());
@@ -392,12 +395,13 @@ pub struct OrganizedCloud {
     height: usize,
     /// The points, row by row; `points.len()` is width * height.
     pub points: PointCloud,
-    /// The camera, if known. The sensor radius needs its fx, which is otherwise estimated.
+    /// The camera, if known. [`FrameRadius::Sensor`](crate::FrameRadius::Sensor) needs its focal length fx, which is
+    /// estimated from the points if the camera is unknown.
     pub camera: Option<Camera>,
 }
 
 impl OrganizedCloud {
-    /// Puts `points` on a grid; refuses a grid that they do not fill exactly.
+    /// Arranges `points` row by row on a grid; refuses a grid that they do not fill exactly.
     pub fn new(width: usize, height: usize, points: PointCloud) -> Result<Self, FrameError> {
         validate_shape(width, height)?;
         points.validate()?;
@@ -411,17 +415,17 @@ impl OrganizedCloud {
         Ok(Self { width, height, points, camera: None })
     }
 
-    /// Returns a cloud of positions alone on a grid.
+    /// Creates an organized cloud that has only positions.
     pub fn from_positions(width: usize, height: usize, positions: Xyz) -> Result<Self, FrameError> {
         Self::new(width, height, PointCloud::new(positions))
     }
 
-    /// Width in pixels.
+    /// Returns the width in pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height in pixels.
+    /// Returns the height in pixels.
     pub fn height(&self) -> usize {
         self.height
     }

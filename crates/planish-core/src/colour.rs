@@ -33,9 +33,9 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// Returns the colour of each point in 8 bits per channel; `None` for a cloud without colours. 16-bit colours (LAS)
-    /// contribute their upper 8 bits, or the lower if no colour of the cloud uses the upper. Fractions (Open3D) are
-    /// multiplied by 255.
+    /// Returns the colour of each point in 8 bits per channel; `None` for a cloud without colours. 16-bit colours
+    /// (LAS) contribute their upper 8 bits, or their lower 8 bits if no value in the cloud exceeds 255. Fractions
+    /// (Open3D) are multiplied by 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }
@@ -64,7 +64,7 @@ impl PointCloud {
         }
     }
 
-    /// Converts fractional intensities (0 to 1) to 16-bit integers, the type in LAS; NaN becomes 0. Returns true if the
+    /// Converts fractional intensities from 0 to 1 to 16-bit integers, as in LAS; NaN becomes 0. Returns true if the
     /// field was converted.
     pub fn scale_intensity(&mut self) -> bool {
         let Some(Attribute { count: 1, values, .. }) = self.attribute("intensity") else { return false };
@@ -96,7 +96,7 @@ impl PointCloud {
     /// Replaces the fields `red`, `green` and `blue` by PCL's packed `rgb`, or by `rgba` if there is an `alpha`.
     pub fn pack_colour(&mut self) {
         let Some(index) = self.attributes.iter().position(|a| a.name == "red") else { return };
-        // The packed name may already be taken by another field.
+        // A field with the name of the packed colour may already exist.
         if self.attribute("rgb").or(self.attribute("rgba")).is_some() {
             return;
         }

@@ -1,4 +1,4 @@
-//! GPU adapters, how to choose among them, and how to open one.
+//! GPU adapters, the choice among them, and the options of the GPU engine.
 
 use crate::error::EngineError;
 
@@ -11,7 +11,7 @@ pub enum AdapterKind {
     Discrete,
     /// A GPU that shares memory with the CPU.
     Integrated,
-    /// A GPU lent to a virtual machine.
+    /// A GPU assigned to a virtual machine.
     Virtual,
     /// A GPU emulated on the CPU, such as lavapipe, for tests. `Auto` never chooses it.
     Software,
@@ -24,9 +24,9 @@ pub enum AdapterKind {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct GpuAdapter {
-    /// The adapter's index, which selects the adapter.
+    /// The adapter's index, by which it can be selected.
     pub index: usize,
-    /// The adapter's name; any part of the name selects the adapter.
+    /// The adapter's name. Any part of the name selects the adapter.
     pub name: String,
     /// The kind of device.
     pub kind: AdapterKind,
@@ -36,16 +36,16 @@ pub struct GpuAdapter {
     pub driver: String,
 }
 
-/// The transfer of frames to the GPU and of results back.
+/// The method by which frames are transferred to the GPU, and results back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Transfer {
-    /// The faster transfer for this device, as far as is known.
+    /// The faster method for this device, as far as is known.
     #[default]
     Auto,
     /// Frames are copied to the device's memory, and results back.
     Staged,
-    /// The kernel reads and writes the host's memory itself.
+    /// Kernels read frames from, and write results to, the host's memory.
     Direct,
 }
 
@@ -53,8 +53,8 @@ pub enum Transfer {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct GpuOptions {
-    /// The adapter's index or any part of its name, case-insensitive; `None` is a real GPU, preferably a discrete one.
-    /// A software adapter can only be selected here. `Engine::Auto` ignores this option.
+    /// The adapter's index or any part of its name, case-insensitive; `None` for a real GPU, preferably a discrete
+    /// one. A software adapter can only be selected here. `Engine::Auto` ignores this option.
     pub adapter: Option<String>,
     /// Maximum number of frames in flight, submitted and not yet received; at least 1. To keep a GPU busy, 3 suffice if
     /// results are read in place, 6 if they are copied out. The limit applies to the other engines too.
@@ -67,28 +67,28 @@ pub struct GpuOptions {
     /// The transfer of frames to the device and of results back.
     pub transfer: Transfer,
     /// Maximum number of points of an unorganized cloud on the device at once; `None` for the device's limit. Larger
-    /// clouds are smoothed in overlapping parts, which takes longer. If neighbourhoods are too large for parts,
+    /// clouds are smoothed in overlapping parts, which takes longer. If neighbourhoods are too large for such parts,
     /// smoothing returns [`EngineError::Crowded`](crate::EngineError::Crowded).
     pub points_at_once: Option<usize>,
 }
 
 impl GpuOptions {
-    /// Sets the adapter by its index or a part of its name; `None` is a real GPU, preferably a discrete one.
+    /// Sets the adapter by its index or a part of its name; `None` for a real GPU, preferably a discrete one.
     pub fn with_adapter(self, adapter: impl Into<Option<String>>) -> Self {
         Self { adapter: adapter.into(), ..self }
     }
 
-    /// Sets the number of frames in flight.
+    /// Sets the maximum number of frames in flight.
     pub fn with_slots(self, slots: usize) -> Self {
         Self { slots, ..self }
     }
 
-    /// Sets whether times are measured.
+    /// Sets whether each frame's times are measured.
     pub fn with_timestamps(self, timestamps: bool) -> Self {
         Self { timestamps, ..self }
     }
 
-    /// Sets whether shaders check bounds.
+    /// Sets whether shaders check the bounds of every memory access.
     pub fn with_bounds_checks(self, bounds_checks: bool) -> Self {
         Self { bounds_checks, ..self }
     }
@@ -98,7 +98,8 @@ impl GpuOptions {
         Self { transfer, ..self }
     }
 
-    /// Sets the maximum number of points of an unorganized cloud on the device; `None` for the device's limit.
+    /// Sets the maximum number of points of an unorganized cloud on the device at once; `None` for the device's
+    /// limit.
     pub fn with_points_at_once(self, points_at_once: Option<usize>) -> Self {
         Self { points_at_once, ..self }
     }
@@ -118,13 +119,14 @@ impl Default for GpuOptions {
     }
 }
 
-/// Returns the default GPU: the first discrete one, otherwise integrated, otherwise virtual.
+/// Returns the default GPU: the first discrete one, otherwise the first integrated one, otherwise the first virtual
+/// one.
 pub(crate) fn real_gpu(adapters: &[GpuAdapter]) -> Option<&GpuAdapter> {
     let of = |kind| adapters.iter().find(|adapter| adapter.kind == kind);
     of(AdapterKind::Discrete).or_else(|| of(AdapterKind::Integrated)).or_else(|| of(AdapterKind::Virtual))
 }
 
-/// Returns the adapter with this index or part of its name; without one, the default GPU.
+/// Returns the adapter with this index or part of its name; the default GPU if `wanted` is `None`.
 pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Result<&'a GpuAdapter, EngineError> {
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {
@@ -149,8 +151,8 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     }
 }
 
-/// Returns the place of the device with this index or part of its name, case-insensitive. A number is always an index,
-/// because many names contain numbers.
+/// Returns the position in `names` of the device with this index or part of its name, case-insensitive. A number is
+/// always an index, because many names contain numbers.
 pub(crate) fn find(names: &[impl AsRef<str>], wanted: &str) -> Option<usize> {
     let lower = wanted.to_lowercase();
     match wanted.parse::<usize>() {

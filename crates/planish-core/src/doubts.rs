@@ -11,10 +11,10 @@ const FARTHEST_M: f32 = 20.0;
 /// Minimum plausible median depth of a depth camera's frame, in metres.
 const NEAREST_M: f32 = 0.1;
 
-/// Plausible coordinates of the principal point, as a share of the width or height of the image.
+/// Plausible coordinates of the principal point, as shares of the width and height of the image.
 const MIDDLE: std::ops::RangeInclusive<f64> = 0.3..=0.7;
 
-/// Tolerance for equal lengths, relative to half the image: half a pixel and rounding.
+/// Relative difference below which two lengths count as equal; allows for half a pixel and for rounding.
 const SAME: f64 = 0.02;
 
 /// Plausible focal lengths in image widths: fields of view from 150 to 3 degrees.
@@ -27,19 +27,19 @@ const SAMPLE: usize = 4096;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Doubt {
-    /// Less than one depth unit per metre: the inverse was meant.
+    /// Less than one depth unit per metre: probably the inverse of the intended number.
     UnitsPerMetre {
         /// The stated number of units per metre.
         units: f64,
     },
-    /// Most points are nearer or farther than any depth camera measures.
+    /// Most points are nearer or farther than any depth camera can measure.
     Range {
         /// The median depth in metres.
         median_m: f32,
-        /// Units per metre of raw depth; `None` for depth or points in metres.
+        /// Number of raw depth units per metre; `None` for depth or points in metres.
         units: Option<f64>,
     },
-    /// The focal length is half the size of the image: focal length and principal point were swapped.
+    /// The focal length is half the size of the image: focal length and principal point were probably swapped.
     Swapped {
         /// The camera.
         camera: Camera,
@@ -56,11 +56,11 @@ pub enum Doubt {
     },
     /// Coordinates of a cloud are too large for f32's precision.
     Coarse {
-        /// The difference between adjacent f32 values at such coordinates, in metres.
+        /// The difference between adjacent f32 values at the affected coordinates, in metres.
         step_m: f32,
-        /// The distance between neighbouring points at such coordinates, in metres.
+        /// The distance between neighbouring points at the affected coordinates, in metres.
         spacing_m: f32,
-        /// The share of points with such coordinates, 0 to 1.
+        /// The share of points with affected coordinates, 0 to 1.
         share: f32,
     },
     /// Pixels are lost because the lens model has no ray for them.
@@ -70,7 +70,7 @@ pub enum Doubt {
     },
 }
 
-/// Returns a doubt about a camera's lens model, if it loses too many pixels.
+/// Returns a doubt about a camera's lens model if the model loses more than 1 % of the pixels.
 pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     /// Share of pixels that a lens may lose at the corners without a warning.
     const FEW: f32 = 0.01;
@@ -78,10 +78,10 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
-/// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since any scanner may
-/// have measured it. The camera's lens model is not checked, see [`doubt_about_lens`].
+/// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since any scanner
+/// may have measured it. The camera's lens model is not checked here, but by [`doubt_about_lens`].
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
-    // The web build omits this check.
+    // WebAssembly builds omit this check.
     let coarse = match frame {
         Frame::Points(points) if !ONE_THREAD => about_resolution(&points),
         _ => None,
@@ -105,9 +105,11 @@ pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     found
 }
 
-/// Compares the steps of f32 with the distances between neighbours, for a sample of points far from the origin.
+/// Returns a doubt if f32 rounds coordinates too coarsely for the distances between neighbours. Tests a sample of
+/// points that are far from the origin.
 pub(crate) fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
-    /// Step of f32 that is always fine enough, in metres: no sensor is more precise from a kilometre away.
+    /// Step of f32, in metres, that is always fine enough, because no sensor is more precise at a distance of a
+    /// kilometre.
     const FINE_M: f32 = 1e-4;
     /// Ratio of a step of f32 to the distance between neighbours above which the step is too coarse.
     const SHARE_OF_DISTANCE: f64 = 0.1;
@@ -168,7 +170,8 @@ fn of_camera(camera: &Camera) -> Option<Doubt> {
     (!FOCAL_LENGTHS.contains(&(fx / width))).then_some(Doubt::FocalLength { camera: *camera })
 }
 
-/// Returns the median depth of a camera's frame in metres; `None` without points, and for frames of other scanners.
+/// Returns the median depth of a camera's frame in metres; `None` without points, and for frames of sensors other
+/// than cameras.
 fn median_m(frame: Frame<'_>) -> Option<f32> {
     let (width, height) = frame.shape();
     let step = (width * height).div_ceil(SAMPLE).max(1);

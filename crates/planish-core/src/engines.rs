@@ -1,4 +1,5 @@
-//! All engines: capabilities, opening, and the choice of `Auto`. Adding an engine changes this file and adds a folder.
+//! All engines: capabilities, opening, and the choice of `Auto`. A new engine needs changes in this file, and its own
+//! folder.
 
 use crate::cpu::{Cpu, GeneralCpu};
 use crate::devices::{GpuAdapter, GpuOptions, real_gpu};
@@ -12,8 +13,8 @@ use crate::reference::Reference;
 use crate::simd_level::SimdLevel;
 use crate::smoothing_engine::{Immediate, SmoothingEngine};
 
-/// The implementation that computes the result. All implementations agree within the limits of docs/method.md, section
-/// 9.
+/// The implementation that computes the result. The results of all implementations agree within the limits of
+/// docs/method.md, section 9.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum Engine {
@@ -24,11 +25,11 @@ pub enum Engine {
     /// [`Smoother::engine`]: crate::Smoother::engine
     #[default]
     Auto,
-    /// f32 SIMD on the CPU.
+    /// The f32 engine for the CPU, with SIMD instructions.
     Cpu,
-    /// f32 on a GPU through wgpu, in builds with the feature `gpu`.
+    /// The f32 engine for GPUs through wgpu, in builds with the feature `gpu`.
     Gpu,
-    /// f64, written for readability: the oracle for the other engines.
+    /// The f64 engine, which is written for readability and is the oracle for the other engines.
     Reference,
 }
 
@@ -43,7 +44,7 @@ impl std::str::FromStr for Engine {
     }
 }
 
-/// Capabilities of an engine.
+/// The capabilities of an engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Capabilities {
@@ -60,7 +61,7 @@ pub struct Capabilities {
 }
 
 impl Engine {
-    /// All engines; `Auto` is not one.
+    /// All engines. `Auto` is not included, since it is a choice among them.
     pub const ALL: [Self; 3] = [Self::Cpu, Self::Gpu, Self::Reference];
 
     /// All choices with their names in settings.
@@ -77,7 +78,8 @@ impl Engine {
         }
     }
 
-    /// Returns the capabilities of this engine. `Auto` has every capability of any engine, except `pipelined`.
+    /// Returns the capabilities of this engine. For `Auto`, they are those of all engines combined, except
+    /// `pipelined`.
     pub fn capabilities(self) -> Capabilities {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {
@@ -88,11 +90,11 @@ impl Engine {
     }
 }
 
-/// Reason for the choice of [`Engine::Auto`].
+/// The reason for the choice of [`Engine::Auto`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ChoiceReason {
-    /// This adapter is a real GPU.
+    /// A real GPU was found. Contains its adapter.
     RealGpu(GpuAdapter),
     /// This build lacks the GPU engine.
     NoGpuInBuild,
@@ -100,7 +102,7 @@ pub enum ChoiceReason {
     NoAdapter,
     /// Only software adapters were found.
     NoRealGpu(Vec<GpuAdapter>),
-    /// A GPU was found but could not be opened.
+    /// A GPU was found but could not be opened. Contains its adapter and the error.
     GpuFailed(GpuAdapter, String),
     /// The CPU smooths the single frame or cloud in less time than opening a GPU takes.
     SingleFrame {
@@ -132,13 +134,14 @@ impl std::fmt::Display for ChoiceReason {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SmootherOptions {
-    /// The engine. An engine chosen by name is not replaced by another, except in a stream that loses its GPU twice.
+    /// The engine. An engine chosen by name is never replaced, except by the CPU engine in a stream that loses its
+    /// GPU twice.
     pub engine: Engine,
     /// The results to compute.
     pub outputs: Outputs,
-    /// Number of threads of the CPU engines; `None` is one per core.
+    /// Number of threads of the CPU engines; `None` for one per core.
     pub threads: Option<usize>,
-    /// Instruction set of the CPU engine; `None` is the widest of this machine.
+    /// Instruction set of the CPU engine; `None` for the widest that this machine supports.
     pub simd: Option<SimdLevel>,
     /// Options of the GPU engine.
     pub gpu: GpuOptions,
@@ -162,12 +165,12 @@ impl SmootherOptions {
         Self { outputs, ..self }
     }
 
-    /// Sets the number of threads of the CPU engines; `None` is one per core.
+    /// Sets the number of threads of the CPU engines; `None` for one per core.
     pub fn with_threads(self, threads: Option<usize>) -> Self {
         Self { threads, ..self }
     }
 
-    /// Sets the instruction set of the CPU engine; `None` is the widest of this machine.
+    /// Sets the instruction set of the CPU engine; `None` for the widest that this machine supports.
     pub fn with_simd(self, simd: Option<SimdLevel>) -> Self {
         Self { simd, ..self }
     }
@@ -178,9 +181,9 @@ impl SmootherOptions {
     }
 }
 
-/// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without this variable, Mesa's Vulkan drivers print
-/// an error for each query. The drivers look there for a desktop's socket, which another user could plant in a shared
-/// folder; the variable is therefore set to a path that cannot exist.
+/// Sets `XDG_RUNTIME_DIR` on Linux if it is missing, as on a robot. Without this variable, Mesa's Vulkan drivers
+/// print an error for each query. The variable names the folder in which the drivers look for a desktop's socket. In
+/// a shared folder, another user could plant such a socket, so the variable is set to a path that cannot exist.
 ///
 /// # Safety
 /// No other thread may be running, because the function changes the environment.
@@ -200,8 +203,8 @@ pub fn gpu_adapters() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
-/// Returns the choice of [`Engine::Auto`] among these adapters with its reason: a real GPU if one is listed, otherwise
-/// the CPU.
+/// Returns the engine that [`Engine::Auto`] chooses among these adapters, and the reason: the GPU engine if a real
+/// GPU is listed, otherwise the CPU engine.
 pub fn auto_choice(adapters: &[GpuAdapter]) -> (Engine, ChoiceReason) {
     match real_gpu(adapters) {
         Some(adapter) => (Engine::Gpu, ChoiceReason::RealGpu(adapter.clone())),
@@ -216,10 +219,10 @@ fn is_few(points: usize, is_grid: bool) -> bool {
     points <= if is_grid { 6_000_000 } else { 500_000 }
 }
 
-/// An open engine, its kind, and the reason for the choice of `Auto`.
+/// An open engine, its kind, and the reason for the choice of `Auto`; `None` if the engine was chosen by name.
 pub(crate) type Opened = (Box<dyn SmoothingEngine>, Engine, Option<ChoiceReason>);
 
-/// Opens the engine of the options for frames on a grid, or for unorganized clouds.
+/// Opens the engine that the options select, for frames on a grid or for unorganized clouds.
 pub(crate) fn open(
     params: EngineParams,
     options: &SmootherOptions,
@@ -229,7 +232,7 @@ pub(crate) fn open(
         return Ok((open_named(options.engine, params, options, grid)?, options.engine, None));
     }
     let (mut engine, mut reason) = match options.only_points {
-        // Adapters are not listed either, which would take 0.1 s.
+        // The adapters are not listed either, which saves 0.1 s.
         Some(points) if is_few(points, grid.is_some()) => (Engine::Cpu, ChoiceReason::SingleFrame { points }),
         _ => auto_choice(&gpu_adapters()),
     };

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field} = {} is not allowed: {allowed}", shortened(value))]
 pub struct ParamError {
-    /// The field of the parameter struct, as it is spelled in code.
+    /// The name of the field in the parameter struct, as in code.
     pub field: &'static str,
     /// The refused value.
     pub value: String,
@@ -29,7 +29,7 @@ fn shortened(value: &str) -> String {
 /// Bytes in a KiB.
 pub const KIB: u64 = 1 << 10;
 
-/// Formats a number of bytes in whole KiB, or from 10 MiB on in MiB with one decimal place.
+/// Formats a number of bytes: in whole KiB below 10 MiB, otherwise in MiB with one decimal place.
 pub fn memory(bytes: u64) -> String {
     let kib = bytes / KIB;
     if kib < 10 * KIB { format!("{kib} KiB") } else { format!("{:.1} MiB", kib as f64 / KIB as f64) }
@@ -48,9 +48,9 @@ pub enum FrameError {
         frame_width: usize,
         /// Height of the frame in pixels.
         frame_height: usize,
-        /// Width the smoother was opened for.
+        /// Width in pixels that the smoother was opened for.
         width: usize,
-        /// Height the smoother was opened for.
+        /// Height in pixels that the smoother was opened for.
         height: usize,
     },
     /// A width or height of zero, or more pixels than can be addressed.
@@ -77,7 +77,7 @@ pub enum FrameError {
         /// Height of the camera's images in pixels.
         height: usize,
     },
-    /// A frame on a grid for a smoother of unorganized clouds, or an unorganized cloud for a smoother of frames.
+    /// A frame on a grid, passed to a smoother for unorganized clouds, or the reverse.
     #[error(
         "the frame {found}, but the smoother was opened for {expected}; open another smoother, or set the view's grid"
     )]
@@ -87,7 +87,7 @@ pub enum FrameError {
         /// Description of the expected input.
         expected: String,
     },
-    /// Strides that would make rows or points overlap.
+    /// A stride so small that rows or points would overlap.
     #[error("a {what} of {stride} is not allowed; at least {least} is needed")]
     BadStride {
         /// The name of the stride.
@@ -102,7 +102,7 @@ pub enum FrameError {
         "{what} is not in the memory of CUDA device {device} ({gpu}); copy it there, or open a smoother for another GPU"
     )]
     NotOnGpu {
-        /// The data at the address.
+        /// Description of the data at the address.
         what: &'static str,
         /// The name of the GPU.
         gpu: String,
@@ -115,13 +115,14 @@ pub enum FrameError {
         /// The name of the output.
         output: &'static str,
     },
-    /// A cloud without any finite point, where at least one is required.
+    /// A cloud without finite points, where at least one is required.
     #[error("the cloud has no points")]
     NoPoints,
     /// Coordinates that f32 cannot hold.
     #[error("a coordinate exceeds 3.4e38 m, the largest in f32")]
     TooFar,
-    /// Coordinates that f32 rounds too coarsely for the distances between points; the text of the doubt.
+    /// Coordinates that f32 rounds too coarsely for the distances between points. Contains the text of
+    /// [`Doubt::Coarse`](crate::Doubt::Coarse).
     #[error("{0}")]
     TooCoarse(String),
     /// An invalid sensor pose.
@@ -174,7 +175,7 @@ pub enum EngineError {
     Limit {
         /// The device's name.
         device: String,
-        /// The exceeded limit.
+        /// Description of the exceeded limit.
         what: &'static str,
         /// The value that the device allows.
         allowed: u64,
@@ -271,7 +272,7 @@ pub enum DeviceError {
         /// Description of the failure.
         what: String,
     },
-    /// The device worked and was disconnected (unplugged or hung); it may return.
+    /// The device was disconnected (unplugged or hung) while in use; it may be reconnected.
     #[error("{what}; check whether it was unplugged")]
     Gone {
         /// Description of the event.
@@ -286,13 +287,13 @@ pub enum FormatError {
     /// The operating system could not read or write the file.
     #[error(transparent)]
     Os(#[from] std::io::Error),
-    /// The contents contradict the format. The text names the fault and the remedy.
+    /// The contents of the file violate the format. The text names the fault and the remedy.
     #[error("{0}")]
     Malformed(String),
-    /// A legitimate file that planish cannot use. The text gives the reason and the alternative.
+    /// A valid file that planish cannot use. The text gives the reason and an alternative.
     #[error("{0}")]
     Unsupported(String),
-    /// The contents are not a valid frame.
+    /// The contents of the file are not a valid frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Reading the file needs more memory than allowed.
@@ -316,7 +317,7 @@ pub struct IoError {
 }
 
 impl IoError {
-    /// Returns a function that turns a problem into an error about this file.
+    /// Returns a function that converts a fault in the file `path` into an error with the file's name.
     pub fn at(path: &Path) -> impl FnOnce(FormatError) -> Self + '_ {
         move |problem| Self { path: path.to_path_buf(), problem }
     }

@@ -1,9 +1,9 @@
 //! Even spacing of a smoothed cloud (docs/method.md, section 8).
 //!
-//! Smoothing removes the noise across the surface. The noise along it remains, and leaves clumps and gaps. Here each
-//! point is repelled by its neighbours within its tangent plane. A spring, whose strength depends on the noise, ties
-//! the point to its smoothed position. Results depend only on the nearest points, in a fixed order, so they are
-//! bit-identical for any number of threads.
+//! Smoothing removes the noise across the surface. The noise along the surface remains, in the form of clumps and
+//! gaps. Here each point is repelled by its neighbours within its tangent plane. A spring, whose strength depends on
+//! the noise, ties the point to its smoothed position. Results depend only on the nearest points, in a fixed order,
+//! so they are bit-identical for any number of threads.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ const NEIGHBOURS: usize = 16;
 /// Rank of the neighbour whose distance determines the spacing.
 const SPACING_BY: usize = 12;
 const STEPS: usize = 6;
-/// Share of the repulsion that each step follows.
+/// Share of the repulsion that each step applies.
 const STEP: f32 = 0.5;
 /// Distance within which points repel each other, in spacings.
 const REACH: f32 = 1.6;
@@ -33,8 +33,8 @@ const ONE_SURFACE: f32 = 0.7;
 /// Sine of the angle between the line through two points and the plane halfway between their tangent planes, above
 /// which the points are on different surfaces.
 const STEEPEST: f32 = 0.5;
-/// Maximum distance that a point moves along its normal back onto the surface, as a share of its offset. Curvature
-/// requires less.
+/// Maximum distance that a point moves along its normal back onto the surface, as a share of its offset. The
+/// curvature of surfaces requires less.
 const MOST_CURVED: f32 = 0.25;
 /// Cosine between normals from which the weight of a neighbour's plane grows linearly from 0.
 const ONE_PLANE: f32 = 0.5;
@@ -76,10 +76,10 @@ pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
     }
 }
 
-/// The places of the nearest other points, nearest first.
+/// The places in the index of the nearest other points, nearest first.
 type Neighbours = [u32; NEIGHBOURS];
 
-/// A smoothed point, at its place in the index.
+/// A smoothed point, stored at its place in the index.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     at: Vec3,
@@ -87,9 +87,9 @@ struct Point {
     normal: Vec3,
     /// Variance of the noise in m².
     variance: f32,
-    /// Distance between evenly spaced points of this density.
+    /// Distance in metres between evenly spaced points of the same density.
     spacing_m: f32,
-    /// The displacement along the tangent plane so far.
+    /// The displacement along the tangent plane so far, in metres.
     offset: Vec3,
 }
 
@@ -98,8 +98,9 @@ impl Point {
         Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
     }
 
-    /// Returns the point with the means of noise and spacing around it. `most` limits the variance of the noise, which
-    /// is measured by the motions: where smoothing distorts a surface, motions are larger than the noise.
+    /// Returns the point with noise variance and spacing averaged over the point and its neighbours. `most` limits
+    /// the variance, which is measured by how far smoothing moved the points: where smoothing distorts a surface,
+    /// points move farther than the noise.
     fn averaged(&self, neighbours: &[u32], points: &[Self], most: f32) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
@@ -154,7 +155,7 @@ impl Point {
     }
 }
 
-/// Returns the variance of the noise that explains the median motion.
+/// Returns the noise variance that explains the median squared distance by which smoothing moved the points.
 fn noise_of(points: &[Point]) -> f32 {
     let mut squares: Vec<f32> = points.iter().filter(|p| p.normal != Vec3::ZERO).map(|point| point.variance).collect();
     let middle = squares.len() / 2;
@@ -165,7 +166,8 @@ fn noise_of(points: &[Point]) -> f32 {
     }
 }
 
-/// Returns the places of the nearest other points, padded with the point's own place if there are fewer than 16.
+/// Returns the places in the index of the nearest other points, padded with the point's own place if there are fewer
+/// than 16.
 fn nearest_of(index: &PointIndex, place: usize, point: &Point) -> Neighbours {
     let mut nearest = index.nearest(point.at.to_array()).map(|(_, other)| other).filter(|&other| other != place as u32);
     std::array::from_fn(|_| nearest.next().unwrap_or(place as u32))

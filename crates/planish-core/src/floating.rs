@@ -1,5 +1,5 @@
-//! Removes pixels that float between two surfaces, a sensor artefact at depth steps. This stage before the engines is
-//! optional.
+//! Removes pixels that float between two surfaces, a sensor artefact at depth steps. This optional step runs before
+//! the engines.
 
 use rayon::prelude::*;
 
@@ -7,25 +7,25 @@ use crate::cloud::OrganizedCloud;
 use crate::frame::{DepthFrame, PointsView};
 use crate::sensor::SensorModel;
 
-/// Maximum difference of range between a pixel and a neighbour that supports it, in standard deviations of the noise.
+/// Maximum range difference between a pixel and a neighbour that supports it, in standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
-/// Difference of range up to which a neighbour always supports a pixel, as a share of the range, since surfaces slope:
-/// 69° at a focal length of 170 pixels, 83° at 525 pixels.
+/// Range difference up to which a neighbour always supports a pixel, as a share of the range. It allows for slopes of
+/// surfaces: up to 69° at a focal length of 170 pixels, 83° at 525 pixels.
 const SUPPORT_SHARE: f64 = 0.015;
-/// Number of supporting neighbours, of eight, below which a pixel may float. A straight edge has four, a wire two, and
-/// its end one.
+/// Number of supporting neighbours, of eight, below which a pixel may float. A pixel on a straight edge has four, one
+/// on a wire has two, and one at the end of a wire has one.
 const MIN_SUPPORT: u8 = 2;
 /// Number of supporting neighbours from which a pixel is part of a surface.
 const SURFACE_SUPPORT: u8 = 3;
-/// Maximum distance in pixels of the two surfaces that a pixel floats between.
+/// Maximum distance in pixels between a floating pixel and each of the two surfaces.
 const NEAR_PX: usize = 2;
-/// Maximum distance in pixels of one of the two surfaces if the pixel is next to [`HOLES`] holes or more, which often
-/// separate surfaces.
+/// Maximum distance in pixels between a floating pixel and one of the two surfaces if the pixel is next to [`HOLES`]
+/// or more holes, which often separate surfaces.
 const BEHIND_HOLES_PX: usize = 12;
-/// Number of adjacent holes from which a surface may be [`BEHIND_HOLES_PX`] away.
+/// Minimum number of adjacent holes for which a surface may be [`BEHIND_HOLES_PX`] away.
 const HOLES: usize = 2;
-/// Distance in pixels within which a surface of the same range shows that a single pixel is on a frayed edge. Otherwise
-/// the pixel is a speck, even if it is not between two surfaces.
+/// Distance in pixels within which a surface at the same range shows that a single pixel is on a frayed edge. Without
+/// such a surface, the pixel is a speck, even if it is not between two surfaces.
 const SPECK_PX: usize = 4;
 /// Maximum number of holes adjacent to a speck.
 const SPECK_HOLES: usize = 3;
@@ -79,7 +79,7 @@ impl Image<'_> {
         let surfaces = |distance_px: usize| {
             self.around(i, distance_px).filter(|&j| support[j] >= SURFACE_SUPPORT).map(|j| self.ranges_m[j])
         };
-        // True for a surface nearer than the pixel, and for one farther away.
+        // Whether there is a surface nearer than the pixel, and one farther away.
         let sides = |distance_px: usize| {
             surfaces(distance_px).fold([false; 2], |[nearer, farther], other_m| {
                 [nearer || other_m < range_m - same_m, farther || other_m > range_m + same_m]
@@ -173,7 +173,7 @@ mod tests {
             _ => 2000,
         };
         let mut raw: Vec<u16> = (0..1200).map(|i| row(i % 40)).collect();
-        // At different depths, or they would be a surface.
+        // The depths differ, since equal depths would be a surface.
         (0..30).for_each(|v| raw[15 + 40 * v] += 80 * (v as u16 % 7));
         let mut frame = DepthFrame::new(camera, raw).unwrap();
         assert!(frame.remove_floating(&SensorModel::KINECT_V1) >= 28);

@@ -8,7 +8,7 @@ use crate::strided::StridedMut;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// Outputs to compute. Each costs time and memory, and on a GPU readback.
+/// The outputs to compute. Each output costs time and memory, and on a GPU also a transfer to the host.
 ///
 /// ```
 /// use planish::Outputs;
@@ -21,11 +21,11 @@ use crate::xyz::Xyz;
 pub struct Outputs {
     /// The smoothed points.
     pub points: bool,
-    /// The smoothed surface as raw depth values (docs/method.md, section 7); the frame's camera must be known.
+    /// Raw depth values of the smoothed surface (docs/method.md, section 7); requires a known camera.
     pub depth: bool,
     /// Depth of the smoothed surface in metres, as precise as the points.
     pub depth_m: bool,
-    /// Unit normals, towards the sensor.
+    /// Unit normals that point towards the sensor.
     pub normals: bool,
     /// Surface variation l0/(l0+l1+l2), as PCL defines it.
     pub curvature: bool,
@@ -33,10 +33,10 @@ pub struct Outputs {
     pub status: bool,
     /// The number of neighbours of each pixel.
     pub neighbours: bool,
-    /// Effective number of frames of a video averaged into each pixel. Only from a [`Session`](crate::Session) that
-    /// smooths over time ([`Settings::temporal`](crate::Settings::temporal)).
+    /// Effective number of frames of a video averaged into each pixel. Available only from a
+    /// [`Session`](crate::Session) that smooths over time ([`Settings::temporal`](crate::Settings::temporal)).
     pub frames: bool,
-    /// Standard error of each smoothed position along its ray, in metres. Only for frames on a grid, from a
+    /// Standard error of each smoothed position along its ray, in metres. Available only for frames on a grid, from a
     /// [`Session`](crate::Session) (docs/method.md, section 17).
     pub sigma: bool,
 }
@@ -170,9 +170,9 @@ pub enum VectorsMut<'a> {
     Planes([&'a mut [f32]; 3]),
     /// Interleaved x, y and z.
     Rows(&'a mut [[f32; 3]]),
-    /// x, y, z and a fourth value that is left unchanged.
+    /// Interleaved x, y, z and a fourth value that is left unchanged.
     Rows4(&'a mut [[f32; 4]]),
-    /// x, y and z within larger structs.
+    /// Vectors within larger structs.
     Strided(StridedMut<'a>),
 }
 
@@ -302,14 +302,14 @@ impl<'a> From<&'a mut Vec<[f32; 4]>> for VectorsMut<'a> {
 pub struct SmoothedMut<'a> {
     /// The points in metres, NaN for holes.
     pub points: Option<VectorsMut<'a>>,
-    /// Unit normals towards the sensor; NaN without a normal.
+    /// Unit normals that point towards the sensor; NaN for pixels without a plane.
     pub normals: Option<VectorsMut<'a>>,
-    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN without a plane.
+    /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN for pixels without a plane.
     pub curvature: Option<&'a mut [f32]>,
     /// The status of each pixel.
     pub status: Option<&'a mut [Status]>,
-    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
-    /// surfaces, the number of neighbours of the surface.
+    /// Number of neighbours, including the point's own sample if it is within the radius; 0 for holes of the input.
+    /// Pixels that share a surface also share its number of neighbours.
     pub neighbours: Option<&'a mut [u32]>,
     /// Raw depth values of the smoothed surface, 0 for holes.
     pub depth: Option<&'a mut [u16]>,
@@ -322,7 +322,7 @@ pub struct SmoothedMut<'a> {
 }
 
 impl<'a> SmoothedMut<'a> {
-    /// Restores points with too few neighbours from `view` as isolated points, instead of leaving holes.
+    /// Restores points that have too few neighbours from `view` and marks them as isolated, instead of leaving holes.
     pub(crate) fn keep_isolated(&mut self, view: &PointsView<'_>) {
         if let Some(points) = &mut self.points {
             for i in (0..view.len()).filter(|&i| view.point(i).is_finite()) {
@@ -388,7 +388,7 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Creates a set without buffers.
+    /// Creates a value without buffers.
     pub fn new() -> Self {
         Self::default()
     }
@@ -453,7 +453,7 @@ impl<'a> SmoothedMut<'a> {
         }
     }
 
-    /// Refuses buffers with another length than `len`, and buffers for outputs that the smoother was not opened for.
+    /// Refuses buffers whose length is not `len`, and buffers for outputs that the smoother was not opened for.
     pub(crate) fn check(&self, len: usize, outputs: Outputs) -> Result<(), FrameError> {
         let opened = [
             ("points", self.points.is_some(), outputs.points),

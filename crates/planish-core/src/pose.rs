@@ -4,13 +4,13 @@ use glam::{DMat3, DQuat, DVec3};
 
 use crate::error::{FrameError, ParamError};
 
-/// Maximum deviation of a quaternion's length from 1: files round to a few digits.
+/// Maximum deviation of a quaternion's length from 1: files round the components to a few digits.
 const LENGTH_TOLERANCE: f64 = 0.01;
 
 /// Maximum absolute coordinate of a sensor's position in metres.
 const MAX_POSITION_M: f64 = 1e9;
 
-/// Position and orientation of a sensor, as PCD's VIEWPOINT states them: cloud_from_sensor.
+/// Position and orientation of a sensor in the frame of a cloud (cloud_from_sensor), as in PCD's VIEWPOINT.
 ///
 /// The sensor looks along its z axis, with x to the right and y down. [`SensorPose::IDENTITY`] is a sensor at the
 /// origin that looks along +z. Files also state this pose if the true one is unknown, so the grids of clouds with this
@@ -85,7 +85,7 @@ impl SensorPose {
             return Ok(RigidTransform::IDENTITY);
         }
         let [w, x, y, z] = self.orientation;
-        // Some writers leave zeros if they know only the position.
+        // Some writers leave the orientation zero if they know only the position.
         let is_unknown = self.orientation == [0.0; 4];
         let quaternion = if is_unknown { DQuat::IDENTITY } else { DQuat::from_xyzw(x, y, z, w) };
         // False for a NaN.
@@ -109,7 +109,8 @@ impl Default for SensorPose {
     }
 }
 
-/// cloud_from_sensor: p_cloud = rotation p_sensor + translation.
+/// A rigid transform from the sensor's frame to the cloud's (cloud_from_sensor): p_cloud = rotation p_sensor +
+/// translation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigidTransform {
     /// The rotation.
@@ -132,12 +133,12 @@ impl RigidTransform {
         self.rotation * point_in_sensor + self.translation
     }
 
-    /// Returns the translation by an origin in metres.
+    /// Returns the transform that adds `origin_m` (in metres) to points, without a rotation.
     pub fn shift(origin_m: [f64; 3]) -> Self {
         Self { rotation: DMat3::IDENTITY, translation: DVec3::from_array(origin_m) }
     }
 
-    /// Returns the transform that applies `other` first, then this one.
+    /// Returns the transform that applies `other` first, then `self`.
     pub fn after(self, other: Self) -> Self {
         let translation = self.rotation * other.translation + self.translation;
         Self { rotation: self.rotation * other.rotation, translation }

@@ -1,4 +1,4 @@
-//! Prepares a frame before it is smoothed: ranges cut off, floating pixels removed, resolution reduced.
+//! Prepares a frame before it is smoothed: cuts off ranges, removes floating pixels, and reduces the resolution.
 
 use rayon::prelude::*;
 
@@ -18,7 +18,7 @@ const SAME_SURFACE_SHARE: f64 = 0.01;
 /// Maximum side of a block in pixels.
 const MAX_DECIMATE: u32 = 8;
 
-/// Steps before smoothing, applied in this order. By default, none is applied.
+/// Steps before smoothing, applied in the order of the fields. By default, no step is applied.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Preparation {
@@ -74,7 +74,7 @@ impl Preparation {
             || max_range_m.is_some_and(|max_m| range_m > f64::from(max_m))
     }
 
-    /// Prepares a depth image. Blocks get the colour of one of their pixels, and the camera is scaled to match.
+    /// Prepares a depth image. Each block gets the colour of one of its pixels, and the camera is scaled to match.
     ///
     /// # Errors
     /// If the image is smaller than a block.
@@ -110,7 +110,7 @@ impl Preparation {
         Ok(prepared)
     }
 
-    /// Prepares an organized cloud. Blocks keep the fields of the pixel with the median range.
+    /// Prepares an organized cloud. Each block keeps the fields of its pixel with the median range.
     ///
     /// # Errors
     /// If the cloud is malformed, the position of its sensor is unknown, or its grid is smaller than a block.
@@ -136,7 +136,8 @@ impl Preparation {
             let medians = of_blocks.iter().enumerate();
             let medians = medians.map(|(i, block)| block.map_or_else(|| blocks.middle(i), |(median, _)| median));
             let mut points: PointCloud = cloud.points.select(&medians.collect::<Vec<_>>());
-            // Each block gets the mean of its points on the surface of the median.
+            // The position of each block is the mean of its points on the same surface as the point with the median
+            // range.
             for (i, block) in of_blocks.iter().enumerate() {
                 let point = block.map_or([f32::NAN; 3], |(median, _)| {
                     let is_same = |j: &usize| same_surface(ranges_m[*j], ranges_m[median], sensor);
@@ -158,7 +159,7 @@ impl Preparation {
     }
 }
 
-/// Blocks of k by k pixels; incomplete blocks at the right and lower border are left out.
+/// Blocks of k by k pixels; incomplete blocks at the right and lower borders are dropped.
 struct Blocks {
     width: usize,
     k: usize,
@@ -190,7 +191,7 @@ impl Blocks {
     }
 
     /// Returns the pixel with the median range of each block, and the mean of the ranges on the same surface; `None`
-    /// for a block with more than half of its pixels holes.
+    /// for a block of which more than half of the pixels are holes.
     fn means(&self, range_m: &(impl Fn(usize) -> f64 + Sync), sensor: &SensorModel) -> Vec<Option<(usize, f64)>> {
         let of_block = |block: usize| {
             let mut found: Vec<(f64, usize)> =

@@ -19,7 +19,7 @@ impl Progress {
         if total == 0 { 0.0 } else { (done as f32 / total as f32).min(1.0) }
     }
 
-    /// Cancels smoothing of the current frame, which then returns [`EngineError::Stopped`] soon. The next frame is not
+    /// Cancels smoothing of the current frame, which soon fails with [`EngineError::Stopped`]. The next frame is not
     /// affected.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);

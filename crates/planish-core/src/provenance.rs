@@ -1,4 +1,4 @@
-//! Data that only a file's format understands; the cloud carries it from reader to writer.
+//! Format-specific data of a file, which the cloud carries from the reader to the writer.
 
 use std::any::Any;
 use std::fmt;
@@ -7,7 +7,8 @@ use std::sync::Arc;
 /// Data of one file format that travels with a cloud: a LAS header, the scans of an E57 file, the comments of a PLY
 /// file.
 ///
-/// The format that stored a value gets it back by its type; all other code passes it on. Clones share the value.
+/// The format that stored a value retrieves it by its type; all other code passes the value on unchanged. Clones
+/// share the value.
 ///
 /// ```
 /// use planish_core::Provenance;
@@ -23,7 +24,7 @@ use std::sync::Arc;
 pub struct Provenance(Option<Arc<dyn FormatData>>);
 
 impl Provenance {
-    /// Stores data of a format.
+    /// Stores the data of a format.
     pub fn new<T: Any + fmt::Debug + PartialEq + Send + Sync>(data: T) -> Self {
         Self(Some(Arc::new(data)))
     }

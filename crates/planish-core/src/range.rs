@@ -1,14 +1,14 @@
-//! Quantities that grow with range, as computed by the f32 engines: radius, gate of the blocks, and noise
-//! (docs/method.md, sections 2, 3, 10).
+//! Quantities that grow with range in the f32 engines: the radius, the gate of blocks, and the noise (docs/method.md,
+//! sections 2, 3, 10).
 
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{EngineParams, Radius};
 
-/// Ratio of the sensor radius to the half-width of a window; more than 1 for surfaces seen obliquely.
+/// Ratio of the sensor radius to the half-width of a window; more than 1 because of surfaces that are seen obliquely.
 const REACHES: f64 = 2.0;
 
-/// Maximum radius in metres, larger than any scene; its square fits f32. A coordinate of 1e30 would give an infinite
-/// radius, but values computed from the radius must be finite.
+/// Maximum radius in metres, larger than any scene; its square fits f32. Without a limit, a coordinate of 1e30 would
+/// give an infinite radius, but values computed from the radius must be finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
 
 /// Minimum width of a gate in metres: every point must be its own neighbour, and squares must fit f32.
@@ -17,8 +17,8 @@ pub(crate) const MIN_GATE_M: f32 = 1e-12;
 /// Maximum range and coordinate in metres whose squares fit f32. At larger ranges, the radius is fixed or at its limit.
 pub(crate) const MAX_RANGE_M: f32 = 1e18;
 
-/// The rules of one frame at range z: the radius is max(linear z, polynomial), the gate of a block likewise, and the
-/// noise a polynomial.
+/// The rules of one frame for quantities at range z. The radius and the gate of a block are each the maximum of a
+/// term linear in z and a polynomial in z; the noise is a polynomial in z.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RangeRules {
     /// Coefficient of z in the radius, from the pixel spacing.

@@ -2,7 +2,7 @@
 
 use crate::cloud::{AttributeValues, PointCloud};
 
-/// The field with the number of each point's scan.
+/// The name of the field that contains the number of each point's scan.
 const SCAN: &str = "scan";
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
 

@@ -1,7 +1,7 @@
 //! Sensor models: how depth steps and noise grow with range. Metres throughout.
 //!
-//! Both are polynomials c0 + c1 z + c2 z² in the range z. In triangulating sensors (structured light, stereo) they grow
-//! with z²; in time-of-flight sensors and lidars they grow nearly linearly from an offset.
+//! Steps and noise are polynomials c0 + c1 z + c2 z² in the range z. In triangulating sensors (structured light,
+//! stereo) they grow with z²; in time-of-flight sensors and lidars they grow nearly linearly from an offset.
 
 mod estimate;
 
@@ -9,8 +9,8 @@ use std::str::FromStr;
 
 use crate::error::ParamError;
 
-/// Noise of a Kinect v1 in units of its depth step. The radius must cover the noise, so for sensor models without depth
-/// steps, the step is derived from the noise by this ratio.
+/// Noise of a Kinect v1 in units of its depth step. The radius must cover the noise, so for sensors without
+/// noticeable depth steps, the step is set to the noise divided by this ratio.
 const NOISE_IN_STEPS: f64 = 0.63;
 
 /// The properties of a depth sensor that the smoother uses.
@@ -24,17 +24,18 @@ const NOISE_IN_STEPS: f64 = 0.63;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SensorModel {
-    /// Difference between adjacent depths that the sensor distinguishes, in metres: coefficients of 1, z and z². At
-    /// least the noise between neighbouring pixels, since the radius of section 3 is four steps.
+    /// Difference between adjacent depths that the sensor distinguishes, in metres: coefficients of 1, z and z². Must
+    /// be at least the noise between neighbouring pixels, because the radius (docs/method.md, section 3) is four
+    /// steps.
     pub step: [f32; 3],
     /// Standard deviation of depth in metres: coefficients of 1, z and z².
     pub sigma: [f32; 3],
 }
 
 impl SensorModel {
-    /// Kinect v1 and others with its pattern (Xtion, PrimeSense Carmine): one unit of 11-bit disparity is 2.85e-3 z²
-    /// (Khoshelham & Elberink 2012); on real frames the noise around a line through 8 pixels is 1.66e-3 to 1.88e-3 z²
-    /// (docs/method.md, section 10).
+    /// Kinect v1 and other sensors with its pattern (Xtion, PrimeSense Carmine): one unit of 11-bit disparity is
+    /// 2.85e-3 z² (Khoshelham & Elberink 2012); on real frames the noise around a line through 8 pixels is 1.66e-3 to
+    /// 1.88e-3 z² (docs/method.md, section 10).
     pub const KINECT_V1: Self = Self { step: [0.0, 0.0, 2.85e-3], sigma: [0.0, 0.0, 1.8e-3] };
     /// RealSense D415 at 1280x720: baseline 55 mm, focal length 1005 px (horizontal field of view 65°).
     pub const REALSENSE_D415: Self = Self::realsense_d400(0.055, 1005.0);
@@ -44,19 +45,20 @@ impl SensorModel {
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
     /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: the polynomial through standard
-    /// deviations of 0.61 mm at 0.8 m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413).
-    /// These three figures are not verified here, only the paper's bound of 17 mm for all modes and ranges.
+    /// deviations of 0.61 mm at 0.8 m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors
+    /// 21(2):413). These three figures are unverified; only the paper's bound of 17 mm for all modes and ranges was
+    /// verified.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
     /// RealSense L515: the line through standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity
     /// (Intel's product page, quoted in librealsense issue 5808).
     pub const REALSENSE_L515: Self = Self::from_noise([8.75e-4, 1.625e-3, 0.0]);
-    /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021 (Scientific
-    /// Reports 11:22221) found for small objects, at any range. The figure is not verified here.
+    /// Depth of iPhone and iPad lidars: half of the absolute accuracy of ±1 cm that Luetzenburg et al. 2021
+    /// (Scientific Reports 11:22221) found for small objects, at any range. The figure is not verified.
     pub const APPLE_LIDAR: Self = Self::from_noise([5e-3, 0.0, 0.0]);
     /// Depth without noise: rendered, or averaged over many frames.
     pub const EXACT: Self = Self { step: [0.0; 3], sigma: [0.0; 3] };
 
-    /// Creates a model from its coefficients.
+    /// Creates a model from the coefficients of its depth step and of its noise.
     pub const fn new(step: [f32; 3], sigma: [f32; 3]) -> Self {
         Self { step, sigma }
     }
@@ -68,7 +70,8 @@ impl SensorModel {
         Self::from_noise([0.0, 0.0, 0.08 / (baseline_m * focal_length_px)])
     }
 
-    /// Creates the model of a sensor with this noise and no noticeable depth steps.
+    /// Creates the model of a sensor without noticeable depth steps from its noise: coefficients of 1, z and z² in
+    /// metres.
     pub const fn from_noise(sigma: [f32; 3]) -> Self {
         let [c0, c1, c2] = sigma;
         let noise = NOISE_IN_STEPS as f32;
@@ -85,9 +88,9 @@ impl SensorModel {
         evaluate(self.sigma, range_m)
     }
 
-    /// Returns the baseline of a named triangulating sensor in metres: the distance from the camera to the projector or
-    /// second camera, because of which near objects cast shadows. `None` for other sensors. Sources: 75 mm for a Kinect
-    /// v1 (Khoshelham & Elberink 2012); Intel's data sheets for the RealSense D400 family.
+    /// Returns the baseline of a named triangulating sensor in metres: the distance from the camera to the projector
+    /// or second camera. Because of this distance, near objects cast shadows. `None` for other sensors. Sources: 75
+    /// mm for a Kinect v1 (Khoshelham & Elberink 2012); Intel's data sheets for the RealSense D400 family.
     pub fn baseline_m(&self) -> Option<f64> {
         let known = [
             (Self::KINECT_V1, 0.075),
@@ -142,7 +145,7 @@ impl FromStr for SensorModel {
 }
 
 impl Default for SensorModel {
-    /// [`SensorModel::KINECT_V1`].
+    /// Returns [`SensorModel::KINECT_V1`].
     fn default() -> Self {
         Self::KINECT_V1
     }

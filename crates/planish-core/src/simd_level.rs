@@ -2,11 +2,11 @@
 
 use fearless_simd::Level;
 
-/// An instruction set. The engine uses the widest available; you can choose a narrower one for comparisons.
+/// An instruction set. The engine uses the widest available set; a narrower one can be selected for comparisons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SimdLevel {
-    /// Scalar code, if no vector instructions are compiled in.
+    /// Scalar code, for builds without vector instructions.
     Scalar,
     /// x86-64's baseline, 4 lanes.
     Sse2,

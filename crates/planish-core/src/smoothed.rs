@@ -11,7 +11,7 @@ use crate::status::Status;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// Smoothed points and the requested outputs. Reuse one for all frames to keep its buffers.
+/// Smoothed points and the requested outputs. Reuse one value for all frames to avoid reallocating its buffers.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Smoothed {
     /// Width in pixels; the number of points for an unorganized cloud.
@@ -24,14 +24,14 @@ pub struct Smoothed {
     pub depth: Option<Vec<u16>>,
     /// Depth of the smoothed surface in metres, NaN for holes.
     pub depth_m: Option<Vec<f32>>,
-    /// Unit normals towards the sensor; NaN for pixels without a plane.
+    /// Unit normals that point towards the sensor; NaN for pixels without a plane.
     pub normals: Option<Xyz>,
     /// Surface variation l0/(l0+l1+l2), 0 to 1/3; NaN for pixels without a plane.
     pub curvature: Option<Vec<f32>>,
     /// The status of each pixel.
     pub status: Option<Vec<Status>>,
-    /// Number of neighbours, the point's own sample included if within the radius; 0 for holes. If pixels share
-    /// surfaces, the number of neighbours of the surface.
+    /// Number of neighbours, including the point's own sample if it is within the radius; 0 for holes of the input.
+    /// Pixels that share a surface also share its number of neighbours.
     pub neighbours: Option<Vec<u32>>,
     /// Effective number of frames of a video averaged into each pixel, 1 to 16; 0 for holes.
     pub frames: Option<Vec<f32>>,
@@ -39,7 +39,7 @@ pub struct Smoothed {
     pub sigma: Option<Vec<f32>>,
 }
 
-/// Share of lost points above which a frame is reported.
+/// Share of lost points above which a frame causes a warning.
 const LOST_SHARE_TOLD: f64 = 0.01;
 
 impl Smoothed {
@@ -87,7 +87,7 @@ impl Smoothed {
             + 4 * self.sigma.as_ref().map_or(0, Vec::capacity)
     }
 
-    /// Returns the buffers as outputs to write into.
+    /// Borrows the buffers for writing.
     pub(crate) fn as_mut(&mut self) -> SmoothedMut<'_> {
         SmoothedMut {
             points: (!self.points.is_empty()).then(|| (&mut self.points).into()),
@@ -102,14 +102,15 @@ impl Smoothed {
         }
     }
 
-    /// Returns the number of valid points of its frame that became holes; 0 if the outputs do not show it.
+    /// Returns the number of valid points of the frame that became holes; 0 without status, points or depth, which
+    /// would show holes.
     pub fn lost_points(&self, frame: Frame<'_>) -> usize {
         if let Some(counts) = self.status_counts() {
             return counts[Status::TooFew as usize];
         }
         let finite = |values: &[f32]| values.iter().filter(|value| value.is_finite()).count();
         let left = match (&self.depth, &self.depth_m) {
-            // Points are holes in all coordinates or in none.
+            // A hole has no finite coordinate, so z suffices.
             _ if !self.points.is_empty() => finite(self.points.z()),
             (_, Some(depth_m)) => finite(depth_m),
             (Some(depth), None) => depth.iter().filter(|raw| **raw != 0).count(),
@@ -128,22 +129,22 @@ impl Smoothed {
         Some(counts)
     }
 
-    /// Returns true if a hole was filled.
+    /// Returns true if at least one hole was filled; false if the status was not requested.
     pub fn has_filled(&self) -> bool {
         self.status.as_ref().is_some_and(|status| status.contains(&Status::Filled))
     }
 
-    /// Returns a mask with the origin of each pixel's value, as [`Origin::mask_value`](crate::Origin::mask_value);
-    /// `None` if the status was not requested.
+    /// Returns a mask with the origin of each pixel's value, encoded by
+    /// [`Origin::mask_value`](crate::Origin::mask_value); `None` if the status was not requested.
     pub fn origin_mask(&self) -> Option<Vec<u8>> {
         Some(self.status.as_ref()?.iter().map(|status| status.origin().mask_value()).collect())
     }
 
     /// Returns the smoothed surface as a depth image, as the camera would have measured it (docs/method.md, section 7).
     ///
-    /// Request normals from the smoother: without them, the depths are the points' own, which are off on slanted
-    /// surfaces. The result must be in the camera's frame. For a cloud with another pose, request depth from the
-    /// smoother instead.
+    /// Request normals from the smoother: without them, the depth of each pixel is the z of its point, which is
+    /// inaccurate on slanted surfaces. The result must be in the camera's frame. For a cloud with another pose,
+    /// request depth from the smoother instead.
     pub fn to_depth(&self, camera: &Camera) -> Result<DepthImage, FrameError> {
         let raw = self.to_depth_m(camera)?.into_iter().map(|depth_m| camera.raw_depth(depth_m)).collect();
         Ok(DepthImage { width: self.width, height: self.height, raw })
@@ -152,7 +153,7 @@ impl Smoothed {
     /// Same as [`Smoothed::to_depth`], but in metres, with NaN for holes.
     ///
     /// With [`Project::Normal`](crate::Project::Normal), a smoothed point leaves the ray of its pixel. The depth is
-    /// that at which the ray meets the tangent plane of the point. If the ray grazes the plane, or the normal is
+    /// measured where this ray meets the tangent plane of the point. If the ray grazes the plane, or the normal is
     /// missing, the depth is the point's z.
     pub fn to_depth_m(&self, camera: &Camera) -> Result<Vec<f32>, FrameError> {
         camera.check_shape((self.width, self.height))?;
@@ -171,7 +172,7 @@ impl Smoothed {
 }
 
 impl Smoothed {
-    /// Returns the available outputs among `fields`, under the field names of clouds.
+    /// Returns the available outputs among `fields`, with the names of their fields in clouds.
     pub fn fields(&self, fields: Outputs) -> Vec<(&'static str, AttributeValues)> {
         let normals = self.normals.as_ref().map(Xyz::as_slices);
         named_fields(
@@ -185,7 +186,7 @@ impl Smoothed {
     }
 }
 
-/// Returns the available outputs among `fields`, under the field names of clouds.
+/// Returns the available outputs among `fields`, with the names of their fields in clouds.
 pub fn named_fields(
     fields: Outputs,
     normals: Option<[&[f32]; 3]>,
@@ -230,7 +231,7 @@ pub(crate) fn depth_along_ray_m([ray_x, ray_y]: [f32; 2], [x, y, z]: [f32; 3], [
 const OF_SURFACE: [&str; 4] = ["normal_x", "normal_y", "normal_z", "curvature"];
 
 impl Outputs {
-    /// Adds normals and curvature if the cloud has them, since its own do not fit smoothed points.
+    /// Adds normals and curvature if the cloud has such fields, whose values become stale when its points move.
     pub fn renewing(self, cloud: &PointCloud) -> Self {
         let has = |name: &str| cloud.attribute(name).is_some();
         let [x, y, z, curvature] = OF_SURFACE.map(has);
@@ -240,10 +241,10 @@ impl Outputs {
 
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
-    /// except normals and curvature of the measured points: they do not fit the result, and are removed unless replaced
-    /// ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of several scans, normals face
-    /// the scanner of each point.
+    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are
+    /// kept, except normals and curvature of the measured points, which are wrong for the moved points and are
+    /// removed unless replaced ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of
+    /// several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         let fields = fields.with_status(fields.status || (!ONE_THREAD && smoothed.has_filled()));

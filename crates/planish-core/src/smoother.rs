@@ -16,7 +16,7 @@ use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 use crate::xyz::validate_shape;
 
-/// An open engine with its buffers, for frames of one grid, or for unorganized clouds.
+/// An open engine and its buffers, for frames on one grid or for unorganized clouds.
 ///
 /// One frame at a time:
 ///
@@ -63,7 +63,8 @@ use crate::xyz::validate_shape;
 /// ```
 pub struct Smoother {
     params: EngineParams,
-    /// The automatic window, until a frame shows its resolution.
+    /// The automatic window, until a frame with a known resolution decides its size; `None` afterwards, or for a
+    /// fixed window.
     undecided: Option<Window>,
     grid: Option<(usize, usize)>,
     outputs: Outputs,
@@ -72,12 +73,12 @@ pub struct Smoother {
     opener: Opener,
     chosen_because: Option<ChoiceReason>,
     scratch: GeometryScratch,
-    /// Results of frames that were in flight when the window was decided.
+    /// Results of frames that were in flight when the engine was reopened for another window size.
     ready: VecDeque<Result<SmoothedView, Error>>,
     is_prepared: bool,
 }
 
-/// The means to open the engine again for another window.
+/// The arguments for reopening the engine with another window size.
 enum Opener {
     Options(SmootherOptions),
     #[cfg(feature = "wgpu-interop")]
@@ -128,10 +129,10 @@ impl Smoother {
 
     /// Opens an engine for frames of one shape (width, height).
     ///
-    /// Limits are checked, kernels compiled and a first frame computed here. `Auto` chooses here, and uses the CPU if
-    /// the GPU cannot be opened for these frames. An automatic window ([`Window::Auto`]) is decided by the first frame
-    /// that shows its resolution. If its pixels are coarser than a Kinect v1's, the engine is then opened again, and
-    /// `Auto` chooses again.
+    /// This call checks limits, compiles kernels and computes a first frame. `Auto` chooses the engine in this call,
+    /// and uses the CPU if the GPU cannot be opened for these frames. The size of an automatic window
+    /// ([`Window::Auto`]) is decided by the first frame with a known resolution. If the pixels of that frame are
+    /// coarser than a Kinect v1's, the engine is then opened again, and `Auto` chooses again.
     ///
     /// # Errors
     /// If a parameter is outside its range, or the engine is not available.
@@ -147,7 +148,7 @@ impl Smoother {
         Self::open_any(params.into(), options, None)
     }
 
-    /// Opens an engine for either kind of input.
+    /// Opens an engine for frames on a grid, or for unorganized clouds if `grid` is `None`.
     pub(crate) fn open_any(
         params: Params,
         options: &SmootherOptions,
@@ -158,7 +159,7 @@ impl Smoother {
         Self::with_opener(params, undecided, Opener::Options(options.clone()), options.outputs, grid)
     }
 
-    /// Opens an engine whose window is decided elsewhere ([`set_size`](Self::set_size)).
+    /// Opens an engine for a caller that decides the window size itself ([`set_size`](Self::set_size)).
     pub(crate) fn open_decided(
         params: EngineParams,
         options: &SmootherOptions,
@@ -167,12 +168,13 @@ impl Smoother {
         Self::with_opener(params, None, Opener::Options(options.clone()), options.outputs, grid)
     }
 
-    /// Opens the GPU engine on a device that the host program owns, with its queue.
+    /// Opens the GPU engine on a device and a queue that belong to the host program.
     ///
     /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are not
-    /// replaced, so validation errors reach the host program. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`], frames
-    /// need no copies; with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS`, they can be
-    /// timed. This function follows the versions of wgpu, so a new version of wgpu is a breaking change.
+    /// replaced, so validation errors reach the host program. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`],
+    /// frames need no copies; with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS`, they
+    /// can be timed. The signature contains types of wgpu, so each new version of wgpu is a breaking change of this
+    /// function.
     ///
     /// # Errors
     /// Same as [`open_with`](Self::open_with).
@@ -214,7 +216,7 @@ impl Smoother {
         })
     }
 
-    /// Opens the engine again for a window of another size. Frames in flight are finished first.
+    /// Reopens the engine for another window size. Frames in flight are finished first.
     pub(crate) fn set_size(&mut self, size: WindowSize) -> Result<(), Error> {
         let params = self.params.with_size(size);
         if params == self.params {
@@ -230,7 +232,7 @@ impl Smoother {
             }
         }
         (self.opened, self.engine, self.chosen_because) = self.opener.open(params, self.grid)?;
-        // Only now: if opening fails, the next frame tries again.
+        // Cleared only after a successful opening, so that the next frame tries again after a failure.
         self.undecided = None;
         if self.is_prepared {
             self.opened.prepare_in_flight();
@@ -239,7 +241,7 @@ impl Smoother {
         Ok(())
     }
 
-    /// Returns the open engine; after [`Engine::Auto`], the chosen one.
+    /// Returns the open engine; for [`Engine::Auto`], the engine that it chose.
     pub fn engine(&self) -> Engine {
         self.engine
     }
@@ -249,12 +251,12 @@ impl Smoother {
         self.engine.capabilities()
     }
 
-    /// Returns the name of the GPU, if this is the GPU engine.
+    /// Returns the name of the GPU; `None` for other engines.
     pub fn gpu_name(&self) -> Option<&str> {
         self.opened.device_name()
     }
 
-    /// Returns the reason for the choice of `Auto`; `None` if the engine was chosen by name.
+    /// Returns the reason for the choice of `Auto`; `None` if the caller chose the engine by name.
     pub fn chosen_because(&self) -> Option<&ChoiceReason> {
         self.chosen_because.as_ref()
     }
@@ -276,31 +278,32 @@ impl Smoother {
         self.opened.smooth(&frame, out)
     }
 
-    /// Smooths a frame whose shape and buffers were checked.
+    /// Smooths a frame whose shape and buffers were already checked.
     pub(crate) fn smooth_admitted(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         self.opened.smooth(frame, out)
     }
 
-    /// Also smooths all further frames over time, if the engine supports this; returns true if it does. Only for
+    /// Enables smoothing over time for all later frames; returns false if the engine does not support it. Only for
     /// sessions, which mark the first frame of a video and check buffers.
     pub(crate) fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
         self.opened.smooth_over_time(video)
     }
 
-    /// Adds standard errors to all further results, if the engine supports this; returns true if it does. Only for
+    /// Enables standard errors in all later results; returns false if the engine does not support them. Only for
     /// sessions, which check buffers.
     pub(crate) fn enable_sigma(&mut self) -> Result<bool, Error> {
         self.opened.enable_sigma()
     }
 
-    /// Submits a frame whose shape was checked.
+    /// Submits a frame whose shape was already checked.
     pub(crate) fn submit_admitted(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
         self.opened.submit(frame, buffer)
     }
 
-    /// Smooths several frames of the same shape, from one camera or several. A GPU gets up to 64 in one submission.
+    /// Smooths several frames of the same shape, from one camera or several. A GPU computes up to 64 frames per
+    /// submission.
     ///
-    /// `out` must have one result per frame; the buffers of the results are reused.
+    /// `out` must have one result per frame, whose buffers are reused.
     pub fn smooth_batch(&mut self, frames: &[Frame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
         if frames.len() != out.len() {
             let (len, expected) = (out.len(), frames.len());
@@ -311,52 +314,54 @@ impl Smoother {
     }
 
     /// Returns the time spent in each stage of the last [`smooth`](Self::smooth) or
-    /// [`smooth_batch`](Self::smooth_batch), on a GPU or in the CPU engine, if
+    /// [`smooth_batch`](Self::smooth_batch), on a GPU or in the CPU engine; `None` unless
     /// [`GpuOptions::timestamps`](crate::GpuOptions::timestamps) is set.
     pub fn timings(&self) -> Option<FrameTimings> {
         self.opened.timings()
     }
 
-    /// Returns the progress of the frame being smoothed on another thread; `None` for engines that are always fast.
-    /// Those for unorganized clouds and the reference may take long.
+    /// Returns the progress of the frame being smoothed, for use by another thread; `None` for the CPU and GPU
+    /// engines for frames on a grid, which are always fast. The engines for unorganized clouds, and the reference,
+    /// may take long.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.opened.progress()
     }
 
-    /// Keeps the radii by density of further clouds, for [`own_radius_m`](Self::own_radius_m).
+    /// Makes the engine store the density-based radii of later clouds, for [`own_radius_m`](Self::own_radius_m).
     pub fn keep_radii(&mut self) {
         self.opened.keep_radii();
     }
 
-    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
-    /// none, or radii were not kept.
+    /// Returns the density-based radius of point `i` of the last cloud in metres, before it was limited; `None` if
+    /// the point has no such radius, or radii were not stored.
     pub fn own_radius_m(&self, i: usize) -> Option<f32> {
         self.opened.own_radius_m(i)
     }
 
-    /// Returns the size in bytes of the buffers kept between frames, without the caller's frames and results. The CPU
-    /// engine keeps padded frames; the GPU engine keeps slots, in device memory and in shared memory; the reference
-    /// keeps nothing.
+    /// Returns the size in bytes of the buffers kept between frames, excluding the caller's frames and results. The
+    /// CPU engine keeps padded frames, the GPU engine keeps slots in device memory and shared memory, and the
+    /// reference keeps no buffers.
     pub fn buffer_bytes(&self) -> u64 {
         self.opened.buffer_bytes()
     }
 
     /// Submits a frame and a buffer for its result; [`receive`](Self::receive) returns the filled buffer.
     ///
-    /// A GPU has copied the frame when this returns, and another thread copies the result out. The CPU engines, and all
-    /// engines for unorganized clouds, compute the frame during this call.
+    /// On a GPU, the frame has been copied when this function returns, and another thread copies the result into the
+    /// buffer. The CPU engines, and all engines for unorganized clouds, compute the frame during this call.
     pub fn submit<'a>(&mut self, frame: impl IntoFrame<'a>, buffer: Smoothed) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         self.opened.submit(&frame, Some(buffer))
     }
 
-    /// Submits a frame whose result is read where the device writes it, without a copy.
+    /// Submits a frame whose result is not copied: [`receive`](Self::receive) returns a view of the memory that the
+    /// device wrote.
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = self.admit(frame.into_frame()?)?;
         self.opened.submit(&frame, None)
     }
 
-    /// Waits for the oldest frame in flight; `None` if no frame is in flight.
+    /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
     pub fn receive(&mut self) -> Result<Option<SmoothedView>, Error> {
         match self.ready.pop_front() {
             Some(result) => result.map(Some),
@@ -371,7 +376,7 @@ impl Smoother {
         self.opened.prepare_in_flight();
     }
 
-    /// Returns the number of frames that were submitted and not yet received.
+    /// Returns the number of frames that were submitted but not yet received.
     pub fn in_flight(&self) -> usize {
         self.ready.len() + self.opened.in_flight()
     }
@@ -382,7 +387,7 @@ impl Smoother {
         self.opened.max_in_flight()
     }
 
-    /// Refuses a frame with another grid, and determines how its ranges are measured.
+    /// Refuses a frame whose grid differs from the smoother's, and determines how its ranges are measured.
     fn admit<'a>(&mut self, frame: Frame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         check_frame(frame, self.outputs, self.grid)?;
         let needs_range = needs_range(&self.params) || self.undecided.is_some();
@@ -390,7 +395,8 @@ impl Smoother {
         self.admit_with(frame, geometry)
     }
 
-    /// Admits a checked frame with its geometry; decides the window if it is still undecided.
+    /// Admits a checked frame with its geometry. Decides the window size if it is undecided and the frame's
+    /// resolution is known.
     fn admit_with<'a>(&mut self, frame: Frame<'a>, geometry: FrameGeometry) -> Result<AdmittedFrame<'a>, Error> {
         if let (Some(window), Some(pitch_at_1m)) = (self.undecided, geometry.rule.known_pitch_at_1m()) {
             self.set_size(window.at_pitch(pitch_at_1m))?;
@@ -399,7 +405,7 @@ impl Smoother {
     }
 }
 
-/// Returns an engine's parameters, and the window if it depends on the frame.
+/// Converts parameters to those of an engine. Also returns the window if its size depends on the frame's resolution.
 pub(crate) fn for_engine(params: Params) -> (EngineParams, Option<Window>) {
     match params {
         Params::Frame(params) => (params.into(), Some(params.window).filter(|window| window.is_auto())),
@@ -407,12 +413,12 @@ pub(crate) fn for_engine(params: Params) -> (EngineParams, Option<Window>) {
     }
 }
 
-/// Returns true if engines need the ranges of a frame's points.
+/// Returns true if, with these parameters, engines need the ranges of a frame's points.
 pub(crate) fn needs_range(params: &EngineParams) -> bool {
     params.radius == Radius::Sensor || params.edges != Edges::Off || params.averages_blocks()
 }
 
-/// Refuses a frame with another grid, or without the camera that an output requires.
+/// Refuses a frame whose grid differs from `grid`, or that lacks the camera that an output requires.
 pub(crate) fn check_frame(frame: Frame<'_>, outputs: Outputs, grid: Option<(usize, usize)>) -> Result<(), FrameError> {
     check_grid(frame.grid(), grid)?;
     if outputs.needs_camera() && frame.camera().is_none() {
@@ -442,7 +448,7 @@ pub(crate) fn check_grid(found: Option<(usize, usize)>, expected: Option<(usize,
     }
 }
 
-/// Refuses the output `frames` outside a video, and `sigma` outside a session.
+/// Refuses the outputs `frames`, which needs a video, and `sigma`, which needs a session.
 pub(crate) fn check_no_frames(outputs: Outputs) -> Result<(), ParamError> {
     let refused = |value: &str, allowed| Err(ParamError { field: "outputs", value: value.to_owned(), allowed });
     if outputs.frames && !ONE_THREAD {

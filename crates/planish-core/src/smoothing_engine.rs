@@ -18,13 +18,13 @@ use crate::view::SmoothedView;
 pub(crate) struct AdmittedFrame<'a> {
     pub(crate) frame: Frame<'a>,
     pub(crate) geometry: FrameGeometry,
-    /// The frame's place in a video, for an engine that also smooths over time.
+    /// The frame's position in a video, for an engine that also smooths over time.
     #[cfg_attr(not(feature = "gpu"), allow(dead_code))]
     pub(crate) step: VideoStep,
 }
 
-/// A video that an engine may smooth over time by itself (docs/method.md, section 16). Its ranges are depths of a
-/// sensor at the origin.
+/// A video that an engine may smooth over time by itself (docs/method.md, section 16). The ranges of its frames are
+/// depths, seen by a sensor at the origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Video {
     pub(crate) params: TemporalParams,
@@ -35,7 +35,7 @@ pub(crate) struct Video {
     pub(crate) moves: bool,
 }
 
-/// A frame's place in a video.
+/// A frame's position in a video.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct VideoStep {
     /// True for the first frame of a video.
@@ -52,7 +52,7 @@ impl<'a> AdmittedFrame<'a> {
 }
 
 /// An open engine with its buffers. Callers guarantee that frames have the shape that the engine was opened for, and
-/// that buffers have the length of the frame and are for opened outputs.
+/// that buffers have one entry per pixel or point and are only for outputs that the engine was opened for.
 pub(crate) trait SmoothingEngine: Send {
     /// Smooths one frame.
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
@@ -60,32 +60,34 @@ pub(crate) trait SmoothingEngine: Send {
     /// Smooths several frames.
     fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error>;
 
-    /// Submits a frame. Results are received in the order of submission, in `buffer` if one is given.
+    /// Submits a frame. Results are received in the order of submission. If `buffer` is given, the result is stored
+    /// in it.
     fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error>;
 
-    /// Waits for the result of the oldest frame in flight.
+    /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
     fn receive(&mut self) -> Result<Option<SmoothedView>, Error>;
 
-    /// Also smooths all further frames over time, if the engine supports this; returns true if it does. Results then
-    /// have the outputs of the video, and [`AdmittedFrame::step`] is used.
+    /// Enables smoothing over time for all later frames; returns false if the engine does not support it. Later
+    /// results have the outputs of the video, and [`AdmittedFrame::step`] is used.
     fn smooth_over_time(&mut self, _: &Video) -> Result<bool, Error> {
         Ok(false)
     }
 
-    /// Adds the standard errors of section 17 to all further results, if the engine supports this; returns true if it
-    /// does.
+    /// Enables standard errors (docs/method.md, section 17) in all later results; returns false if the engine does
+    /// not support them.
     fn enable_sigma(&mut self) -> Result<bool, Error> {
         Ok(false)
     }
 
-    /// Prepares everything that the second frame in flight would otherwise wait for.
+    /// Prepares for several frames in flight, so that the second frame need not wait for the preparation.
     fn prepare_in_flight(&mut self) {}
 
     fn in_flight(&self) -> usize;
 
     fn max_in_flight(&self) -> usize;
 
-    /// Returns the time spent in each stage of the last call of `smooth` or `smooth_batch`, if requested.
+    /// Returns the time spent in each stage of the last call of `smooth` or `smooth_batch`; `None` if times were not
+    /// requested.
     fn timings(&self) -> Option<FrameTimings>;
 
     /// Returns the size in bytes of the buffers kept between frames.
@@ -101,17 +103,17 @@ pub(crate) trait SmoothingEngine: Send {
         None
     }
 
-    /// Keeps the radii by density of further clouds, if the engine does not keep them anyway.
+    /// Makes the engine store the density-based radii of later clouds, unless it stores them anyway.
     fn keep_radii(&mut self) {}
 
-    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
-    /// none, or radii were not kept.
+    /// Returns the density-based radius of point `i` of the last cloud in metres, before it was limited; `None` if
+    /// the point has no such radius, or radii were not stored.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }
 }
 
-/// An engine that computes a frame during the call.
+/// An engine that computes each frame within the call that passes the frame.
 pub(crate) trait ImmediateEngine: Send {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error>;
 
@@ -134,11 +136,11 @@ pub(crate) trait ImmediateEngine: Send {
         None
     }
 
-    /// Keeps the radii by density of further clouds, if the engine does not keep them anyway.
+    /// Makes the engine store the density-based radii of later clouds, unless it stores them anyway.
     fn keep_radii(&mut self) {}
 
-    /// Returns the radius by density of point `i` of the last cloud, before it was limited; `None` if the point has
-    /// none, or radii were not kept.
+    /// Returns the density-based radius of point `i` of the last cloud in metres, before it was limited; `None` if
+    /// the point has no such radius, or radii were not stored.
     fn own_radius_m(&self, _: usize) -> Option<f32> {
         None
     }

@@ -19,13 +19,13 @@ pub enum Status {
     Polynomial2 = 4,
     /// The point was moved to a polynomial of degree 3.
     Polynomial3 = 5,
-    /// In an unorganized cloud, the point has fewer than 3 neighbours, or fewer than about a quarter of the number that
-    /// its radius was chosen for (section 8): it is unchanged, without a normal.
+    /// In an unorganized cloud, the point has fewer than 3 neighbours, or fewer than about a quarter of the number
+    /// that its radius was chosen for (docs/method.md, section 8): it is unchanged, without a normal.
     Isolated = 6,
-    /// With smoothing over time, this pixel alone jumped, so for one frame it keeps the value of the previous frame
-    /// (section 16). The normal is this frame's.
+    /// With smoothing over time, the value of this pixel jumped, but not those around it. For one frame, the pixel
+    /// keeps the value of the previous frame (docs/method.md, section 16). The normal is this frame's.
     Carried = 7,
-    /// A hole, without a measurement, that was filled with the surface around it (section 18).
+    /// A hole without a measurement that was filled with the surface around it (docs/method.md, section 18).
     Filled = 8,
 }
 
@@ -53,7 +53,7 @@ impl Status {
         matches!(self, Self::Plane | Self::Polynomial2 | Self::Polynomial3 | Self::Carried | Self::Filled)
     }
 
-    /// Returns where the point comes from.
+    /// Returns the origin of the pixel's value.
     pub fn origin(self) -> Origin {
         match self {
             Self::Hole | Self::TooFew => Origin::None,
@@ -63,7 +63,7 @@ impl Status {
         }
     }
 
-    /// Returns the status with a code that an engine wrote. Engines never write [`Status::Filled`].
+    /// Returns the status for a code that an engine wrote. Engines never write [`Status::Filled`].
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
         // Every 3-bit index has a status, so the code needs no check.
@@ -99,7 +99,7 @@ impl Origin {
     /// Every origin, in the order of their codes.
     pub const ALL: [Self; 4] = [Self::None, Self::Filled, Self::Carried, Self::Measured];
 
-    /// Returns the value of a pixel in an 8-bit mask: 0 for holes, 85 filled, 170 carried, 255 measured.
+    /// Returns the value for this origin in an 8-bit mask: 0 for holes, 85 filled, 170 carried, 255 measured.
     pub fn mask_value(self) -> u8 {
         85 * self as u8
     }

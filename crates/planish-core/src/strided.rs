@@ -4,8 +4,8 @@ use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 use std::ptr::NonNull;
 
-/// Vectors of three values that begin every `stride` values. Values between them are left unchanged, or copied from
-/// another buffer ([`with_gaps_from`](Self::with_gaps_from)).
+/// Vectors of three f32 values whose starts are `stride` values apart. Values between vectors are left unchanged, or
+/// copied from another buffer ([`with_gaps_from`](Self::with_gaps_from)).
 #[derive(Debug)]
 pub struct StridedMut<'a> {
     first: NonNull<f32>,
@@ -41,14 +41,14 @@ impl<'a> StridedMut<'a> {
     ///
     /// # Safety
     /// The three values of each vector must be valid for reads and writes, and accessed by nothing else, for `'a`.
-    /// Values between them may be in use.
+    /// The values between vectors may be in use.
     #[cfg(not(target_family = "wasm"))]
     pub unsafe fn from_raw(first: NonNull<f32>, stride: usize, len: usize) -> Self {
         Self { first, stride, gaps: None, len, lifetime: PhantomData }
     }
 
-    /// Copies the values between a vector and the next from another buffer, whenever the vector is set. This keeps the
-    /// other members of structs, and costs less than copying the structs before.
+    /// Whenever a vector is set, copies the values between it and the next vector from another buffer. This preserves
+    /// the other members of structs, and costs less than copying whole structs beforehand.
     ///
     /// # Safety
     /// `first` must be the first vector of a buffer with the same stride and number of vectors. In both buffers, all
@@ -59,7 +59,7 @@ impl<'a> StridedMut<'a> {
         Self { gaps: Some(first), ..self }
     }
 
-    /// The number of vectors.
+    /// Returns the number of vectors.
     pub fn len(&self) -> usize {
         self.len
     }
@@ -124,7 +124,7 @@ impl<'a> StridedMut<'a> {
 #[inline(always)]
 unsafe fn copy_values(from: NonNull<f32>, to: NonNull<f32>, count: usize) {
     /// # Safety
-    /// The same, for N values.
+    /// `N` values must be valid for reads at `from` and for writes at `to`, and the two must not overlap.
     #[inline(always)]
     unsafe fn copy<const N: usize>(from: NonNull<f32>, to: NonNull<f32>) {
         // SAFETY: as the caller promises.

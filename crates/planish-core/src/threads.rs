@@ -21,7 +21,7 @@ const MAX_THREADS: usize = 1024;
 /// # Errors
 /// If the system allows no more threads.
 pub fn start_shared_threads() -> Result<(), EngineError> {
-    // Not compiled for WebAssembly, so that a page need not load it.
+    // Not compiled for WebAssembly, so that web pages need not load this code.
     #[cfg(not(target_family = "wasm"))]
     if let Err(error) = ThreadPoolBuilder::new().build_global()
         && let Some(reason) = std::error::Error::source(&error)
@@ -33,8 +33,8 @@ pub fn start_shared_threads() -> Result<(), EngineError> {
     Ok(())
 }
 
-/// Works on each item on a new thread, or on the calling thread if the system allows no more threads. A panic on a new
-/// thread becomes the error of its item.
+/// Runs `work` for each item on a new thread, or on the calling thread if the system allows no more threads. If a new
+/// thread panics, the result for its item is an error.
 pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
     items: impl IntoIterator<Item = I>,
     work: impl Fn(I) -> T + Sync,
@@ -55,7 +55,8 @@ pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
 pub struct Threads(Option<Arc<ThreadPool>>);
 
 impl Threads {
-    /// Opens a pool with this number of threads. `None` is the shared pool of the process ([`start_shared_threads`]).
+    /// Opens a pool with this number of threads, or the shared pool of the process ([`start_shared_threads`]) if
+    /// `None`.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return start_shared_threads().map(|()| Self(None)) };
         // Rayon's global pool then works on the calling thread.
@@ -85,7 +86,7 @@ impl Threads {
         }
     }
 
-    /// Runs `work` with its parallel iterators on this pool.
+    /// Runs `work` with this pool for its parallel iterators.
     pub fn install<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.0 {
             Some(pool) => pool.install(work),

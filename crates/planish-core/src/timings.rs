@@ -1,4 +1,4 @@
-//! Time per stage of a frame.
+//! Measurement of the time per stage of smoothing.
 
 use std::ops::AddAssign;
 use std::time::Duration;
@@ -12,7 +12,7 @@ pub struct FrameTimings {
     /// Time to copy the input to the device's memory, close to zero if the kernel reads host memory; on the CPU, time
     /// to copy or deproject the input into the kernel's padded frame.
     pub upload: Duration,
-    /// Time of the kernel, including the pass before it if edges are kept.
+    /// Time of the kernel, including the preceding pass if edges are kept.
     pub kernel: Duration,
     /// Time to copy the result to host memory; close to zero if the kernel writes it there, as in the CPU engine.
     pub readback: Duration,

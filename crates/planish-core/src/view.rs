@@ -29,7 +29,7 @@ pub(crate) trait ResultInPlace: Send + Sync {
     fn depth_m(&self) -> Option<&[f32]>;
     fn frames(&self) -> Option<&[f32]>;
     fn sigma(&self) -> Option<&[f32]>;
-    /// Returns the code of each pixel's status.
+    /// Returns the status of each pixel as its code.
     fn status_rows(&self) -> Option<Rows<'_, u8>>;
     fn neighbours_rows(&self) -> Option<Rows<'_, u8>>;
     fn copy_to(&self, out: &mut Smoothed);
@@ -112,7 +112,8 @@ impl SmoothedView {
         }
     }
 
-    /// Returns the surface variation, row by row, NaN for pixels without a plane; `None` if it was not requested.
+    /// Returns the surface variation l0/(l0+l1+l2), row by row, NaN for pixels without a plane; `None` if it was not
+    /// requested.
     pub fn curvature(&self) -> Option<&[f32]> {
         match &self.result {
             Storage::Owned(smoothed) => smoothed.curvature.as_deref(),
@@ -205,7 +206,7 @@ impl SmoothedView {
         Ok(())
     }
 
-    /// Returns the outputs that the result has.
+    /// Returns the outputs that the result contains.
     fn outputs(&self) -> Outputs {
         Outputs::NONE
             .with_points(self.points().is_some())
@@ -219,7 +220,7 @@ impl SmoothedView {
             .with_sigma(self.sigma().is_some())
     }
 
-    /// Copies the whole result into `out`. A result in a GPU's memory reuses the buffers of `out`.
+    /// Copies the whole result into `out`. If the result is in a GPU's memory, the buffers of `out` are reused.
     pub fn copy_to(&self, out: &mut Smoothed) {
         match &self.result {
             Storage::Owned(smoothed) => out.clone_from(smoothed),

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::error::FrameError;
 
-/// Maximum number of pixels of a frame. Indices fit u32, with room for the window's halo.
+/// Maximum number of pixels in a frame. Indices fit u32, with room for the window's halo.
 pub const MAX_PIXELS: usize = 1 << 28;
 
 /// Refuses a width or height of zero, and more pixels than can be addressed.
@@ -86,12 +86,12 @@ impl Xyz {
         [&mut self.x, &mut self.y, &mut self.z]
     }
 
-    /// Changes the number of vectors; new ones are `value` in each component.
+    /// Changes the number of vectors. All components of added vectors are `value`.
     pub fn resize(&mut self, len: usize, value: f32) {
         [&mut self.x, &mut self.y, &mut self.z].into_iter().for_each(|axis| axis.resize(len, value));
     }
 
-    /// Removes all vectors and keeps the memory.
+    /// Removes all vectors but keeps the allocated memory.
     pub fn clear(&mut self) {
         [&mut self.x, &mut self.y, &mut self.z].into_iter().for_each(Vec::clear);
     }
@@ -166,7 +166,7 @@ impl Xyz {
         XyzIter { x: self.x.iter(), y: self.y.iter(), z: self.z.iter() }
     }
 
-    /// Refuses a number of vectors other than `expected`.
+    /// Refuses vectors whose number is not `expected`; `what` names them in the error.
     pub fn check_len(&self, what: &str, expected: usize) -> Result<(), FrameError> {
         match self.len() {
             len if len == expected => Ok(()),
@@ -198,7 +198,7 @@ impl FromIterator<[f32; 3]> for Xyz {
     }
 }
 
-/// The vectors of an [`Xyz`] in order.
+/// An iterator over the vectors of an [`Xyz`], in order.
 #[derive(Debug, Clone)]
 pub struct XyzIter<'a> {
     x: std::slice::Iter<'a, f32>,

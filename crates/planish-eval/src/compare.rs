@@ -7,37 +7,38 @@ use planish_io::{Contents, RgbImage};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The way in which points of two inputs are matched.
+/// The method by which points of two inputs are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {
     /// By index: pixel with pixel, point with point.
     Index,
-    /// Each point with the nearest one of the other input.
+    /// Each point with the nearest point of the other input.
     Nearest,
 }
 
-/// The differences of two inputs.
+/// The differences between two inputs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Comparison {
-    /// The way in which points were matched.
+    /// The method by which the points were matched.
     pub matching: Matching,
     /// The unit of all distances: `m`, or `raw` for depth images whose unit is unknown.
     pub unit: &'static str,
-    /// Number of points that are not holes, in each input.
+    /// Number of valid points, which are not holes, in each input.
     pub valid: [usize; 2],
-    /// Number of pixels that are valid in the first input only, and in the second only; 0 for nearest points.
+    /// Number of pixels or points that are valid only in the first input, and only in the second; 0 for
+    /// [`Matching::Nearest`].
     pub only_in: [usize; 2],
     /// Distances from each point of the first input to its match.
     pub distances: Distances,
-    /// Distances from each point of the second input to the nearest point of the first; only for nearest points.
+    /// Distances from each point of the second input to its match; `None` for [`Matching::Index`].
     pub back: Option<Distances>,
     /// Fields missing in one input, or with different values.
     pub fields: Vec<FieldDifference>,
 }
 
-/// Statistics of distances; NaN (null in JSON) without distances.
+/// Statistics of distances, in [`Comparison::unit`]; NaN (null in JSON) without distances.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Distances {
@@ -63,14 +64,15 @@ pub struct Distances {
 pub struct FieldDifference {
     /// Name of the field.
     pub name: String,
-    /// Whether the first and the second input have it.
+    /// True for each of the two inputs that has the field.
     pub is_in: [bool; 2],
-    /// Number of points whose values differ, and the largest difference; only for points matched by index.
+    /// Number of differing values and the largest difference; only for points matched by index.
     pub differing: Option<(usize, f64)>,
 }
 
 impl Comparison {
-    /// Returns true if no distance is above `max`, and no pixel is a hole in one input only.
+    /// Returns true if no distance exceeds `max`, no pixel is a hole in one input only, and either both inputs have
+    /// points or neither has.
     pub fn is_within(&self, max: f64) -> bool {
         let is_close = |distances: &Distances| distances.count == 0 || distances.max <= max;
         let is_one_empty = (self.valid[0] == 0) != (self.valid[1] == 0);
@@ -82,7 +84,7 @@ impl Comparison {
 /// otherwise or on request. Raw depth is compared in raw units.
 ///
 /// # Errors
-/// If only one is a depth image, depth images differ in shape or unit, or a cloud has too many points.
+/// If only one input is a depth image, depth images differ in shape or unit, or a cloud has too many points.
 pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, Error> {
     if let (Some(a), Some(b)) = (depths(a), depths(b)) {
         check_shapes(&a, &b)?;
@@ -143,8 +145,9 @@ pub fn compare(a: &Contents, b: &Contents, nearest: bool) -> Result<Comparison, 
     })
 }
 
-/// Draws the distances of two inputs on the same grid: black where they are equal, over blue and green to red at
-/// `full_scale`, white where both are holes and grey where one is. `None` without a common grid.
+/// Draws the distances between two inputs on the same grid. Colours range from black for equal pixels, over blue and
+/// green, to red for `full_scale`; pixels are white if both inputs have a hole and grey if one has. Returns `None`
+/// without a common grid.
 pub fn difference_map(a: &Contents, b: &Contents, full_scale: f64) -> Option<RgbImage> {
     const HOLE: [u8; 3] = [255; 3];
     const ONE_HOLE: [u8; 3] = [160; 3];
@@ -170,7 +173,7 @@ pub fn difference_map(a: &Contents, b: &Contents, full_scale: f64) -> Option<Rgb
     Some(RgbImage { width, height, rgb: distances.iter().flat_map(colour).collect() })
 }
 
-/// Returns the colour of a share, 0 to 1: black, blue, green, yellow, red.
+/// Returns the heat map colour for `share`, 0 to 1: black, blue, green, yellow, red.
 fn heat(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] =
         [[0.0, 0.0, 0.0], [30.0, 60.0, 200.0], [30.0, 170.0, 90.0], [245.0, 200.0, 40.0], [215.0, 30.0, 30.0]];
@@ -180,7 +183,7 @@ fn heat(share: f64) -> [u8; 3] {
     [0, 1, 2].map(|channel| (STOPS[below][channel] * (1.0 - t) + STOPS[below + 1][channel] * t) as u8)
 }
 
-/// A depth image in its unit; NaN for holes.
+/// Depth values in `unit`; NaN for holes.
 struct Depths {
     values: Vec<f64>,
     shape: (usize, usize),
@@ -239,7 +242,7 @@ fn fields(a: &PointCloud, b: &PointCloud, by_index: bool) -> Vec<FieldDifference
         let differing = both.filter(|(a, b)| a.values.len() == b.values.len()).map(|(a, b)| {
             let differences = (0..a.values.len()).map(|i| {
                 let (a, b) = (a.values.get_f64(i), b.values.get_f64(i));
-                // NaN, a hole's value, equals itself.
+                // NaN marks a hole, and counts as equal to NaN.
                 if a == b || (a.is_nan() && b.is_nan()) { 0.0 } else { (a - b).abs() }
             });
             differences
@@ -310,12 +313,12 @@ mod tests {
         assert_eq!((found.fields[0].differing, found.fields[1].is_in), (Some((1, 4.0)), [false, true]));
         let found = compare(&a, &b, true).unwrap();
         assert_eq!((found.distances.max, found.back.unwrap().max), (0.5, 1.0));
-        // Nothing is not close to something.
+        // An empty cloud is not within any distance of a cloud with points.
         let none = Contents::General(cloud(&[[f32::NAN; 3]; 2]));
         assert!(
             !compare(&a, &none, false).unwrap().is_within(1e9) && compare(&none, &none, true).unwrap().is_within(0.0)
         );
-        // Another number of points.
+        // Inputs with different numbers of points.
         let more = Contents::General(cloud(&[[0.0; 3]; 5]));
         assert_eq!(compare(&a, &more, false).unwrap().matching, Matching::Nearest);
         assert!(compare(&a, &depth([1; 6]), false).is_err());

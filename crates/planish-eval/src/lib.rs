@@ -1,4 +1,4 @@
-//! Simulated depth frames with known truth, measures of surface quality, and pictures of surfaces.
+//! Simulated depth frames with known ground truth, scores of surface quality, and pictures of surfaces.
 
 #![deny(
     clippy::unwrap_used,

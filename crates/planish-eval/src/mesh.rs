@@ -1,11 +1,11 @@
-//! Meshes of frames.
+//! Triangle meshes made from frames.
 
 use planish_core::{Error, OrganizedCloud, Outputs, Params, SensorModel, Session, SessionEvent, Settings, Smoothed};
 use planish_io::TriangleMesh;
 
 use crate::render::normals_of;
 
-/// A mesh of a frame, and a report of how it was made.
+/// A mesh made from a frame, and a report on its preparation.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct FrameMesh {
@@ -13,14 +13,15 @@ pub struct FrameMesh {
     pub mesh: TriangleMesh,
     /// Number of floating pixels that became holes, with `remove_floating`.
     pub floating: usize,
-    /// Events of the session.
+    /// Events that the smoothing session reported.
     pub events: Vec<SessionEvent>,
 }
 
-/// Smooths a frame and connects its pixels ([`TriangleMesh::of`]); with `raw`, connects the measured points instead.
+/// Smooths a frame and connects its pixels to triangles ([`TriangleMesh::of`]). If `raw`, connects the measured points
+/// instead.
 ///
 /// # Errors
-/// If the settings are not allowed or do not fit the frame, or the engine fails.
+/// If the settings are invalid or do not fit the frame, or the engine fails.
 pub fn mesh_of(mut cloud: OrganizedCloud, mut settings: Settings, raw: bool) -> Result<FrameMesh, Error> {
     settings.check_no_video()?;
     settings.outputs = Some(Outputs::POINTS.with_normals(true));

@@ -1,14 +1,15 @@
-//! Adapts the fields of a cloud that was read from one format to the readers of another.
+//! Adapts the fields of a cloud that was read from one format to the conventions of another format.
 
 use planish_core::{PointCloud, Precision};
 
 use super::Format;
 
-/// Converts colours, intensities and the precision of coordinates for readers of the format `to`. The cloud was read
-/// from the format `read`. Returns notes for users, one clause each.
+/// Converts colours, intensities and the precision of coordinates to the conventions of the format `to`. `read` is the
+/// format from which the cloud was read. Returns notes for users, one clause each.
 ///
-/// Coordinates in PCD files have 4 bytes unless they are beyond 1000 m, since PCL reads 8-byte coordinates as zeros
-/// without an error. Coordinates that were read from PCD with 8 bytes keep them. `precision` overrides this.
+/// Coordinates are written to PCD files with 4 bytes unless they are beyond 1000 m, because PCL silently reads 8-byte
+/// coordinates as zeros. Coordinates that were read from PCD files with 8 bytes keep 8 bytes. `precision` overrides
+/// these rules.
 pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision: Option<Precision>) -> Vec<String> {
     let mut notes = Vec::new();
     match to {
@@ -34,7 +35,7 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
     notes
 }
 
-/// Lists the holes and fields of a cloud that a format cannot store, one clause each.
+/// Returns notes on the holes and fields of a cloud that a format cannot store, one clause each.
 pub fn losses(cloud: &PointCloud, to: Format) -> Vec<String> {
     let holes = cloud.len() - cloud.valid_points();
     match to {

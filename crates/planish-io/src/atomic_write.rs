@@ -1,7 +1,7 @@
-//! Files that are either complete or absent: written under a temporary name in the same folder, then renamed.
+//! Writes files that are either complete or absent: under a temporary name in the same folder, then renamed.
 //!
-//! The name of a temporary file contains the machine and the process that writes it, so a later process can delete
-//! leftovers of a killed one.
+//! A temporary file's name contains identifiers of the machine and the process that writes it, so a later process can
+//! delete the leftovers of a killed one.
 
 use std::collections::HashSet;
 use std::fs;
@@ -16,17 +16,17 @@ use planish_core::FormatError;
 
 const PREFIX: &str = ".planish-";
 const SUFFIX: &str = ".tmp";
-/// Maximum number of links to follow, as in Linux.
+/// Maximum number of symbolic links to follow, the same as in Linux.
 const MOST_LINKS: usize = 40;
 
-/// Maximum time to wait for other threads when the process ends.
+/// Maximum time to wait for the lock on [`KNOWN`] when the process ends.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The temporary files being written, and the folders whose stale temporary files have been removed.
 struct Known {
     temporaries: Option<HashSet<PathBuf>>,
     swept: Option<HashSet<PathBuf>>,
-    /// Folders in which no file is written through a link.
+    /// Output folders, in which no file is written through a link.
     folders: Option<HashSet<PathBuf>>,
     /// True once the process is about to end.
     is_over: bool,
@@ -34,7 +34,7 @@ struct Known {
 
 static REPLACES_READ_ONLY: AtomicBool = AtomicBool::new(false);
 
-/// Allows this process to replace read-only files, which it refuses by default.
+/// Allows this process to replace read-only files, which is an error by default.
 pub fn replace_read_only_files() {
     REPLACES_READ_ONLY.store(true, Ordering::Relaxed);
 }
@@ -50,9 +50,10 @@ fn known() -> MutexGuard<'static, Known> {
     KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the temporary files of this process, which is about to end. From then on, it cannot create new ones.
+/// Removes this process's temporary files. Call it when the process is about to end: afterwards, creating a temporary
+/// file fails.
 pub fn remove_temporaries() {
-    // If the process ends for lack of memory, this thread may already hold the lock.
+    // If the process ends because memory ran out, this thread may already hold the lock.
     let deadline = Instant::now() + PATIENCE;
     let mut known = loop {
         match KNOWN.try_lock() {
@@ -68,15 +69,15 @@ pub fn remove_temporaries() {
     }
 }
 
-/// Creates a folder for outputs, if it does not exist. From then on, files in it are not written through links: other
-/// users may have placed links there, and only the folder was named.
+/// Creates an output folder, if it does not exist. From then on, files in it are not written through links, because
+/// the user named only the folder, and other users may have placed links in it.
 pub fn create_output_folder(folder: &Path) -> std::io::Result<()> {
     fs::create_dir_all(folder)?;
     known().folders.get_or_insert_default().insert(folder.to_path_buf());
     Ok(())
 }
 
-/// Refuses a path in an output folder that leads through a link.
+/// Returns an error if a path in an output folder leads through a link.
 fn check_links(path: &Path) -> FormatResult<()> {
     let folders: Vec<PathBuf> =
         known().folders.iter().flatten().filter(|folder| path.starts_with(folder)).cloned().collect();
@@ -92,8 +93,8 @@ fn check_links(path: &Path) -> FormatResult<()> {
 }
 
 /// Writes a file atomically: under a temporary name in the same folder, then renamed. Links are followed. A replaced
-/// file keeps its permissions and, if this process may set it, its owner; it stays in place until the new file is on
-/// the disk. Read-only files are refused, except after [`replace_read_only_files`].
+/// file keeps its permissions and, if this process may set it, its owner. The old file stays in place until the new
+/// one is on the disk. Replacing a read-only file is an error, except after [`replace_read_only_files`].
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
@@ -101,7 +102,8 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     whole.finish()
 }
 
-/// A file that is being written under a temporary name, as by [`write_whole`], and removed unless it is finished.
+/// A file being written under a temporary name, as in [`write_whole`]. It is removed when dropped before
+/// [`finish`](Self::finish).
 pub struct AtomicFile {
     temporary: Temporary,
     path: PathBuf,
@@ -109,7 +111,7 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Creates a temporary file in the target's folder.
+    /// Creates a temporary file in the folder of `path`.
     pub fn new(path: &Path) -> FormatResult<Self> {
         check_links(path)?;
         let path = behind_links(path)?;
@@ -130,17 +132,17 @@ impl AtomicFile {
     /// Moves the file to its target path.
     pub fn finish(self) -> FormatResult<()> {
         if self.replaced {
-            // Otherwise a crash of the machine could leave an empty file in place of the old one.
+            // Without this, a crash of the machine could leave an empty file in place of the old one.
             self.file().sync_all()?;
         }
         Ok(self.temporary.persist(&self.path)?)
     }
 }
 
-/// A file under a temporary name, removed when it is dropped and when the process is about to end.
+/// A file under a temporary name, removed when it is dropped or when the process is about to end.
 pub(crate) struct Temporary {
     file: tempfile::NamedTempFile,
-    /// Dropped after the file, which a signal must remove until then.
+    /// Dropped after `file`, because until then a signal must remove the file.
     _noted: Noted,
 }
 
@@ -155,11 +157,11 @@ impl Temporary {
         builder.prefix(&prefix).suffix(SUFFIX);
         #[cfg(unix)]
         {
-            // The permissions of any new file: the process's umask applies.
+            // The permissions of any new file, to which the process's umask applies.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(fs::Permissions::from_mode(0o666));
         }
-        // Created and registered under one lock, since a signal in between would leave the file behind.
+        // Created and registered under one lock, because a signal in between would leave the file behind.
         let mut known = known();
         if known.is_over {
             return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
@@ -187,7 +189,7 @@ impl Drop for Noted {
     }
 }
 
-/// Refuses a path at which no file can be created; returns the metadata of an existing file.
+/// Returns the metadata of an existing file at a path, or an error if no file can be written there.
 fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     let folder = folder_of(path);
     if !folder.is_dir() {
@@ -209,8 +211,8 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     Ok(replaced)
 }
 
-/// Refuses a path that cannot be written: its folder does not exist or is read-only, or it names something other than a
-/// file.
+/// Returns an error if a path cannot be written: its folder does not exist or is read-only, or it names something
+/// other than a file.
 pub fn check_target(path: &Path) -> FormatResult<()> {
     check_links(path)?;
     let path = behind_links(path)?;
@@ -218,8 +220,8 @@ pub fn check_target(path: &Path) -> FormatResult<()> {
     Temporary::new(folder_of(&path)).map(drop)
 }
 
-/// Gives a new file the owner and group of the file that it replaces. Root may set both, other users only a group of
-/// theirs.
+/// Gives a new file the owner and group of the file that it replaces. Only root may set both; other users may only set
+/// a group that they belong to.
 fn keep_owner(file: &fs::File, replaced: &fs::Metadata) {
     #[cfg(unix)]
     {
@@ -232,7 +234,7 @@ fn keep_owner(file: &fs::File, replaced: &fs::Metadata) {
     let _ = (file, replaced);
 }
 
-/// Returns the folder of a file.
+/// Returns the folder that contains a file.
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -240,18 +242,19 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Resolves links to the final file, whether it exists or not.
+/// Resolves symbolic links; the final file need not exist.
 fn behind_links(path: &Path) -> FormatResult<PathBuf> {
     let mut path = path.to_path_buf();
     for _ in 0..MOST_LINKS {
         let Ok(target) = fs::read_link(&path) else { return Ok(path) };
-        // Relative to the link's own folder.
+        // A relative target is relative to the link's folder.
         path = path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target));
     }
     Err(FormatError::Unsupported("the link points to itself; choose another file name".into()))
 }
 
-/// Removes leftovers of this user's killed processes on this machine; once per folder.
+/// Removes temporary files that this user's killed processes left in a folder on this machine. Sweeps each folder
+/// once.
 fn sweep(folder: &Path) {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
     if !known().swept.get_or_insert_default().insert(folder.clone()) {
@@ -267,7 +270,8 @@ fn sweep(folder: &Path) {
     }
 }
 
-/// Returns the number of the process that wrote a temporary file; `None` for other files and other machines.
+/// Returns the number of the process that wrote a temporary file; `None` if another machine wrote it, or it is not a
+/// temporary file of planish.
 fn process_of(name: &str) -> Option<u32> {
     let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
     (of == machine()).then_some(())?;
@@ -284,7 +288,7 @@ fn machine() -> String {
     format!("{hash:08x}")
 }
 
-/// Returns true if a file belongs to the user of this process. Processes of other users may be invisible.
+/// Returns true if a file belongs to this process's user. Other users' processes may be invisible in /proc.
 fn is_own(metadata: &fs::Metadata) -> bool {
     #[cfg(unix)]
     {
@@ -298,7 +302,7 @@ fn is_own(metadata: &fs::Metadata) -> bool {
     }
 }
 
-/// Returns true if a process runs, or if that cannot be determined.
+/// Returns true if a process is running, or if that cannot be determined.
 fn is_alive(process: u32) -> bool {
     let processes = Path::new("/proc");
     !processes.join("self").exists() || processes.join(process.to_string()).exists()

@@ -1,10 +1,10 @@
-//! Conversion between a file's columns, x, y and z among them, and a cloud's positions and attributes.
+//! Converts between a file's columns, which include x, y and z, and a cloud's positions and attributes.
 
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, PositionColumns, Precision, Xyz};
 
 use super::quoted;
 
-/// Evaluates an expression on the vector inside `AttributeValues`, for every type.
+/// Evaluates an expression on the vector inside `AttributeValues`, whatever its type.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! with_values {
@@ -26,16 +26,16 @@ macro_rules! with_values {
 }
 pub use with_values;
 
-/// Integer up to which f64 represents every integer exactly.
+/// Largest integer up to which f64 represents every integer exactly.
 pub(crate) const EXACT_INTEGERS: u64 = 1 << 53;
 
-/// Coordinate in metres beyond which f32 resolves no better than 0.1 mm. Clouds farther away get an origin near their
-/// points.
+/// Coordinate, in metres, above which f32 resolves no better than about 0.1 mm. Clouds with larger coordinates get an
+/// origin near their points.
 const FAR_M: f64 = 1000.0;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Returns the indices of x, y and z among columns, in lower or upper case.
+/// Returns the indices of the columns x, y and z, named in lower or upper case.
 pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> {
     let mut index = [0; 3];
     for (axis, name) in AXES.iter().enumerate() {
@@ -52,7 +52,7 @@ pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> 
     Ok(index)
 }
 
-/// Returns the cloud of a file's columns, which must include x, y and z.
+/// Converts a file's columns to a cloud; they must include x, y and z.
 pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let index = axes_of(&columns)?;
     // From the last to the first, so that the remaining indices stay valid.
@@ -75,7 +75,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
         (Some(AttributeValues::F32(x)), Some(AttributeValues::F32(y)), Some(AttributeValues::F32(z))) => {
             (Xyz::from_arrays([x, y, z])?, [0.0; 3], None)
         }
-        // Integers, and floats of both sizes.
+        // The coordinates are integers, f64, or of different types.
         (x, y, z) => {
             let exact = [x, y, z].map(|values| values.map_or_else(Vec::new, to_f64));
             check_range(&exact)?;
@@ -93,7 +93,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     Ok(cloud)
 }
 
-/// Refuses finite coordinates beyond f32's range, which would become holes.
+/// Returns an error if a finite coordinate is beyond f32's range and would become a hole.
 fn check_range(coordinates: &[Vec<f64>; 3]) -> Result<(), FormatError> {
     for (name, values) in AXES.iter().zip(coordinates) {
         let is_beyond = |value: &&f64| value.is_finite() && (**value as f32).is_infinite();
@@ -113,8 +113,8 @@ fn to_f64(values: AttributeValues) -> Vec<f64> {
     }
 }
 
-/// Returns the origin of coordinates along an axis: 0, or for far coordinates the median of a sample in whole metres,
-/// which stray points do not move.
+/// Returns the origin of coordinates along an axis: 0, or, for far coordinates, the median of a sample truncated to
+/// whole metres. Stray points do not move the median.
 fn origin_of(values: &[f64]) -> f64 {
     const SAMPLE: usize = 1000;
     let step = values.len().div_ceil(SAMPLE).max(1);
@@ -125,13 +125,13 @@ fn origin_of(values: &[f64]) -> f64 {
         .or(values.iter().find(|value| value.is_finite()))
         .copied()
         .unwrap_or(0.0);
-    // Differences between larger coordinates exceed f32's range.
+    // Differences between even larger coordinates would exceed f32's range.
     let is_huge = || values.iter().any(|value| value.is_finite() && value.abs() > f64::from(f32::MAX / 2.0));
     if middle.abs() > FAR_M && !is_huge() { middle.trunc() } else { 0.0 }
 }
 
-/// Returns all columns of a cloud in the order of its file. x, y and z are f64 or f32, depending on the cloud's
-/// precision.
+/// Returns all columns of a cloud, in the order of its file. The type of x, y and z is f64 or f32, depending on the
+/// cloud's precision.
 pub fn columns_from_cloud(cloud: &PointCloud) -> Vec<Attribute> {
     let mut columns = cloud.attributes.clone();
     let PositionColumns { index, .. } = cloud.position_columns;

@@ -1,4 +1,4 @@
-//! The contents of a file, of any format.
+//! The contents of a file, independent of its format.
 
 use planish_core::{DepthImage, FormatError, OrganizedCloud, PointCloud};
 
@@ -8,15 +8,15 @@ use super::input::FormatResult;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Contents {
-    /// A 16-bit depth image; it needs a camera to become points.
+    /// A 16-bit depth image; converting it to points requires a camera.
     Depth(DepthImage),
-    /// Depth in metres; it needs a camera to become points.
+    /// Depth in metres; converting it to points requires a camera.
     DepthMetres {
         /// Width in pixels.
         width: usize,
         /// Height in pixels.
         height: usize,
-        /// Depth in metres, row by row; holes are not finite, 0 or negative.
+        /// Depth in metres, row by row; values that are not finite, 0 or negative are holes.
         depth_m: Vec<f32>,
     },
     /// Points on a pixel grid.
@@ -26,7 +26,7 @@ pub enum Contents {
 }
 
 impl Contents {
-    /// Returns the width and height in pixels; the number of points and 1 for an unorganized cloud.
+    /// Returns the width and height in pixels; for an unorganized cloud, the number of points and 1.
     pub fn shape(&self) -> (usize, usize) {
         match self {
             Self::Depth(image) => (image.width, image.height),
@@ -36,7 +36,7 @@ impl Contents {
         }
     }
 
-    /// Returns the bytes that a cloud's fields take per point; 0 for depth.
+    /// Returns the size of a cloud's fields in bytes per point; 0 for depth.
     pub fn field_bytes_per_point(&self) -> usize {
         match self {
             Self::Organized(cloud) => cloud.points.field_bytes_per_point(),
@@ -45,13 +45,13 @@ impl Contents {
         }
     }
 
-    /// Returns true for depth, which needs a camera to become points.
+    /// Returns true for depth, whose conversion to points requires a camera.
     pub fn is_depth(&self) -> bool {
         matches!(self, Self::Depth(_) | Self::DepthMetres { .. })
     }
 }
 
-/// Returns a depth image of integers; negative values become holes. Refuses values that do not fit in 16 bits.
+/// Returns a depth image made from integers; negative values become holes. Values over 65535 are an error.
 pub(crate) fn depth_of_integers(
     (width, height): (usize, usize),
     values: &[impl Copy + Into<i64>],
@@ -81,12 +81,12 @@ pub struct DepthSummary {
     pub height: usize,
     /// Number of pixels with a depth: neither 0 nor [`SATURATED_DEPTH`](planish_core::SATURATED_DEPTH).
     pub valid: usize,
-    /// The smallest and largest raw value of the valid pixels; `None` if no pixel is valid.
+    /// Smallest and largest raw value of the valid pixels; `None` if no pixel is valid.
     pub raw: Option<[u16; 2]>,
 }
 
 impl DepthSummary {
-    /// Adds the raw values of pixels.
+    /// Adds pixels, given as raw values, to the summary.
     pub(crate) fn add(&mut self, raw: impl Iterator<Item = u16>) {
         for raw in raw.filter(|&raw| raw != 0 && raw != planish_core::SATURATED_DEPTH) {
             self.valid += 1;
@@ -131,7 +131,7 @@ pub(crate) fn organized_if_grid(gridded: Gridded) -> FormatResult<Contents> {
     }
 }
 
-/// A cloud to write: on a grid or not.
+/// A cloud to write, organized or not.
 #[derive(Debug, Clone, Copy)]
 pub enum CloudRef<'a> {
     /// Points on a pixel grid.
@@ -148,7 +148,7 @@ impl<'a> CloudRef<'a> {
         }
     }
 
-    /// Returns the width and height as files state them.
+    /// Returns the width and height for a file's header; for an unorganized cloud, the number of points and 1.
     pub(super) fn grid(self) -> (usize, usize) {
         match self {
             Self::Organized(cloud) => (cloud.width(), cloud.height()),

@@ -12,27 +12,28 @@ use super::{
     write_depth, write_depth_metres,
 };
 
-/// Maximum ratio between the focal lengths of a camera and of a cloud's points, in either direction.
+/// Maximum ratio between a camera's focal length and the focal length implied by a cloud's points, in either
+/// direction.
 const FOCAL_LENGTH_FACTOR: f64 = 1.25;
 
-/// Raw units per metre of a depth image, if neither the options nor the camera state them.
+/// Default number of raw depth units per metre, if neither the options nor the camera state it.
 const MILLIMETRES: f64 = 1000.0;
 
 /// Options of [`convert`].
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct ConvertOptions {
-    /// The camera, which depth images need to become points.
+    /// The camera, required to convert depth images to points.
     pub camera: Option<Camera>,
-    /// Units per metre of a depth image that is written [default: the camera's, or 1000].
+    /// Raw units per metre of the written depth image [default: the camera's, or 1000].
     pub depth_units_per_metre: Option<f64>,
-    /// True to leave out holes; an organized cloud then loses its grid.
+    /// True to drop holes; an organized cloud then loses its grid.
     pub drop_holes: bool,
     /// The fields to keep besides x, y and z; `None` for all.
     pub fields: Option<Vec<String>>,
-    /// The encoding of PCD and PLY; `None` for the input's.
+    /// The encoding of PCD and PLY; `None` to keep the input's encoding.
     pub encoding: Option<Encoding>,
-    /// The precision of coordinates; `None` to choose it for the format ([`adapt_fields`]).
+    /// The precision of coordinates; `None` to choose it by the output format ([`adapt_fields`]).
     pub precision: Option<Precision>,
 }
 
@@ -42,12 +43,12 @@ impl ConvertOptions {
         Self { camera, ..self }
     }
 
-    /// Sets the units per metre of a depth image that is written.
+    /// Sets the raw units per metre of the written depth image.
     pub fn with_depth_units_per_metre(self, depth_units_per_metre: Option<f64>) -> Self {
         Self { depth_units_per_metre, ..self }
     }
 
-    /// Sets whether holes are left out.
+    /// Sets whether holes are dropped.
     pub fn with_drop_holes(self, drop_holes: bool) -> Self {
         Self { drop_holes, ..self }
     }
@@ -76,7 +77,7 @@ pub struct ConvertReport {
     pub from: Format,
     /// The format that was written.
     pub to: Format,
-    /// Width and height of what was written; the number of points and 1 without a grid.
+    /// Width and height of the output; without a grid, the number of points and 1.
     pub shape: (usize, usize),
     /// Number of pixels or points that are not holes.
     pub valid: usize,
@@ -84,10 +85,10 @@ pub struct ConvertReport {
     pub notes: Vec<String>,
 }
 
-/// Converts a file that was read, and writes it in the format of the path's extension.
+/// Converts the contents of a file, and writes them in the format given by the extension of `output`.
 ///
-/// Depth images stay depth images if the format has them, and become organized clouds otherwise. An organized cloud in
-/// its sensor's frame becomes a depth image.
+/// Depth images stay depth images if the output format supports them, and become organized clouds otherwise. An
+/// organized cloud can be written as a depth image if it is in its sensor's frame.
 ///
 /// # Errors
 /// If the camera is missing or does not fit, the format cannot represent the contents, or the file cannot be written.
@@ -172,8 +173,8 @@ pub fn convert(file: FileRead, output: &Path, options: &ConvertOptions) -> Resul
     Ok(ConvertReport { from, to, shape: written, valid, notes })
 }
 
-/// Adapts a merged cloud to the format of the path's extension, and writes it. Returns notes for users on changed and
-/// dropped data, one clause each.
+/// Adapts a merged cloud to the format given by the extension of `output`, and writes it. Returns notes for users on
+/// changed and dropped data, one clause each.
 ///
 /// # Errors
 /// If the format cannot represent the cloud, or the file cannot be written.
@@ -217,7 +218,7 @@ fn write_raw(
     Ok(valid)
 }
 
-/// Keeps only the fields with these names; refuses unknown names.
+/// Keeps only the named fields. Returns an error for an unknown name.
 fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatError> {
     if let Some(unknown) = fields.iter().find(|name| cloud.attribute(name).is_none()) {
         let names: Vec<&str> = cloud.attributes.iter().map(|field| field.name.as_str()).collect();
@@ -233,7 +234,7 @@ fn keep_fields(cloud: &mut PointCloud, fields: &[String]) -> Result<(), FormatEr
 }
 
 impl Contents {
-    /// Turns a depth image into points if its camera is given, and sets the camera of an organized cloud. Other
+    /// Converts a depth image to points if its camera is given, and sets the camera of an organized cloud. Other
     /// contents are unchanged.
     ///
     /// # Errors
@@ -245,7 +246,8 @@ impl Contents {
         }
     }
 
-    /// Returns points on their grid. A depth image needs its camera; a cloud gets the given camera instead of its own.
+    /// Returns the points as an organized cloud. A depth image needs its camera; a cloud gets the given camera instead
+    /// of its own.
     ///
     /// # Errors
     /// If a depth image has no camera, the camera contradicts the points, or there is no grid.
@@ -278,7 +280,7 @@ impl Contents {
     }
 }
 
-/// Refuses a camera that contradicts the points of a cloud.
+/// Returns an error if the camera contradicts the points of the cloud.
 fn check_camera(cloud: &OrganizedCloud, camera: &Camera) -> Result<(), FormatError> {
     let contradicts = |reason: String| Err(FormatError::Unsupported(reason));
     match PointsView::from_organized(cloud)?.range_rule() {

@@ -1,4 +1,4 @@
-//! The depth channel of OpenEXR images, in metres, as renderers write it.
+//! Reads the depth channel of OpenEXR images, in metres, as renderers write it.
 
 use std::io::Cursor;
 
@@ -9,13 +9,13 @@ use exr::prelude::{ReadChannels, ReadLayers};
 use super::{Contents, FormatResult, ReadOptions, brief, quoted};
 use planish_core::{FormatError, validate_shape};
 
-/// Depth from which a pixel is a hole. Renderers write 1e10, or the largest value of the type, where a ray hits
-/// nothing.
+/// Depth in metres at and above which a pixel is a hole. Where a ray hits nothing, renderers write 1e10, or the
+/// largest value of the type.
 const NOTHING: f32 = 1e9;
-/// Depth from which a pixel is a hole in 16-bit floats: their largest value.
+/// Depth in metres at and above which a pixel with a 16-bit float is a hole: the type's largest value.
 const NOTHING_IN_HALF: f32 = 65504.0;
 
-/// Bytes per pixel of the depth and the points computed from it.
+/// Memory per pixel in bytes, for the depth and the points computed from it.
 const BYTES_PER_PIXEL: usize = 24;
 
 fn damaged(error: exr::error::Error) -> FormatError {
@@ -57,7 +57,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         notes.push(format!("depth read from the channel {}; dropped: {}", quoted(&read), brief(&dropped)));
     }
     let nothing = if matches!(channel.sample_data, FlatSamples::F16(_)) { NOTHING_IN_HALF } else { NOTHING };
-    // The stored part of the image may be smaller than the image, or extend beyond it.
+    // The stored window may be smaller than the image, or extend beyond it.
     let window = image.attributes.display_window;
     let (width, height) = (window.size.0, window.size.1);
     validate_shape(width, height)?;
@@ -92,7 +92,8 @@ fn names(layers: &[ChannelLayer]) -> impl Iterator<Item = String> {
     channels(layers).map(|(layer, channel)| full_name(layer, channel))
 }
 
-/// Finds the depth channel: by its name, otherwise the only channel, or the first if all are equal. Alpha is ignored.
+/// Finds the depth channel by its name. Otherwise, returns the only channel, or the first if all are equal. Ignores
+/// alpha.
 fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Channel)> {
     let lower = |(layer, channel): &(&ChannelLayer, &Channel)| full_name(layer, channel).to_ascii_lowercase();
     let all_names: Vec<String> = channels(layers).map(|both| lower(&both)).collect();
@@ -104,7 +105,7 @@ fn channel_of_depth(layers: &[ChannelLayer]) -> FormatResult<(&ChannelLayer, &Ch
         let (before, last) = parts(name);
         last == "depth" || matches!(&last[..], "z" | "v" | "y" | "r") && before.rsplit('.').next() == Some("depth")
     };
-    // If x and y exist too, z is a component of normals or positions.
+    // If there are also channels x and y, z is a component of normals or positions.
     let is_z = |name: &str| {
         let (before, last) = parts(name);
         let sibling = |axis: &str| if before.is_empty() { axis.to_owned() } else { format!("{before}.{axis}") };
@@ -164,12 +165,12 @@ mod tests {
         let (depth_m, notes) = read(&bytes).unwrap();
         assert!(depth_m[..3] == [1.0, 2.0, 3.0] && depth_m[3].is_nan());
         assert!(notes[0].contains("View.Depth.Z") && notes[0].contains('R'), "{notes:?}");
-        // A window of the image that was rendered, and one channel of any name.
+        // An image of which only a window was rendered, and a single channel with an arbitrary name.
         let bytes = image(&[("Y", floats([1.0, 2.0, 3.0, 4.0]))], (2, 2), IntegerBounds::new((0, 0), (3, 2)));
         let (depth_m, notes) = read(&bytes).unwrap();
         assert_eq!((depth_m.len(), &depth_m[1..3], &depth_m[4..]), (6, &[1.0, 2.0][..], &[3.0, 4.0][..]));
         assert!(depth_m[0].is_nan() && notes.is_empty());
-        // Normals have a z too.
+        // Normals also have a z.
         let normals = ["N.X", "N.Y", "N.Z"].map(|name| (name, floats([0.5; 4])));
         let with_z: Vec<_> = normals.iter().cloned().chain([("Z", floats([1.0, 2.0, 3.0, 4.0]))]).collect();
         assert_eq!(read(&image(&with_z, (2, 2), whole)).unwrap().0, [1.0, 2.0, 3.0, 4.0]);

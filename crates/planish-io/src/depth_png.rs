@@ -1,4 +1,4 @@
-//! 16-bit grayscale PNG as a depth image.
+//! Reads and writes depth images as 16-bit grayscale PNG.
 
 use std::io::Cursor;
 
@@ -14,7 +14,7 @@ pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatE
     Ok(DepthImage { width, height, raw })
 }
 
-/// Summarizes a depth image without keeping its pixels.
+/// Summarizes a depth image without storing its pixels.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
     let (mut reader, (width, height)) = open(bytes, options)?;
     let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
@@ -30,12 +30,12 @@ fn malformed(error: png::DecodingError) -> FormatError {
     FormatError::Malformed(format!("damaged PNG: {error}"))
 }
 
-/// The reader of a depth image, and its shape.
+/// The PNG reader for a depth image, with the image's width and height.
 type Opened<'a> = (png::Reader<Cursor<&'a [u8]>>, (usize, usize));
 
 fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Limits the other chunks: texts and colour profiles.
+    // This limits the size of other chunks, such as texts and colour profiles.
     decoder.set_limits(png::Limits { bytes: options.max_memory_bytes.min(64 << 20) as usize });
     decoder.set_ignore_text_chunk(true);
     let reader = decoder.read_info().map_err(malformed)?;
@@ -55,7 +55,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
     Ok((reader, (width, height)))
 }
 
-/// Visits the rows of an image, in big-endian bytes.
+/// Visits the rows of an image, as big-endian bytes.
 fn for_each_row(
     reader: &mut png::Reader<Cursor<&[u8]>>,
     options: &ReadOptions,
@@ -64,7 +64,7 @@ fn for_each_row(
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let mut rows = 0;
     if reader.info().interlaced {
-        // Such frames are assembled in additional memory.
+        // Interlaced images are assembled in additional memory.
         options.check(width * height, 4)?;
         let mut buffer = vec![0; 2 * width * height];
         reader.next_frame(&mut buffer).map_err(malformed)?;

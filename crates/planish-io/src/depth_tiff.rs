@@ -1,4 +1,5 @@
-//! Grayscale TIFF as a depth image: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in metres.
+//! Reads and writes depth images as grayscale TIFF: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in
+//! metres.
 
 use std::io::Cursor;
 
@@ -12,7 +13,7 @@ use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
-    // The image, and a strip or tile, which may be as large as the image.
+    // Memory for the image, and for a strip or tile, which may be as large as the image.
     options.check(width * height, 16)?;
     let is_inverted = is_inverted(&mut decoder);
     let contents = match decoder.read_image().map_err(malformed)? {
@@ -38,7 +39,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(contents)
 }
 
-/// Summarizes a depth image without keeping its pixels, one strip or tile at a time. Returns `None` for images with
+/// Summarizes a depth image strip by strip or tile by tile, without storing its pixels. Returns `None` for images with
 /// several pages, inverted values or samples other than 16-bit integers.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
     let (mut decoder, (width, height)) = open(bytes, options)?;
@@ -71,7 +72,7 @@ fn not_depth() -> FormatError {
     FormatError::Unsupported("unsupported TIFF samples; expected 16-bit or 32-bit integers, or floats".into())
 }
 
-/// The decoder of a depth image, and its shape.
+/// The TIFF decoder for a depth image, with the image's width and height.
 type Opened<'a> = (Decoder<Cursor<&'a [u8]>>, (usize, usize));
 
 fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {

@@ -1,9 +1,9 @@
-//! Text from files in messages.
+//! Prepares text from files for use in messages.
 
 use std::borrow::Cow;
 
-/// Escapes control characters and direction marks for a terminal, in the form `\u001b`, as JSON does; line
-/// breaks and tabs stay. Use it for all printed text.
+/// Escapes control characters and direction marks for a terminal as `\u001b`, in the form that JSON uses; line breaks
+/// and tabs are kept. Use it for all printed text.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_hidden(c) && !matches!(c, '\n' | '\t'))
 }
@@ -26,7 +26,7 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(escaped.collect())
 }
 
-/// Returns the beginning of a text from a file, in quotes, for error messages.
+/// Returns up to 80 characters of a text from a file, in quotes, for error messages.
 pub fn quoted(text: &str) -> String {
     const MOST: usize = 80;
     match text.char_indices().nth(MOST) {
@@ -35,7 +35,7 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// Returns the beginning of a message that may quote a file, on one line.
+/// Returns up to 160 characters of a message that may quote a file, on one line.
 pub fn brief(message: &str) -> String {
     const MOST: usize = 160;
     let message = message.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -9,7 +9,7 @@ use planish_core::FormatError;
 /// The extensions of formats that can be written, for messages.
 pub const WRITTEN: &str = ".pcd, .ply, .las, .laz, .e57, .xyz, .csv, .npz, .bin, .png, .tiff or .npy";
 
-/// Extensions of unsupported formats, and advice to convert them.
+/// Extensions of unsupported formats, and advice on how to convert each.
 const CONVERTIBLE: [(&[&str], &str); 7] = [
     (
         &["fls", "fws", "lsproj", "rcp", "rcs", "zfs", "dp", "imp"],
@@ -34,7 +34,7 @@ const CONVERTIBLE: [(&[&str], &str); 7] = [
     (&["ptg"], "unsupported scanner format; convert the scans to E57 (CloudCompare) to keep their poses"),
 ];
 
-/// Returns advice for files with an unsupported extension, if known.
+/// Returns advice on converting a file with an unsupported extension, if known.
 pub(super) fn what_converts(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     CONVERTIBLE.iter().find(|(endings, _)| endings.contains(&extension.as_str())).map(|(_, what)| *what)
@@ -44,7 +44,7 @@ pub(super) fn what_converts(path: &Path) -> Option<&'static str> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Format {
-    /// The point cloud library's PCD v0.7.
+    /// The Point Cloud Library's PCD v0.7.
     Pcd,
     /// Stanford's PLY.
     Ply,
@@ -60,7 +60,7 @@ pub enum Format {
     Laz,
     /// Lines of numbers (XYZ, TXT, ASC, PTS): x, y, z and optional further columns.
     Text,
-    /// Comma-separated values with a line of names.
+    /// Comma-separated values whose first line names the columns.
     Csv,
     /// A NumPy archive of points and their fields, or of depth.
     Npz,
@@ -68,28 +68,28 @@ pub enum Format {
     E57,
     /// Lidar scans as f32 without a header, such as KITTI's: x, y, z, intensity.
     KittiBin,
-    /// nuScenes' points, with a ring.
+    /// nuScenes lidar scans as f32 without a header: x, y, z, intensity, ring.
     NuScenesBin,
-    /// The vertices of a Wavefront OBJ; read, not written.
+    /// The vertices of a Wavefront OBJ; read-only.
     Obj,
-    /// The vertices of an STL; read, not written.
+    /// The vertices of an STL; read-only.
     Stl,
-    /// The vertices of an OFF; read, not written.
+    /// The vertices of an OFF; read-only.
     Off,
-    /// The vertices of a glTF or GLB; read, not written.
+    /// The vertices of a glTF or GLB; read-only.
     Gltf,
-    /// Leica's scans as text; read, not written.
+    /// Leica's PTX text scans; read-only.
     Ptx,
-    /// Depth in Netpbm's 16-bit grey; read, not written.
+    /// A depth image as 16-bit grey Netpbm (PGM); read-only.
     Pgm,
-    /// Depth in Netpbm's floats; read, not written.
+    /// A depth image as Netpbm floats (PFM); read-only.
     Pfm,
-    /// Depth in OpenEXR; read, not written.
+    /// A depth image in OpenEXR; read-only.
     Exr,
 }
 
 impl Format {
-    /// Returns the common name.
+    /// Returns the format's common name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pcd => "PCD",
@@ -116,12 +116,12 @@ impl Format {
         }
     }
 
-    /// Returns false for formats that are only read.
+    /// Returns true if the format can be written, not only read.
     pub fn is_written(self) -> bool {
         !matches!(self, Self::Obj | Self::Stl | Self::Off | Self::Gltf | Self::Ptx | Self::Pgm | Self::Pfm | Self::Exr)
     }
 
-    /// Returns the format of a file's extension.
+    /// Returns the format that a path's extension names.
     pub fn of_extension(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "pcd" => Some(Self::Pcd),
@@ -149,14 +149,14 @@ impl Format {
         }
     }
 
-    /// Returns the format of an input's extension, before a final `.gz`.
+    /// Returns the format that an input's extension names, ignoring a final `.gz`.
     pub(super) fn of_input(path: &Path) -> Option<Self> {
         let is_gzip = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
         Self::of_extension(path).or_else(|| if is_gzip { Self::of_extension(&path.with_extension("")) } else { None })
     }
 
-    /// Returns true if a file in a folder is a frame by its extension. The extensions .txt, .csv, .obj, .off, .stl,
-    /// .gltf and .glb are ambiguous and excluded, and so are origin masks.
+    /// Returns true if a file in a folder counts as a frame, judging by its extension. The ambiguous extensions .txt,
+    /// .csv, .obj, .off, .stl, .gltf and .glb are excluded, and so are origin masks.
     pub fn is_of_frames(path: &Path) -> bool {
         let may_be_anything = |extension: &std::ffi::OsStr| {
             ["txt", "csv", "obj", "off", "stl", "gltf", "glb"].iter().any(|name| extension.eq_ignore_ascii_case(name))
@@ -199,7 +199,7 @@ impl Format {
     }
 }
 
-/// Distinguishes LAS and LAZ by a bit of the point format.
+/// Distinguishes LAS and LAZ by the compression bit in the header's point format.
 pub(super) fn las_or_laz(bytes: &[u8]) -> Format {
     const POINT_FORMAT_AT: usize = 104;
     match bytes.get(POINT_FORMAT_AT) {
@@ -217,7 +217,7 @@ pub enum Encoding {
     /// Little-endian binary.
     #[default]
     Binary,
-    /// Binary compressed by LZF (PCD only; PLY writes plain binary).
+    /// Binary compressed with LZF (PCD only; PLY is written as plain binary).
     BinaryCompressed,
 }
 

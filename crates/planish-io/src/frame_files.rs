@@ -1,4 +1,4 @@
-//! The frames of a folder, in order.
+//! Lists the frame files of a folder, in order.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use planish_core::{FormatError, IoError};
 
 use super::format::Format;
 
-/// Lists the files of a folder that hold frames, in the order of the numbers in their names: 2.png before 10.png.
+/// Lists the frame files in a folder, ordered by the numbers in their names: 2.png before 10.png.
 ///
 /// # Errors
 /// If the folder cannot be listed.
@@ -19,8 +19,8 @@ pub fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
     Ok(files)
 }
 
-/// Returns a key that sorts names by the numbers in them. A name that is a decimal number, such as a time, sorts by
-/// its value.
+/// Returns a key that sorts file names by the numbers in them. A name that is a decimal number, such as a time, is
+/// sorted by its value.
 fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -35,7 +35,7 @@ fn in_order_of_numbers(path: &Path) -> Vec<(u128, String)> {
         let (number, after) = rest.split_at(digits);
         let others = after.find(|c: char| c.is_ascii_digit()).unwrap_or(after.len());
         let (text, after) = after.split_at(others);
-        // Numbers too large for u128 compare as equal, and are then sorted by their text.
+        // Numbers too large for u128 compare as equal, and are then ordered by their text.
         parts.push((
             number.parse().unwrap_or(if number.is_empty() { 0 } else { u128::MAX }),
             format!("{text}\0{number}"),

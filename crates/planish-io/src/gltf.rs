@@ -1,4 +1,4 @@
-//! The vertices of glTF 2.0, as JSON or GLB, with normals and colours, transformed by the nodes of the scene.
+//! Reads the vertices of glTF 2.0 files (JSON or GLB) with normals and colours, transformed by the nodes of the scene.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -15,13 +15,13 @@ const MAGIC: &[u8] = b"glTF";
 const JSON: u32 = 0x4e4f_534a;
 const BINARY: u32 = 0x004e_4942;
 
-/// Maximum nesting depth of nodes; deeper nodes are taken for a loop.
+/// Maximum nesting depth of nodes; deeper nesting is treated as a loop.
 const DEEPEST: usize = 64;
-/// Maximum number of nodes in a file without a scene, whose roots must be searched.
+/// Maximum number of nodes in a file without a scene, in which the root nodes must be searched.
 const MOST_UNROOTED: usize = 1 << 12;
-/// Maximum number of nodes in a scene, and of the mesh parts placed by them.
+/// Maximum number of nodes in a scene, and of mesh primitives in these nodes.
 const MOST_PLACED: usize = 1 << 16;
-/// Bytes per vertex: coordinates in f64, twice while they become columns, normals and colours.
+/// Memory per vertex in bytes: coordinates in f64, twice while they become columns, normals and colours.
 const BYTES_PER_VERTEX: usize = 160;
 
 const BYTE: u32 = 5121;
@@ -121,7 +121,7 @@ struct Scene {
     nodes: Vec<usize>,
 }
 
-/// The version, which is parsed first because it defines the rest of the document.
+/// The version of a document, parsed first because the rest of the document depends on it.
 #[derive(Deserialize)]
 struct Stated {
     #[serde(default)]
@@ -146,7 +146,7 @@ pub(super) fn is_gltf(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC)
 }
 
-/// Reads all vertices of the scene; `folder` contains external buffers.
+/// Reads all vertices of the scene. `folder` is the folder in which external buffers are looked up.
 pub(super) fn decode(
     bytes: &[u8],
     folder: Option<&Path>,
@@ -202,7 +202,7 @@ pub(super) fn decode(
         if steps > MOST_PLACED {
             return Err(malformed(format!("the scene has more than {MOST_PLACED} mesh primitives")));
         }
-        // Parts with different materials may share their vertices.
+        // Primitives with different materials may share their vertices.
         let mut seen = BTreeSet::new();
         for primitive in mesh.primitives.iter().filter(|primitive| seen.insert(primitive.attributes.position)) {
             file.add(primitive, placing, &mut vertices)?;
@@ -211,7 +211,7 @@ pub(super) fn decode(
     vertices.cloud(notes)
 }
 
-/// Returns the parts of a GLB: JSON and binary.
+/// Returns the JSON chunk and the binary chunk of a GLB.
 fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
     let number = |at: usize| {
         let four = bytes.get(at..at + 4).and_then(|four| <[u8; 4]>::try_from(four).ok());
@@ -236,7 +236,7 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
     json.map(|json| (json, binary)).ok_or_else(|| malformed("the JSON chunk is missing"))
 }
 
-/// Returns true for an extension of materials, textures and lights, which move no vertices.
+/// Returns true for extensions of materials, textures and lights, which do not change vertices.
 fn is_of_looks(extension: &str) -> bool {
     ["KHR_materials", "KHR_technique", "KHR_texture", "EXT_texture", "MSFT_texture", "KHR_lights"]
         .iter()
@@ -255,7 +255,7 @@ fn without_escapes(uri: &str) -> Option<String> {
     String::from_utf8(bytes).ok()
 }
 
-/// Returns the bytes of a buffer, from a data URI or from a file in the same folder or below.
+/// Returns the bytes of a buffer, from a data URI, or from a file in the document's folder or below it.
 fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> FormatResult<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
         let (_, text) = data.split_once(";base64,").ok_or_else(|| malformed("a data URI is not base64"))?;
@@ -295,7 +295,8 @@ struct File<'a> {
 }
 
 impl File<'_> {
-    /// Returns the meshes of the scene with their transforms. In a file without nodes, all meshes get the identity.
+    /// Returns the index of each mesh placed in the scene, with its transform. In a file without nodes, all meshes get
+    /// the identity.
     fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
         let Document { scenes, scene, nodes, meshes, .. } = self.document;
         let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
@@ -320,7 +321,7 @@ impl File<'_> {
                 return Err(malformed("the nodes form a loop, or are too many"));
             }
             let place = parent * node.place();
-            // Joints place a skinned mesh; the transform of its node is ignored.
+            // A skinned mesh is placed by its joints; the transform of its node is ignored.
             found.extend(node.mesh.map(|mesh| (mesh, if node.skin.is_some() { DMat4::IDENTITY } else { place })));
             open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
         }
@@ -368,7 +369,7 @@ impl File<'_> {
         self.document.accessors.get(i).ok_or_else(|| malformed(format!("accessor {i} does not exist")))
     }
 
-    /// Returns the numbers of an accessor; integers are divided by their largest value.
+    /// Returns an accessor's numbers; integers are divided by the largest value of their type.
     fn values(&self, i: usize, types: &[u32], kinds: &[&str]) -> FormatResult<Vec<f64>> {
         let accessor = self.accessor(i)?;
         let Accessor { buffer_view, byte_offset, component_type, count, kind, sparse } = accessor;
@@ -422,7 +423,7 @@ impl File<'_> {
 }
 
 impl Attributes {
-    /// Returns the names of custom attributes; textures and skins are not among them.
+    /// Returns the names of custom attributes; those of textures and skins are not included.
     fn own(&self) -> impl Iterator<Item = &str> {
         self.others.keys().map(String::as_str).filter(|name| name.starts_with('_'))
     }
@@ -442,7 +443,7 @@ impl Node {
     }
 }
 
-/// The vertices read so far. Normals and colours may be shorter than positions.
+/// The vertices read so far. Normals and colours may end before positions do.
 #[derive(Default)]
 struct Vertices {
     positions: Vec<f64>,

@@ -1,4 +1,4 @@
-//! Calls of third-party decoders that panic on some damaged files.
+//! Guards calls to third-party decoders that panic on some damaged files.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,8 +14,8 @@ pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
     decoded
 }
 
-/// Returns true while a guarded decoder runs on any thread, since decoders may start threads. Panic messages should
-/// not be printed meanwhile.
+/// Returns true while a guarded decoder runs on any thread. All threads count because decoders may start threads.
+/// Callers should not print panic messages meanwhile.
 pub fn catches_panics() -> bool {
     RUNNING.load(Ordering::Relaxed) > 0
 }

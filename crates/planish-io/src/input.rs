@@ -1,4 +1,4 @@
-//! Reading of files as bytes, and memory limits.
+//! Reads files as bytes, and checks memory limits.
 
 use std::fs;
 use std::io::Read;
@@ -7,7 +7,7 @@ use std::path::Path;
 use super::{Contents, LengthUnit};
 use planish_core::{FormatError, Frame};
 
-/// The name of standard input.
+/// The path that means standard input.
 const STANDARD_INPUT: &str = "-";
 
 pub(crate) type FormatResult<T> = Result<T, FormatError>;
@@ -16,15 +16,15 @@ pub(crate) type FormatResult<T> = Result<T, FormatError>;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// Memory limit in bytes [default: 2 GiB]. A larger file is refused before it is read. A file is refused before
-    /// it is decoded if its decompressed contents and its columns or pixels exceed the limit.
+    /// Memory limit in bytes [default: 2 GiB]. A larger file is rejected before it is read. A file is also rejected
+    /// before it is decoded if its decompressed contents plus its columns or pixels would exceed the limit.
     pub max_memory_bytes: u64,
-    /// The unit of points and floating-point depth in files that state none, for their conversion to metres [default:
-    /// metre].
+    /// The length unit of points and floating-point depth in files that state none; they are converted to metres
+    /// [default: metre].
     pub unit: Option<LengthUnit>,
-    /// Depth units per metre of floating-point depth, instead of a unit.
+    /// Number of units per metre of floating-point depth, as an alternative to `unit`.
     pub depth_units_per_metre: Option<f64>,
-    /// The number of columns of a lidar's `.bin`; detected from its values by default.
+    /// The number of columns in a lidar's `.bin` file; by default, detected from the values.
     pub columns: Option<usize>,
 }
 
@@ -48,9 +48,9 @@ pub enum Work {
     Describe,
     /// Removing outliers, cropping or thinning.
     Clean,
-    /// Comparing points with others.
+    /// Comparing two clouds.
     Compare,
-    /// Comparing a depth image with another of its size.
+    /// Comparing two depth images of the same size.
     CompareDepth,
     /// Smoothing by any engine.
     Smooth,
@@ -60,28 +60,28 @@ pub enum Work {
     Evaluate,
     /// Smoothing by several engines, with timing.
     Bench,
-    /// Copying up to 32 times and smoothing, with timing.
+    /// Smoothing up to 32 copies of a frame, with timing.
     BenchCopies,
-    /// Merging clouds; per point of all clouds.
+    /// Merging clouds; the points of all clouds are counted.
     Merge,
     /// Reducing the size of a depth image, cutting its range or removing floating pixels, before smoothing.
     Prepare,
 }
 
-/// Returns the number of pixels of a grid with the engines' margin, which dominates if the grid is one pixel wide.
+/// Returns the number of pixels of a grid including the engines' margin. If the grid is one pixel wide, most of them
+/// are margin.
 fn padded_pixels(width: usize, height: usize) -> usize {
     const MARGIN: usize = 8;
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
 }
 
-/// Maximum number of copies of a cloud's fields at the peak: the file's bytes, columns, results, encoded results.
-/// Measured with LAS fields written as PLY.
+/// Peak number of copies of a cloud's fields in memory: the file's bytes, columns, results, encoded results. Measured
+/// with LAS fields written as PLY.
 const FIELD_COPIES: usize = 4;
 
 impl Work {
-    /// Returns the peak memory per point in bytes. It includes the contents of the file, but only positions and no
-    /// other fields. Measured with 36 million pixels of depth, clouds with four million points, and streams that save
-    /// every field.
+    /// Returns the peak memory per point in bytes, including the file's contents. Of the fields, only positions count.
+    /// Measured with 36 million pixels of depth, clouds with four million points, and streams that save every field.
     const fn bytes_per_point(self) -> usize {
         match self {
             Self::Convert => 56,
@@ -127,25 +127,25 @@ impl ReadOptions {
         Self { depth_units_per_metre, ..self }
     }
 
-    /// Sets the number of columns of a lidar's `.bin`.
+    /// Sets the number of columns in a lidar's `.bin` file.
     pub const fn with_columns(self, columns: Option<usize>) -> Self {
         Self { columns, ..self }
     }
 
-    /// Refuses work on points that needs more memory than the limit, before it begins. `field_bytes` is
-    /// [`PointCloud::field_bytes_per_point`](planish_core::PointCloud::field_bytes_per_point).
+    /// Returns an error, before the work begins, if work on `points` points would need more memory than the limit.
+    /// `field_bytes` is [`PointCloud::field_bytes_per_point`](planish_core::PointCloud::field_bytes_per_point).
     pub fn check_work(&self, work: Work, points: usize, field_bytes: usize) -> FormatResult<()> {
         self.check(points, work.bytes_per_point() + FIELD_COPIES * field_bytes)
     }
 
-    /// Refuses work on contents that needs more memory than the limit, before it begins.
+    /// Returns an error, before the work begins, if work on `contents` would need more memory than the limit.
     pub fn check_work_on(&self, work: Work, contents: &Contents) -> FormatResult<()> {
         let is_grid = !matches!(contents, Contents::General(_));
         self.check_work_on_shape(work, contents.shape(), is_grid, contents.field_bytes_per_point())
     }
 
-    /// Returns an error if work on a frame would need more memory than the limit. `field_bytes` is as in
-    /// [`check_work`](Self::check_work).
+    /// Returns an error, before the work begins, if work on `frame` would need more memory than the limit.
+    /// `field_bytes` is as in [`check_work`](Self::check_work).
     pub fn check_work_on_frame(&self, work: Work, frame: Frame<'_>, field_bytes: usize) -> FormatResult<()> {
         self.check_work_on_shape(work, frame.shape(), frame.grid().is_some(), field_bytes)
     }
@@ -171,7 +171,7 @@ impl ReadOptions {
         self.check_work(work, points, field_bytes)
     }
 
-    /// Refuses `count` items of `bytes_each` bytes if they exceed the limit.
+    /// Returns an error if `count` items of `bytes_each` bytes exceed the limit.
     pub fn check(&self, count: usize, bytes_each: usize) -> FormatResult<()> {
         let (needed, allowed) = (count as u64 as u128 * bytes_each as u128, self.max_memory_bytes);
         if needed <= u128::from(allowed) {

@@ -1,7 +1,7 @@
-//! Lidar scans as plain f32: KITTI's `.bin` with x, y, z, intensity, nuScenes' `.pcd.bin` with an additional ring,
-//! and others with colours.
+//! Lidar scans as plain f32: KITTI's `.bin` files with x, y, z and intensity, nuScenes' `.pcd.bin` files with an
+//! additional ring, and other `.bin` files with colours.
 //!
-//! The files have no header. The number of columns is detected from the values, unless it is given.
+//! The files have no header. The number of columns is detected from the values unless the options state it.
 
 use super::write::check_f32;
 use super::xyz_text::guessed_names;
@@ -9,16 +9,16 @@ use super::{CloudRef, FormatResult, ReadOptions};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
 const FIELDS: [&str; 2] = ["intensity", "ring"];
-/// The possible numbers of columns.
+/// The supported numbers of columns.
 const COLUMNS: std::ops::RangeInclusive<usize> = 3..=16;
-/// Number of values from which the number of columns is detected.
+/// Maximum number of values from which the number of columns is detected.
 const SAMPLE: usize = 1 << 16;
 
-/// A file's columns after x, y and z.
+/// The columns of a file after x, y and z.
 #[derive(Debug, PartialEq)]
 struct Columns {
     names: Vec<String>,
-    /// The factor that converts colours to bytes.
+    /// The factor by which stored colours were multiplied to get bytes: 255 or 1.
     colour_scale: f64,
 }
 
@@ -65,7 +65,7 @@ pub(super) fn decode(
             bytes.len()
         )));
     }
-    // The columns, and f64 copies of those whose names are guessed.
+    // Memory for the columns, and for f64 copies of the columns whose names are guessed.
     options.check(bytes.len(), 4)?;
     let column = |k: usize| -> Vec<f32> {
         let value =
@@ -93,7 +93,7 @@ pub(super) fn decode(
     Ok(cloud)
 }
 
-/// Returns true for a byte divided by 255, as SUN RGB-D stores colours.
+/// Returns true if the value is a byte divided by 255, which is how SUN RGB-D stores colours.
 fn is_share_of_bytes(value: f32) -> bool {
     (0.0..=1.0).contains(&value) && (255.0 * value - (255.0 * value).round()).abs() < 1e-3
 }
@@ -116,7 +116,7 @@ fn names_of(rest: &[Vec<f32>], has_ring: bool) -> Vec<String> {
     }
 }
 
-/// The first values of a file.
+/// The first values of a file, at most [`SAMPLE`].
 struct Sample(Vec<f32>);
 
 impl Sample {
@@ -125,8 +125,8 @@ impl Sample {
         Self(values.iter().take(SAMPLE).map(|bytes| f32::from_le_bytes(*bytes)).collect())
     }
 
-    /// Returns false if many values are NaN, or too large or too small for coordinates: the file then has another
-    /// type.
+    /// Returns true if most values are numbers of a plausible size for coordinates. If many are NaN, too large or too
+    /// small, the file has another type.
     fn is_of_floats(&self) -> bool {
         let numbers: Vec<f32> = self.0.iter().copied().filter(|value| !value.is_nan()).collect();
         let is_length = |value: &&f32| **value == 0.0 || (1e-6..1e9).contains(&value.abs());
@@ -138,7 +138,7 @@ impl Sample {
 
     /// Returns the number of columns of a file with `values` values; `None` if it is ambiguous.
     fn columns(&self, values: usize) -> Option<usize> {
-        // Smaller differences occur by chance, in particular with few values.
+        // Smaller differences occur by chance, especially with few values.
         let tolerance = 0.03 + (self.0.len() as f64).sqrt().recip();
         let shares: Vec<(usize, f64)> = (3..=8).map(|lag| (lag, self.similar(lag))).collect();
         let best = shares.iter().map(|(_, share)| *share).fold(0.0, f64::max);
@@ -150,8 +150,8 @@ impl Sample {
         fitting.next().filter(|_| fitting.next().is_none())
     }
 
-    /// Returns the fraction of values of the same kind as the value `lag` places later: both are integers or neither
-    /// is, and both have the same binary exponent.
+    /// Returns the fraction of values that resemble the value `lag` positions later: both are integers or neither is,
+    /// and both have the same binary exponent.
     fn similar(&self, lag: usize) -> f64 {
         let kind = |value: f32| {
             (value.fract() == 0.0, if value == 0.0 { i32::MIN } else { value.abs().log2().floor() as i32 })
@@ -161,7 +161,7 @@ impl Sample {
         same as f64 / pairs().count().max(1) as f64
     }
 
-    /// Returns true if the columns after x, y and z are plausible for a file with this number of columns.
+    /// Returns true if the values after x, y and z are plausible for a file with `columns` columns.
     fn fits(&self, columns: usize) -> bool {
         let column = |k: usize| self.0.chunks_exact(columns).map(move |point| point[k]);
         let all = |range: std::ops::Range<usize>, test: fn(f32) -> bool| range.into_iter().all(|k| column(k).all(test));
@@ -174,15 +174,15 @@ impl Sample {
         }
     }
 
-    /// Returns true if columns 4 to 6 of six are unit vectors.
+    /// Returns true if columns 4 to 6 of a file with six columns are unit vectors.
     fn has_normals(&self) -> bool {
         let is_unit = |p: &[f32]| ((p[3] * p[3] + p[4] * p[4] + p[5] * p[5]).sqrt() - 1.0).abs() < 0.02;
         self.0.chunks_exact(6).all(is_unit)
     }
 }
 
-/// Encodes x, y, z, and the columns of the `.bin` file that the cloud was read from. Other clouds get the intensity,
-/// and optionally the ring. Missing fields become 0.
+/// Encodes x, y and z, followed by the same columns as in the `.bin` file that the cloud was read from. For clouds
+/// from other files, the columns are the intensity and, if `has_ring`, the ring. Missing fields become 0.
 pub(super) fn encode(cloud: CloudRef<'_>, has_ring: bool) -> FormatResult<Vec<u8>> {
     let points = cloud.points();
     let own = points.provenance.get::<Columns>().filter(|_| !has_ring);

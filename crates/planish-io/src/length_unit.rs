@@ -1,8 +1,8 @@
-//! The unit of a file's coordinates, if the file states it.
+//! The length unit of a file's coordinates, if the file states it.
 
 use planish_core::{ParamError, PointCloud};
 
-/// A unit of length. [`Display`](std::fmt::Display) gives its name.
+/// A length unit. [`Display`](std::fmt::Display) prints its name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct LengthUnit {
@@ -10,7 +10,7 @@ pub struct LengthUnit {
     pub name: &'static str,
     /// The symbol, such as m or ftUS.
     pub symbol: &'static str,
-    /// Metres per unit.
+    /// Length of the unit in metres.
     pub metres: f64,
 }
 
@@ -19,7 +19,7 @@ impl LengthUnit {
     pub const METRE: Self = Self { name: "metre", symbol: "m", metres: 1.0 };
     /// The international foot.
     pub const FOOT: Self = Self { name: "foot", symbol: "ft", metres: 0.3048 };
-    /// The foot of older surveys in the USA.
+    /// The US survey foot, used in older surveys in the USA.
     pub const US_SURVEY_FOOT: Self = Self { name: "US survey foot", symbol: "ftUS", metres: 1200.0 / 3937.0 };
 
     /// The millimetre.
@@ -29,13 +29,13 @@ impl LengthUnit {
     /// The inch.
     pub const INCH: Self = Self { name: "inch", symbol: "in", metres: 0.0254 };
 
-    /// Returns the unit of a cloud's coordinates: that of the coordinate system in a LAS or LAZ file, otherwise the
-    /// metre.
+    /// Returns the unit of a cloud's coordinates: the unit of the coordinate system if the cloud was read from a LAS
+    /// or LAZ file that states one, otherwise the metre.
     pub fn of_cloud(cloud: &PointCloud) -> Self {
         Self::stated_by(cloud).unwrap_or(Self::METRE)
     }
 
-    /// Returns the unit that the file of a cloud states.
+    /// Returns the unit stated by the file that a cloud was read from.
     pub(crate) fn stated_by(cloud: &PointCloud) -> Option<Self> {
         #[cfg(feature = "scans")]
         return super::las::length_unit(cloud);
@@ -46,12 +46,12 @@ impl LengthUnit {
         }
     }
 
-    /// Returns true for the metre.
+    /// Returns true if the unit is the metre.
     pub fn is_metre(&self) -> bool {
         *self == Self::METRE
     }
 
-    /// Returns the unit with an EPSG code.
+    /// Returns the unit with an EPSG code; `None` for other codes.
     #[cfg(any(test, feature = "scans"))]
     pub(crate) fn of_epsg(code: u16) -> Option<Self> {
         match code {
@@ -62,10 +62,10 @@ impl LengthUnit {
         }
     }
 
-    /// Returns the unit with this length in metres.
+    /// Returns the known unit that has this length in metres.
     #[cfg(any(test, feature = "scans"))]
     pub(crate) fn of_metres(metres: f64) -> Option<Self> {
-        // The two feet differ by two in a million.
+        // The international and the US survey foot differ by two parts in a million.
         let known = [Self::METRE, Self::FOOT, Self::US_SURVEY_FOOT];
         known.into_iter().find(|unit| (unit.metres - metres).abs() < 1e-8)
     }
@@ -96,8 +96,8 @@ impl std::fmt::Display for LengthUnit {
 /// Returns the linear unit of a coordinate system in well-known text, version 1 or 2.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
-    // Ellipsoids and parameters have units too, so start at the axes. Angles have units as well; the first length is
-    // the horizontal one.
+    // Ellipsoids and parameters also have units, so the search starts at the axes. Angles have units too, and the
+    // first unit of length is the horizontal one.
     let axes = [",CS[", "PROJECTION["].iter().find_map(|part| text.find(part));
     let text = &text[axes.unwrap_or(0)..];
     let units = text.match_indices("UNIT[").map(|(at, start)| &text[at + start.len()..]);
@@ -109,18 +109,30 @@ pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
     })
 }
 
-/// Returns the linear unit in GeoTIFF keys: records of four numbers after a header of four.
+/// Returns the unit of heights of a compound coordinate system in well-known text, version 1 or 2.
 #[cfg(any(test, feature = "scans"))]
-pub(crate) fn unit_of_geo_keys(bytes: &[u8]) -> Option<LengthUnit> {
-    /// ProjLinearUnitsGeoKey.
-    const KEY: u16 = 3076;
+pub(crate) fn height_unit_of_wkt(text: &str) -> Option<LengthUnit> {
+    let vertical = ["VERT_CS[", "VERTCRS[", "VERTICALCRS["].iter().find_map(|part| text.find(part))?;
+    unit_of_wkt(&text[vertical..])
+}
+
+/// GeoTIFF's ProjLinearUnitsGeoKey.
+#[cfg(any(test, feature = "scans"))]
+pub(crate) const LINEAR_UNIT: u16 = 3076;
+/// GeoTIFF's VerticalUnitsGeoKey.
+#[cfg(any(test, feature = "scans"))]
+pub(crate) const HEIGHT_UNIT: u16 = 4099;
+
+/// Returns the unit that a GeoTIFF key states. The keys are records of four numbers after a header of four numbers.
+#[cfg(any(test, feature = "scans"))]
+pub(crate) fn unit_of_geo_keys(bytes: &[u8], key: u16) -> Option<LengthUnit> {
     let numbers: Vec<u16> = bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
     let value = |key: u16| {
         let keys = numbers.get(4..)?.chunks_exact(4);
-        // A location of 0 means that the last number is the value itself.
+        // A location (second number) of 0 means that the last number is the value itself.
         keys.into_iter().find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
     };
-    LengthUnit::of_epsg(value(KEY)?)
+    LengthUnit::of_epsg(value(key)?)
 }
 
 #[cfg(test)]
@@ -144,13 +156,23 @@ mod tests {
             let header = [[1, 1, 0, entries.len() as u16]];
             header.iter().chain(entries).flatten().flat_map(|number| number.to_le_bytes()).collect()
         };
-        assert_eq!(unit_of_geo_keys(&keys(&[[1024, 0, 1, 1], [3076, 0, 1, 9003]])), Some(LengthUnit::US_SURVEY_FOOT));
-        assert_eq!(unit_of_geo_keys(&keys(&[[3076, 0, 1, 9002]])), Some(LengthUnit::FOOT));
-        // The unit of heights alone.
-        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]])), None);
+        assert_eq!(
+            unit_of_geo_keys(&keys(&[[1024, 0, 1, 1], [3076, 0, 1, 9003]]), LINEAR_UNIT),
+            Some(LengthUnit::US_SURVEY_FOOT)
+        );
+        assert_eq!(unit_of_geo_keys(&keys(&[[3076, 0, 1, 9002]]), LINEAR_UNIT), Some(LengthUnit::FOOT));
+        // Key 4099 states the unit of heights, not of x and y.
+        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]]), LINEAR_UNIT), None);
+        assert_eq!(unit_of_geo_keys(&keys(&[[4099, 0, 1, 9002]]), HEIGHT_UNIT), Some(LengthUnit::FOOT));
+        let compound = r#"COMPD_CS["a",PROJCS["b",PROJECTION["P"],UNIT["metre",1]],VERT_CS["NAVD88",VERT_DATUM["d",2005],UNIT["foot",0.3048]]]"#;
+        assert_eq!(unit_of_wkt(compound), Some(LengthUnit::METRE));
+        assert_eq!(height_unit_of_wkt(compound), Some(LengthUnit::FOOT));
+        assert_eq!(height_unit_of_wkt(wkt1), None);
+        let compound2 = r#"COMPOUNDCRS["a",PROJCRS["b",CS[Cartesian,2],LENGTHUNIT["metre",1]],VERTCRS["c",VDATUM["d"],CS[vertical,1],AXIS["up",up],LENGTHUNIT["US survey foot",0.304800609601219]]]"#;
+        assert_eq!(height_unit_of_wkt(compound2), Some(LengthUnit::US_SURVEY_FOOT));
         for nothing in [keys(&[]), keys(&[[3076, 34736, 1, 0]]), keys(&[[3076, 0, 1, 9005]]), vec![1, 0, 3], Vec::new()]
         {
-            assert_eq!(unit_of_geo_keys(&nothing), None);
+            assert_eq!(unit_of_geo_keys(&nothing, LINEAR_UNIT), None);
         }
     }
 }

@@ -1,9 +1,9 @@
-//! Reading and writing files, without losing fields and without leaving half-written files.
+//! Reads and writes files, without losing fields and without leaving half-written files.
 //!
-//! A format is detected from the contents first, then from the file's extension. Before it allocates, every reader
-//! checks the sizes that a header claims against the size of the file. One kind of damage aborts the process: certain
-//! GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13, recurse until the stack overflows. Read
-//! untrusted files in a separate process.
+//! A file's format is detected from its contents first, then from its extension. Before allocating memory, every
+//! reader checks the sizes that a header claims against the file's size. One kind of damage aborts the process:
+//! certain GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13, recurse until the stack
+//! overflows. Read untrusted files in a separate process.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(
@@ -108,7 +108,7 @@ pub use write::{
     write_depth_metres, write_origin_mask,
 };
 
-/// For planish's other crates and tests; it may change with every version.
+/// Items for planish's other crates and tests; they may change with every version.
 #[doc(hidden)]
 pub mod internal {
     pub use crate::atomic_write::{AtomicFile, check_target, create_output_folder};

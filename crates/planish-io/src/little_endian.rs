@@ -1,14 +1,14 @@
-//! Conversion of numbers from and to bytes.
+//! Converts numbers from and to bytes.
 
-/// A number with a little-endian form.
+/// A number that can be converted from and to bytes.
 pub(super) trait LittleEndian: Copy {
-    /// Reads a little-endian number from exactly its size in bytes.
+    /// Reads a little-endian number. `bytes` must have exactly its size.
     fn read(bytes: &[u8]) -> Self;
 
-    /// Reads a big-endian number from exactly its size in bytes.
+    /// Reads a big-endian number. `bytes` must have exactly its size.
     fn read_big_endian(bytes: &[u8]) -> Self;
 
-    /// Writes the number in little-endian order to exactly its size in bytes.
+    /// Writes the number in little-endian order. `bytes` must have exactly its size.
     fn write(self, bytes: &mut [u8]);
 }
 

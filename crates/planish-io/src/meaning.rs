@@ -1,9 +1,9 @@
-//! The meaning of a file's numbers: their unit, and points without a measurement.
+//! Interprets a file's numbers: converts their unit, and finds points without a measurement.
 
 use super::{Contents, FormatResult, LengthUnit, ReadOptions};
 use planish_core::{FormatError, OrganizedCloud, PointCloud};
 
-/// Converts points and floating-point depth to metres, from the unit that the options state.
+/// Converts points and floating-point depth to metres from the unit stated in the options.
 pub(super) fn to_metres(contents: &mut Contents, options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<()> {
     let unit = options.unit.filter(|unit| !unit.is_metre());
     match contents {
@@ -53,7 +53,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     }
     scale(cloud, unit.metres);
     notes.push(converted(unit));
-    // LAS and E57 headers have scales and a coordinate system in the old unit.
+    // LAS and E57 headers contain scales and a coordinate system in the old unit.
     #[cfg(feature = "scans")]
     if super::las::has_header(cloud) || super::e57::has_scans(cloud) {
         cloud.provenance = planish_core::Provenance::default();
@@ -62,7 +62,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     Ok(())
 }
 
-/// Multiplies all coordinates, and the positions of sensors, by a factor.
+/// Multiplies all coordinates and sensor positions by a factor.
 fn scale(cloud: &mut PointCloud, factor: f64) {
     let scaled: Vec<[f64; 3]> =
         (0..cloud.len()).map(|i| [0, 1, 2].map(|axis| factor * cloud.coordinate(axis, i))).collect();
@@ -84,10 +84,10 @@ fn scale(cloud: &mut PointCloud, factor: f64) {
     }
 }
 
-/// Maximum |x| / z and |y| / z of a camera's points: a field of view of about 150 degrees.
+/// Maximum |x| / z and |y| / z for a point in front of a camera, which is a field of view of about 150 degrees.
 const WIDEST: f32 = 4.0;
 
-/// Turns points at (0, 0, 0) into holes if a cloud is in the frame of its sensor, since drivers write them for
+/// Converts points at (0, 0, 0) to holes if the cloud is in its sensor's frame, because drivers write such points for
 /// missing measurements.
 pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String>) {
     let points = &mut cloud.points;
@@ -96,7 +96,7 @@ pub(super) fn holes_at_sensor(cloud: &mut OrganizedCloud, notes: &mut Vec<String
     }
     let is_zero = |points: &PointCloud, i: usize| points.positions.get(i) == [0.0; 3];
     let zeros: Vec<usize> = (0..points.len()).filter(|&i| is_zero(points, i)).collect();
-    // A single such point may be on a surface, unless all others are in front of the sensor.
+    // A single point at the origin may be on a surface, unless all others are in front of the sensor.
     let is_before = |[x, y, z]: [f32; 3]| z > 0.0 && x.abs() <= WIDEST * z && y.abs() <= WIDEST * z || !z.is_finite();
     let others_are_before =
         || (0..points.len()).filter(|i| !zeros.contains(i)).all(|i| is_before(points.positions.get(i)));

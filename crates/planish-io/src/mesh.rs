@@ -1,5 +1,5 @@
-//! The vertices of meshes: OBJ, OFF and STL. They are read as unorganized clouds; faces are not kept, and none of these
-//! formats is written.
+//! Reads the vertices of meshes (OBJ, OFF and STL) as unorganized clouds. Faces are dropped, and none of these formats
+//! can be written from a cloud.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted, text_of};
 use planish_core::{Attribute, FormatError, PointCloud, Precision};
 
-/// Reads the lines `v x y z` of a Wavefront OBJ, with optional colours.
+/// Reads the vertices (lines `v x y z`) of a Wavefront OBJ, with optional colours.
 pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let text = text_of(bytes);
     let lines = (1..).zip(text.lines()).filter_map(|(number, line)| {
@@ -69,7 +69,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
             quoted(kind)
         )));
     };
-    // The numbers of vertices, faces and edges may be on the first line.
+    // The first line may also contain the numbers of vertices, faces and edges.
     let of_first = [behind].into_iter().chain(first).find(|word| !word.is_empty());
     let counts = of_first.or_else(|| lines.next().map(|(_, line)| line)).unwrap_or_default();
     let count = counts.split_whitespace().next().and_then(|count| count.parse::<usize>().ok()).ok_or_else(|| {
@@ -106,7 +106,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
                 names.len()
             ))
         })?;
-        // Alpha may follow the colours.
+        // Alpha may follow the colours; it only affects the detected range.
         largest = values[3 + 3 * usize::from(has_normals)..].iter().copied().fold(largest, f64::max);
         columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
@@ -125,7 +125,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     with_points(names.into_iter().zip(columns).map(typed).collect(), "OFF")
 }
 
-/// Reads the corners of an STL's triangles, each position once.
+/// Reads the corners of the triangles in an STL file; each distinct position becomes one point.
 pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
     const HEADER: usize = 84;
     const TRIANGLE: usize = 50;
@@ -147,7 +147,7 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
         let corner = |(number, line): (usize, &str)| {
             let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
             let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
-            // Numbers beyond f32 are read as infinite.
+            // Numbers beyond the range of f32 are parsed as infinite.
             let values = values.filter(|values| values.iter().all(|value| !value.is_infinite()));
             let text = || format!("line {number}: a vertex needs three numbers of at most 3.4e38");
             values.ok_or_else(|| FormatError::Malformed(text()))
@@ -181,7 +181,7 @@ fn with_points(columns: Vec<Attribute>, name: &str) -> FormatResult<PointCloud> 
         return Err(FormatError::Malformed(format!("the {name} has no vertices")));
     }
     let mut cloud = cloud_from_columns(columns)?;
-    // Text files state no type; coordinates near the origin do not need f64.
+    // Text files do not state a type. Coordinates near the origin do not need f64.
     cloud.position_columns.precision = Precision::AsNeeded;
     Ok(cloud)
 }

@@ -1,4 +1,4 @@
-//! Depth images of the Netpbm family: PGM with 16 bits, and PFM with floats in metres.
+//! Reads depth images of the Netpbm family: PGM with 16 bits, and PFM with floats in metres.
 
 use super::{Contents, FormatResult, ReadOptions, quoted};
 use planish_core::{DepthImage, FormatError, validate_shape};
@@ -7,11 +7,11 @@ fn malformed<T>(what: String) -> FormatResult<T> {
     Err(FormatError::Malformed(what))
 }
 
-/// The words of the header, which comments may interrupt.
+/// The remaining bytes of a header, read word by word. Comments may appear between words.
 struct Words<'a>(&'a [u8]);
 
 impl<'a> Words<'a> {
-    /// Returns the next word. The white space after it is not consumed.
+    /// Returns the next word, without consuming the white space after it.
     fn next(&mut self) -> Option<&'a str> {
         loop {
             self.0 = self.0.trim_ascii_start();
@@ -75,7 +75,7 @@ pub(super) fn decode_pfm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     }
     let (width, height) = (words.number("a width")?, words.number("a height")?);
     validate_shape(width, height)?;
-    // The sign gives the byte order. The magnitude has no defined unit and is ignored.
+    // The sign states the byte order. The magnitude has no defined unit and is ignored.
     let scale: f64 = words.number("a scale")?;
     options.check(width * height, 4)?;
     let value = if scale < 0.0 { f32::from_le_bytes } else { f32::from_be_bytes };

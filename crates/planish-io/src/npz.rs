@@ -1,5 +1,5 @@
-//! NumPy archives. The positions are the array `points`, `xyz` or `positions`, or the only [N, 3] array; other arrays
-//! with N rows become fields.
+//! NumPy archives. The positions are the array `points`, `xyz` or `positions`, or otherwise the only array of shape
+//! [N, 3]; other arrays with N rows become fields.
 
 use std::io::{Cursor, Read, Write};
 
@@ -12,7 +12,7 @@ use planish_core::{Attribute, AttributeValues, Camera, FormatError};
 
 const POSITIONS: [&str; 4] = ["points", "xyz", "positions", "arr_0"];
 const DEPTH: [&str; 2] = ["depth", "arr_0"];
-/// Names of a depth image's intrinsics, a 3x3 or 4x4 matrix.
+/// Names under which a depth image's intrinsics are stored, as a 3x3 or 4x4 matrix.
 const INTRINSICS: [&str; 10] = [
     "K",
     "k",
@@ -25,7 +25,7 @@ const INTRINSICS: [&str; 10] = [
     "camera_intrinsics",
     "depth_intrinsics",
 ];
-/// Names of arrays with three columns that are not positions.
+/// Names of arrays that may have three columns but are not positions.
 const NO_POSITIONS: [&str; 9] = ["normals", "normal", "rgb", "colors", "colours", "color", "image", "img", "faces"];
 /// Maximum number of files in an archive.
 const MOST_ARRAYS: usize = 256;
@@ -34,7 +34,7 @@ fn damaged(error: impl std::fmt::Display) -> FormatError {
     FormatError::Malformed(format!("damaged NPZ: {}", brief(&error.to_string())))
 }
 
-/// Decodes a cloud, or a depth image and its camera if the archive has one.
+/// Decodes a cloud, or a depth image with its camera if the archive has one.
 pub(super) fn decode(
     bytes: &[u8],
     options: &ReadOptions,
@@ -60,7 +60,7 @@ pub(super) fn decode(
         })?;
         let mut array = Vec::new();
         array.try_reserve_exact(stated.saturating_add(1) as usize).map_err(damaged)?;
-        // The stated size may be wrong.
+        // The archive may state a wrong size.
         file.take(stated.saturating_add(1)).read_to_end(&mut array).map_err(damaged)?;
         if array.len() as u64 != stated {
             return Err(damaged("an array is longer or shorter than stated"));
@@ -74,7 +74,7 @@ pub(super) fn decode(
         notes.push(format!("the array {} is dropped: it is not [fx 0 cx; 0 fy cy; 0 0 1]", brief(name)));
     }
     let names = || super::quoted(&arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", "));
-    // Finds an array by its name, otherwise takes the only one that fits.
+    // Find an array by its name; otherwise, use the only array that fits.
     let contents_of = |(name, array): &(String, Vec<u8>)| {
         let mut notes = Vec::new();
         let contents = npy::decode(array, options, &mut notes).ok()?;
@@ -84,7 +84,7 @@ pub(super) fn decode(
         let named = wanted.iter().find_map(|name| arrays.iter().find(|(found, _)| found == name));
         let named = named.and_then(contents_of).filter(|(_, contents, _)| is_kind(contents));
         named.or_else(|| {
-            // Boxes and labels are tables too.
+            // Tables such as boxes and labels must not be mistaken for points or depth.
             let may_be = |(name, array): &&(String, Vec<u8>)| {
                 !NO_POSITIONS.contains(&name.as_str()) && is_plain(array) && !is_matrix(array)
             };
@@ -109,8 +109,8 @@ pub(super) fn decode(
     }
     let points = || of_name(&POSITIONS, |contents| !contents.is_depth());
     let depth = || of_name(&DEPTH, Contents::is_depth);
-    // An archive with an array named depth, or with camera intrinsics, is a depth image unless an array has the name
-    // of positions.
+    // An archive with an array named depth, or with camera intrinsics, is read as a depth image, unless an array has
+    // one of the names for positions.
     let has = |names: &[&str]| arrays.iter().any(|(name, _)| names.contains(&name.as_str()));
     let is_depth = (named.is_some() || has(&DEPTH[..1])) && !has(&POSITIONS[..3]);
     let found = if is_depth { depth().or_else(points) } else { points().or_else(depth) };
@@ -162,13 +162,13 @@ pub(super) fn decode(
     Ok((contents, None))
 }
 
-/// Returns true for an array with the shape of a transformation or of intrinsics.
+/// Returns true for an array with the shape of a transformation matrix or of intrinsics.
 fn is_matrix(array: &[u8]) -> bool {
     npy::Array::parse(array)
         .is_ok_and(|array| matches!(array.header.shape[..], [3, 3] | [3, 4] | [4, 4] | [1, 3, 3] | [1, 4, 4]))
 }
 
-/// Returns true for an array that is points or a depth image by its shape and type alone.
+/// Returns true for an array that, judging by its shape and type alone, is points or a depth image.
 fn is_plain(array: &[u8]) -> bool {
     npy::Array::parse(array).is_ok_and(|array| {
         matches!(
@@ -178,7 +178,7 @@ fn is_plain(array: &[u8]) -> bool {
     })
 }
 
-/// Returns the intrinsics in a matrix; `None` if it is not an intrinsic matrix.
+/// Returns the intrinsics in an array; `None` if it is not an intrinsic matrix.
 fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     let array = npy::Array::parse(array).ok()?;
     let numbers: Vec<f64> = match (array.header.kind, array.header.size) {
@@ -191,15 +191,15 @@ fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     matrix_intrinsics(&numbers)
 }
 
-/// Converts an array to a field of `rows` points. If the array is not a field, such as an unrelated matrix, returns
-/// the reason in the inner result.
+/// Converts an array to a field of `rows` points. If the array is not a field, such as an unrelated matrix, the inner
+/// result is the reason.
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,
         Err(FormatError::Unsupported(reason)) => return Ok(Err(reason)),
         Err(error) => return Err(FormatError::Malformed(format!("the array {name}: {error}"))),
     };
-    // The points come first, on a grid or not.
+    // The leading dimensions are those of the points, on a grid or not.
     let mut leading = array.header.shape.iter().scan(1usize, |points, &n| {
         *points = points.saturating_mul(n);
         Some(*points)
@@ -224,14 +224,14 @@ fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute
     Ok(Ok(Attribute { name: name.to_owned(), count, values }))
 }
 
-/// Names of vector arrays, and the names of the fields of their components.
+/// Names of vector arrays, with the names of the three fields for their components.
 const VECTORS: [(&[&str], [&str; 3]); 2] = [
     (&["normals", "normal"], ["normal_x", "normal_y", "normal_z"]),
     (&["rgb", "colors", "colours", "color"], ["red", "green", "blue"]),
 ];
 
-/// Splits normals and colours into the fields that all other formats have, unless other arrays have the names of
-/// these fields. Returns any other field unchanged.
+/// Splits an array of normals or colours into the component fields that all other formats have, unless other arrays
+/// have the names of these fields. Returns any other array unchanged.
 fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool) -> Vec<Attribute> {
     let is_colour = |names: &[&str; 3]| names[0] == "red";
     let is_bytes = matches!(attribute.values, AttributeValues::U8(_));
@@ -240,7 +240,7 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
             && attribute.count == 3
             && (is_bytes || !is_colour(components))
             && !components.iter().any(|name| is_taken(name))
-            // Only the first of the vector's names that is present is split.
+            // If several of the vector's names are present, only the first is split.
             && !names.iter().take_while(|name| **name != attribute.name).any(|name| is_taken(name))
     });
     let Some((_, names)) = vector else { return vec![attribute] };
@@ -251,14 +251,14 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
     (0..3).map(component).collect()
 }
 
-/// Joins the components of normals and of colours to one array each.
+/// Joins the component fields of normals, and those of colours, into one array each.
 fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
     let mut all = attributes.to_vec();
     for (names, components) in VECTORS {
         let place = |name: &str| all.iter().position(|attribute| attribute.name == name && attribute.count == 1);
         let [Some(x), Some(y), Some(z)] = components.map(place) else { continue };
         let kinds = [x, y, z].map(|k| std::mem::discriminant(&all[k].values));
-        // If another array has the vector's name, it and the components are kept.
+        // If another array has the vector's name, both this array and the components are kept.
         if all.iter().any(|attribute| attribute.name == names[0]) {
             continue;
         }
@@ -273,7 +273,7 @@ fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
     all
 }
 
-/// Encodes the positions as `points`, and every field as an array with its name.
+/// Encodes the positions as the array `points`, and every field as an array with the field's name.
 pub(super) fn encode(cloud: CloudRef<'_>) -> FormatResult<Vec<u8>> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);

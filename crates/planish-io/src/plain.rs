@@ -1,4 +1,4 @@
-//! Removal of wrappings that formats do not define: gzip, and byte-order marks or UTF-16 in text.
+//! Removes wrappings that are not part of a format: gzip, and byte-order marks or UTF-16 in text.
 
 use std::borrow::Cow;
 #[cfg(feature = "more-formats")]
@@ -12,7 +12,7 @@ const UTF_8: &[u8] = &[0xef, 0xbb, 0xbf];
 const UTF_16_LITTLE_ENDIAN: &[u8] = &[0xff, 0xfe];
 const UTF_16_BIG_ENDIAN: &[u8] = &[0xfe, 0xff];
 
-/// Returns a file's contents without gzip and byte-order marks; text in UTF-16 becomes UTF-8.
+/// Returns a file's contents without gzip compression and byte-order marks; UTF-16 text becomes UTF-8.
 pub(super) fn plain<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
     if bytes.starts_with(GZIP) { unpacked(bytes, options) } else { Ok(text_in_utf_8(bytes)) }
 }
@@ -37,7 +37,7 @@ fn unpacked<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<Cow<'a, 
     })
 }
 
-/// Returns text without its byte-order mark, in UTF-8.
+/// Returns text as UTF-8, without its byte-order mark. Other bytes are returned unchanged.
 pub(super) fn text_in_utf_8(bytes: &[u8]) -> Cow<'_, [u8]> {
     if let Some(text) = bytes.strip_prefix(UTF_8) {
         return text.into();
@@ -50,7 +50,7 @@ pub(super) fn text_in_utf_8(bytes: &[u8]) -> Cow<'_, [u8]> {
     }
 }
 
-/// Decodes UTF-16; `None` for other bytes.
+/// Decodes UTF-16; `None` if the bytes are not UTF-16 text.
 fn decode(bytes: &[u8], unit: impl Fn([u8; 2]) -> u16) -> Option<String> {
     let (units, rest) = bytes.as_chunks::<2>();
     let text = String::from_utf16(&units.iter().map(|bytes| unit(*bytes)).collect::<Vec<_>>()).ok()?;

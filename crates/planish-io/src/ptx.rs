@@ -1,4 +1,4 @@
-//! Leica's PTX: scans as text, each with its grid and its pose. They become one cloud in the file's frame.
+//! Leica's PTX: scans as text, each with its grid and pose. All scans become one cloud in the file's frame.
 
 use glam::{DMat4, DVec3, DVec4};
 
@@ -6,9 +6,9 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted, text_of};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
 
-/// Number of header lines of a scan: columns, rows, position, three axes, and the four rows of a matrix.
+/// Number of lines in a scan's header: columns, rows, position, three axes, and the four rows of a matrix.
 const HEADER: usize = 10;
-/// Numbers of values per point, without and with a colour.
+/// Number of values per point, without and with a colour.
 const COUNTS: [usize; 2] = [4, 7];
 const SCAN: &str = "scan";
 
@@ -26,11 +26,11 @@ struct Points {
     colourless: usize,
 }
 
-/// Lines and their numbers.
+/// The remaining lines of a file, with their line numbers.
 struct Lines<'a, I: Iterator<Item = (usize, &'a str)>>(I);
 
 impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
-    /// Returns the line number and the values of the next line.
+    /// Returns the next line's number and its values.
     fn numbers(&mut self) -> FormatResult<(usize, Vec<f64>)> {
         let ended = || FormatError::Malformed("the PTX is truncated: it ends within a scan".into());
         let (number, line) = self.0.next().ok_or_else(ended)?;
@@ -54,7 +54,7 @@ impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
 }
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
-    // A line of a point has eight characters or more.
+    // Each point has a line of at least eight characters.
     options.check(bytes.len() / 8, 48)?;
     let text = text_of(bytes);
     let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty());
@@ -73,7 +73,7 @@ impl Points {
         for _ in 0..3 {
             lines.row::<3>()?;
         }
-        // Points are row vectors, multiplied by the matrix from the left.
+        // The file's points are row vectors, to the left of the matrix, so its rows are the columns of `to_file`.
         let matrix = [lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?];
         let to_file = DMat4::from_cols_array_2d(&matrix);
         let count = columns * rows;

@@ -1,4 +1,4 @@
-//! Reading files of any format.
+//! Reads files of any supported format.
 
 use std::fs;
 use std::io::Read;
@@ -32,10 +32,10 @@ use super::{depth_png, meaning, mesh, npy, pcd, ply, xyz_text};
 #[cfg(feature = "more-formats")]
 use super::{gltf, kitti, netpbm, ptx};
 
-/// Summarizes a 16-bit depth image in a PNG or TIFF file without holding its pixels in memory. Returns `None` for
+/// Summarizes the 16-bit depth image in a PNG or TIFF file without storing its pixels in memory. Returns `None` for
 /// other formats and other TIFF images.
 pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(Format, DepthSummary)>, IoError> {
-    /// Number of bytes that identify any format.
+    /// Number of leading bytes that suffice to recognize PNG and TIFF.
     const MAGIC_BYTES: u64 = 8;
     let summarize = || {
         if !fs::metadata(path)?.is_file() {
@@ -55,7 +55,7 @@ pub fn summarize_depth(path: &Path, options: &ReadOptions) -> Result<Option<(For
     summarize().map_err(IoError::at(path))
 }
 
-/// Reads a file of any format; `-` is standard input. Refuses pipes, sockets and devices.
+/// Reads a file of any supported format; the path `-` means standard input. Pipes, sockets and devices are errors.
 pub fn read(path: &Path) -> Result<(Format, Contents), IoError> {
     read_with(path, &ReadOptions::default())
 }
@@ -65,8 +65,9 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
     read_file(path, options).map(|file| (file.format, file.contents))
 }
 
-/// Reads a LAS, LAZ or PLY file in parts of at most `points_at_once` points. Each part is a cloud with all fields and
-/// its own origin; a file without points is one empty cloud. Returns the format of the file and [`FileRead::notes`].
+/// Reads a LAS, LAZ or PLY file in parts of at most `points_at_once` points, and calls `visit` for each. A part is a
+/// cloud with all fields and its own origin; a file without points is one empty cloud. Returns the file's format and
+/// [`FileRead::notes`].
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
@@ -112,9 +113,9 @@ pub struct FileRead {
     pub encoding: Option<Encoding>,
     /// The contents of the file.
     pub contents: Contents,
-    /// The camera of a depth image, if the file contains one.
+    /// The camera of a depth image, if the file states one.
     pub camera: Option<Camera>,
-    /// Dropped data and guesses, one clause each, for users.
+    /// Notes for users on dropped data and guesses, one clause each.
     pub notes: Vec<String>,
 }
 
@@ -139,7 +140,8 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<FileRead, IoError
     read().map_err(IoError::at(path))
 }
 
-/// Decodes a file's contents; `announced` is the format of its extension, for ambiguous contents.
+/// Decodes a file's contents. `announced` is the format that the file's extension names, for contents that do not
+/// identify their format.
 pub fn decode(bytes: &[u8], announced: Option<Format>) -> FormatResult<(Format, Contents)> {
     decode_with(bytes, announced, &ReadOptions::default())
 }
@@ -152,14 +154,14 @@ pub fn decode_with(bytes: &[u8], announced: Option<Format>, options: &ReadOption
 /// Additional inputs and outputs of the decoders.
 #[derive(Default)]
 struct Beside<'a> {
-    /// The file's folder, for formats that consist of several files.
+    /// The folder that contains the file, for formats that consist of several files.
     #[cfg_attr(not(feature = "more-formats"), allow(dead_code))]
     folder: Option<&'a Path>,
     camera: Option<Camera>,
     notes: Vec<String>,
 }
 
-/// Decodes bytes that [`plain`] returned.
+/// Decodes uncompressed bytes, as returned by [`plain`].
 fn decode_plain(
     bytes: &[u8],
     announced: Option<Format>,
@@ -229,7 +231,7 @@ fn decode_plain(
     Ok((format, contents))
 }
 
-/// Reads a 16-bit depth image (PNG, TIFF or NPY) and combines it with its camera.
+/// Reads a 16-bit depth image (PNG, TIFF, NPY or another format), and combines it with its camera.
 pub fn read_depth_frame(path: &Path, camera: Camera) -> Result<DepthFrame, IoError> {
     match read(path)?.1 {
         Contents::Depth(image) => DepthFrame::from_image(camera, image).map_err(FormatError::from),
@@ -238,7 +240,7 @@ pub fn read_depth_frame(path: &Path, camera: Camera) -> Result<DepthFrame, IoErr
     .map_err(IoError::at(path))
 }
 
-/// Reads an organized cloud (PCD, PLY or NPY).
+/// Reads an organized cloud (PCD, PLY, NPY or NPZ).
 pub fn read_organized(path: &Path) -> Result<OrganizedCloud, IoError> {
     match read(path)?.1 {
         Contents::Organized(cloud) => Ok(cloud),

@@ -1,4 +1,4 @@
-//! 8-bit colour PNG, for pictures.
+//! Reads and writes pictures as 8-bit PNG.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -7,7 +7,7 @@ use super::depth_png::encode_png;
 use super::{ReadOptions, RgbImage};
 use planish_core::{FormatError, IoError};
 
-/// Writes a picture. A colourless picture is written as grey, in a third of the bytes.
+/// Writes a picture as PNG. A colourless picture is written as grayscale, which needs a third of the bytes.
 pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     let (width, height, eight) = (image.width, image.height, png::BitDepth::Eight);
     let pixels = image.rgb.chunks_exact(3);
@@ -20,7 +20,8 @@ pub fn write_rgb_png(path: &Path, image: &RgbImage) -> Result<(), IoError> {
     encoded.and_then(|bytes| super::write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Writes pictures of one size as an animated PNG that repeats endlessly. It is grey if all pictures are colourless.
+/// Writes pictures of the same size as an animated PNG that repeats endlessly. If all pictures are colourless, it is
+/// grayscale.
 pub fn write_animated_png(path: &Path, images: &[RgbImage], frames_per_second: u16) -> Result<(), IoError> {
     encode_animated(images, frames_per_second)
         .and_then(|bytes| super::write_whole(path, &bytes))
@@ -55,7 +56,7 @@ fn encode_animated(images: &[RgbImage], frames_per_second: u16) -> Result<Vec<u8
     Ok(bytes)
 }
 
-/// Reads an 8-bit colour PNG; alpha is dropped, grey is expanded to colour.
+/// Reads a PNG as 8-bit colour; alpha is dropped, and grey is expanded to colour.
 pub fn read_rgb_png(path: &Path) -> Result<RgbImage, IoError> {
     read_rgb_png_with(path, &ReadOptions::default())
 }
@@ -78,7 +79,7 @@ fn decode(bytes: &[u8], options: &ReadOptions) -> Result<RgbImage, FormatError> 
     if size / 8800 > bytes.len() {
         return Err(FormatError::Malformed(format!("the PNG is truncated: its header states {width}x{height} pixels")));
     }
-    // The samples, and the colours.
+    // Memory for the samples and for the colours.
     options.check(size, 2)?;
     let mut buffer = vec![0; size];
     reader.next_frame(&mut buffer).map_err(malformed)?;

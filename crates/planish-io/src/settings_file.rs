@@ -1,4 +1,4 @@
-//! Settings files: JSON or YAML, the same for every front end.
+//! Settings files in JSON or YAML, shared by all front ends.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ use planish_core::{FormatError, IoError, Settings};
 /// Maximum size of a settings file in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Length in bytes from which an error's text is shortened, since it quotes the file.
+/// Length of an error message in bytes above which it is shortened, since it quotes the file.
 const LONGEST: usize = 1000;
 
-/// Limit on the number of brackets, which settings never reach.
+/// Maximum number of brackets, which real settings never reach.
 const MOST_BRACKETS: usize = 100;
 
-/// Reads settings from a file in JSON or YAML: an object of the fields of [`Settings`].
+/// Reads settings from a JSON or YAML file: an object with fields of [`Settings`].
 ///
 /// # Errors
 /// If the file cannot be read, has a field that settings do not have, or a value outside its range.
@@ -39,7 +39,7 @@ pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     if text.matches(['{', '[']).count() > MOST_BRACKETS {
         return Err(FormatError::Malformed(format!("settings: more than {MOST_BRACKETS} brackets")));
     }
-    // JSON is not always YAML: tabs may indent it.
+    // JSON is not always valid YAML: it may be indented by tabs.
     let parsed = match text.trim_start().chars().next() {
         Some('{') => serde_json::from_str(text).map_err(|error| error.to_string()),
         _ => parse_yaml(text),

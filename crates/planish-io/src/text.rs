@@ -1,4 +1,4 @@
-//! Points as text, in PCD and PLY: one line per point, values separated by spaces, `nan` for no value.
+//! Points as text in PCD and PLY files: one line per point, values separated by spaces, `nan` for a missing value.
 
 use std::fmt::{Display, Write};
 use std::str::{FromStr, Lines};
@@ -25,10 +25,10 @@ impl<'a> Body<'a> {
         self.lines.find(|(_, line)| !line.trim().is_empty()).map(|(index, line)| (index + 1, line))
     }
 
-    /// Appends `points` lines to the columns.
+    /// Reads `points` points, and appends their values to the columns.
     pub(super) fn read(&mut self, columns: &mut [Attribute], points: usize) -> Result<(), FormatError> {
         let values: usize = columns.iter().map(|column| column.count).sum();
-        // The shortest value is one digit and a separator.
+        // The shortest value takes two bytes: a digit and a separator.
         if values.checked_mul(2 * points).is_none_or(|shortest| shortest > self.bytes + 1) {
             return Err(FormatError::Malformed(format!(
                 "the file is truncated: its header states {points} points of {values} values, but {} bytes follow",
@@ -40,7 +40,7 @@ impl<'a> Body<'a> {
         if read.is_err() {
             let after = std::mem::replace(&mut self.lines, before);
             truncate(columns, &lengths);
-            // librealsense writes the values of a point on several lines.
+            // librealsense writes the values of one point on several lines.
             if self.read_words(columns, points, values).is_none() {
                 self.lines = after;
                 return read;
@@ -62,7 +62,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Reads points that take several lines each, or share a line; returns `None` if a value is missing or
+    /// Reads points that span several lines each, or that share lines. Returns `None` if a value is missing or
     /// unreadable.
     fn read_words(&mut self, columns: &mut [Attribute], points: usize, values: usize) -> Option<()> {
         let slots: Vec<usize> = columns.iter().enumerate().flat_map(|(k, column)| vec![k; column.count]).collect();
@@ -74,7 +74,7 @@ impl<'a> Body<'a> {
                 push(&mut columns.get_mut(*slots.get(words % values)?)?.values, word)?;
                 words += 1;
             }
-            // Either a point takes several lines, or a line has several points; otherwise a value is missing or
+            // Either a point spans several lines, or a line has several points. Otherwise, a value is missing or
             // superfluous.
             let found = words - before;
             let is_regular =
@@ -87,7 +87,7 @@ impl<'a> Body<'a> {
     }
 }
 
-/// Returns the number of values of each column.
+/// Returns the number of values in each column.
 fn lengths(columns: &[Attribute]) -> Vec<usize> {
     columns.iter().map(|column| with_values!(&column.values, values => values.len())).collect()
 }
@@ -110,7 +110,7 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
     if words.next().is_some() { Err(format!("more than {values} values")) } else { Ok(()) }
 }
 
-/// Appends a value; `None` if the word is not of this type.
+/// Parses a word and appends its value; `None` if the word is not of the column's type.
 fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
     if push_plain(values, word).is_some() {
         let is_infinite = match values {
@@ -121,7 +121,7 @@ fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
         // 1e39 is too large for f32, and must not become a hole.
         return (!is_infinite || !word.contains(|c: char| c.is_ascii_digit())).then_some(());
     }
-    // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs integers as 255.0.
+    // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs write integers as 255.0.
     let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));
     match (word.split_once('.'), is_nan) {
         (_, true) => push_plain(values, "nan"),
@@ -138,7 +138,7 @@ fn push_plain(values: &mut AttributeValues, word: &str) -> Option<()> {
     with_values!(values, values => parsed(values, word))
 }
 
-/// Writes a line for each point. Every float gets the shortest text that reads back to the same bits.
+/// Writes one line per point. Every float is written as the shortest text that parses to the same bits.
 pub(super) fn write(columns: &[Attribute], points: usize, bytes: &mut Vec<u8>) {
     let mut text = String::new();
     for point in 0..points {

@@ -1,5 +1,6 @@
 //! Poses of a moving camera: TUM's `groundtruth.txt` (timestamp, position, quaternion x, y, z, w) and the
-//! `trajectory.log` of Redwood and Open3D (three numbers and a 4x4 matrix per frame). Detected from their contents.
+//! `trajectory.log` of Redwood and Open3D (three numbers and a 4x4 matrix per frame). The format is detected from the
+//! contents.
 
 use std::path::Path;
 
@@ -12,18 +13,18 @@ const HELP: &str = "expected poses as text: lines of time, x, y, z, qx, qy, qz, 
                     and a 4x4 matrix (trajectory.log)";
 /// Maximum size of a trajectory file in bytes.
 const MAX_BYTES: u64 = 1 << 28;
-/// Maximum time between two poses for interpolation, in seconds.
+/// Maximum time between two poses for interpolation between them, in seconds.
 const LONGEST_GAP_S: f64 = 0.2;
 
-/// The poses of a camera in the world over time, or frame by frame.
+/// The poses of a camera in the world, by time or by frame number.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trajectory {
-    /// The times of the poses in seconds, ascending; `None` if poses belong to frames by number.
+    /// The times of the poses in seconds, ascending; `None` if poses belong to frame numbers.
     times_s: Option<Vec<f64>>,
     poses: Vec<SensorPose>,
 }
 
-/// Reads the poses of a camera.
+/// Reads the poses of a moving camera from a file.
 ///
 /// # Errors
 /// If the file is unreadable, has another format, or contains an invalid pose.
@@ -47,14 +48,14 @@ impl Trajectory {
         self.poses.is_empty()
     }
 
-    /// Returns true if the poses have timestamps, rather than belonging to frames by number.
+    /// Returns true if the poses have timestamps, false if they belong to frame numbers.
     pub fn has_times(&self) -> bool {
         self.times_s.is_some()
     }
 
-    /// Returns the pose of a frame, by its number from 0 or by its timestamp; `None` if the pose is unknown. Poses at
-    /// most 0.2 s apart are interpolated. A frame without a timestamp must be named by its time in seconds, as in
-    /// data sets with TUM layout.
+    /// Returns the pose of a frame, found by the frame's number from 0, or by its timestamp if the poses have times;
+    /// `None` if the pose is unknown. Between poses at most 0.2 s apart, it is interpolated. If `timestamp_s` is
+    /// `None`, the frame's name must be its time in seconds, as in data sets with TUM layout.
     pub fn pose(&self, number: u64, timestamp_s: Option<f64>, name: Option<&str>) -> Option<SensorPose> {
         let Some(times_s) = &self.times_s else { return self.poses.get(usize::try_from(number).ok()?).copied() };
         let at_s = timestamp_s.or_else(|| name?.parse().ok()).filter(|time_s: &f64| time_s.is_finite())?;

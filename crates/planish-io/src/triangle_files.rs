@@ -1,4 +1,4 @@
-//! Triangle meshes as PLY, OBJ, STL and glTF (GLB).
+//! Writes triangle meshes as PLY, OBJ, STL and glTF (GLB).
 
 use std::fmt::Write;
 use std::path::Path;
@@ -10,12 +10,12 @@ use super::triangles::TriangleMesh;
 use super::write::check_f32;
 use super::{FormatResult, write_whole};
 
-/// The extensions of mesh formats, for messages.
+/// The extensions of mesh formats that can be written, for messages.
 pub const WRITTEN_MESHES: &str = ".ply, .obj, .stl or .glb";
 
-/// Writes a mesh in the format of the path's extension: PLY (binary), OBJ, STL (binary) or GLB. STL stores only
-/// triangles. The other formats also store normals and colours, and OBJ and GLB texture coordinates. GLB is rotated
-/// so that y is up, as in all glTF.
+/// Writes a mesh in the format given by the path's extension: PLY (binary), OBJ, STL (binary) or GLB. STL stores only
+/// the triangles. The other formats also store normals and colours; OBJ and GLB also store texture coordinates. GLB is
+/// rotated to make y point up, as glTF requires.
 ///
 /// # Errors
 /// If the mesh has no triangles, the extension is unknown, or the file cannot be written.
@@ -120,7 +120,7 @@ fn stl(mesh: &TriangleMesh) -> Vec<u8> {
     bytes
 }
 
-/// Encodes a mesh as glTF 2.0 in one binary file: a header, JSON, and the arrays.
+/// Encodes a mesh as glTF 2.0 in a single binary file: a header, JSON, and the arrays.
 fn glb(mesh: &TriangleMesh) -> FormatResult<Vec<u8>> {
     const FLOAT: u32 = 5126;
     const UNSIGNED_BYTE: u32 = 5121;
@@ -178,7 +178,7 @@ fn glb(mesh: &TriangleMesh) -> FormatResult<Vec<u8>> {
         ELEMENT_ARRAY,
         serde_json::json!({ "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR" }),
     );
-    // The sensor's y is down and its z ahead: half a turn about x.
+    // In the sensor's frame y is down and z points forward, so the mesh is rotated by half a turn about x.
     let [x, y, z] = mesh.origin_m;
     let description = serde_json::json!({
         "asset": { "version": "2.0", "generator": "planish" },

@@ -1,20 +1,20 @@
 //! Triangles between the pixels of a smoothed frame.
 //!
-//! Two adjacent pixels are connected if their tangent planes meet between them. The plane of one must predict the
-//! range of the other up to the noise of the sensor, or up to half the difference of the two slopes, as at a crease.
-//! Steps are left open.
+//! Two adjacent pixels are connected if their tangent planes meet between them: the better of the two planes must
+//! predict the other pixel's range with an error of at most the sensor's noise plus half the difference of the two
+//! slopes, which is the error at a crease. Steps are left open.
 
 use glam::DVec3;
 use planish_core::{FrameError, OrganizedCloud, PointsView, SensorModel, Xyz};
 
-/// Tolerance of predicted ranges, in standard deviations of the sensor's noise.
+/// Tolerance of predicted ranges for noise, in standard deviations of the sensor.
 const DEVIATIONS: f64 = 3.0;
 
-/// Tolerance of the better predicted range, as a fraction of the difference of two pixels' slopes. At a crease
-/// between two pixels, the error is half this difference.
+/// Additional tolerance of the better of two predicted ranges, as a fraction of the difference between the two pixels'
+/// slopes. At a crease between two pixels, the error is half this difference.
 const SHARE_OF_SLOPES: f64 = 0.5;
 
-/// Minimum cosine of the angle between a normal and a ray for the tangent plane to predict a range.
+/// Minimum cosine of the angle between a normal and a ray for which the tangent plane is used to predict a range.
 const GRAZING_COSINE: f64 = 0.03;
 
 /// A triangle mesh.
@@ -25,13 +25,13 @@ pub struct TriangleMesh {
     pub positions: Xyz,
     /// Offset of all vertices in metres.
     pub origin_m: [f64; 3],
-    /// Unit normals, towards the sensor.
+    /// Unit normals of the vertices, towards the sensor.
     pub normals: Xyz,
-    /// Colours, if the frame has them.
+    /// Red, green and blue of each vertex; `None` if the frame has no colours.
     pub colours: Option<Vec<[u8; 3]>>,
-    /// Position of each vertex in the image, from 0 to 1, from the upper left corner.
+    /// Texture coordinates of each vertex: its position in the image, from 0 to 1, from the upper left corner.
     pub texture: Vec<[f32; 2]>,
-    /// Indices of three vertices, counterclockwise as seen from the sensor.
+    /// Three vertex indices per triangle, counterclockwise as seen from the sensor.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -48,15 +48,16 @@ impl Seen<'_> {
         DVec3::from_array(self.positions.get(i).map(f64::from)) - self.sensor
     }
 
-    /// Returns the range at which the tangent plane of point `i` meets a ray.
+    /// Returns the range in metres at which the tangent plane of point `i` meets `ray`; `None` at grazing angles or
+    /// without a normal.
     fn predicted_m(&self, i: usize, ray: DVec3) -> Option<f64> {
         let normal = DVec3::from_array(self.normals.get(i).map(f64::from));
         let along = normal.dot(ray);
-        // False for a NaN.
+        // False if the normal is NaN.
         (along < -GRAZING_COSINE).then(|| normal.dot(self.point(i)) / along)
     }
 
-    /// Returns true if two adjacent points belong to one surface.
+    /// Returns true if two adjacent points are on the same surface.
     fn is_connected(&self, i: usize, j: usize) -> bool {
         let (p, q) = (self.point(i), self.point(j));
         let (range_p, range_q) = (p.length(), q.length());
@@ -77,16 +78,16 @@ impl Seen<'_> {
 }
 
 impl TriangleMesh {
-    /// Connects the points of a smoothed frame, given their normals and the noise of the sensor.
+    /// Connects the points of a smoothed frame to triangles, given its normals and the sensor's noise.
     ///
     /// # Errors
-    /// If the number of normals differs, or the position of the sensor is unknown.
+    /// If the number of normals differs from the number of points, or the sensor's position is unknown.
     pub fn of(cloud: &OrganizedCloud, normals: &Xyz, noise: SensorModel) -> Result<Self, FrameError> {
         normals.check_len("the normals", cloud.points.len())?;
         let view = PointsView::from_organized(cloud)?;
         let (sensor, _) = view.seen_from().ok_or(FrameError::UnknownSensor)?;
         let positions = &cloud.points.positions;
-        // Towards the sensor, whatever the file's convention.
+        // Normals are turned towards the sensor, whatever the file's convention.
         let facing = |i: usize| {
             let [normal, point] = [normals, positions].map(|of| DVec3::from_array(of.get(i).map(f64::from)));
             let turned = if normal.dot(point - sensor) > 0.0 { -normal } else { normal };
@@ -103,7 +104,7 @@ impl TriangleMesh {
                 of_pixels.extend(seen.triangles([a, b, c, d]));
             }
         }
-        // Only vertices in use, in the order of the pixels.
+        // Keep only the vertices in use, in the order of the pixels.
         let mut index = vec![u32::MAX; positions.len()];
         for &pixel in of_pixels.iter().flatten() {
             index[pixel] = 0;
@@ -132,7 +133,7 @@ impl TriangleMesh {
     }
 }
 
-/// Gives each vertex without a normal the area-weighted mean normal of its triangles.
+/// Sets each missing normal to the area-weighted mean normal of the triangles at its vertex.
 fn with_normals_of_triangles(mut normals: Xyz, positions: &Xyz, triangles: &[[u32; 3]]) -> Xyz {
     let is_missing: Vec<bool> = (0..normals.len()).map(|i| !normals.is_finite(i)).collect();
     let mut sums = vec![DVec3::ZERO; normals.len()];
@@ -147,14 +148,14 @@ fn with_normals_of_triangles(mut normals: Xyz, positions: &Xyz, triangles: &[[u3
 }
 
 impl Seen<'_> {
-    /// Returns the triangles of a square of pixels, given as upper left, upper right, lower left, lower right.
+    /// Returns the triangles in a square of four pixels, given as upper left, upper right, lower left, lower right.
     fn triangles(&self, [a, b, c, d]: [usize; 4]) -> impl Iterator<Item = [usize; 3]> + use<> {
         let has_point = |i: usize| self.positions.is_finite(i);
         let along_ad = self.point(a).distance_squared(self.point(d));
         let along_bc = self.point(b).distance_squared(self.point(c));
         let by_ad = [[a, c, d], [a, d, b]];
         let by_bc = [[a, c, b], [b, c, d]];
-        // Holes make distances NaN; the other diagonal is used then.
+        // If a hole makes one diagonal NaN, the other is tried first.
         let first_is_ad = along_ad <= along_bc || along_bc.is_nan();
         let (first, second) = if first_is_ad { (by_ad, by_bc) } else { (by_bc, by_ad) };
         let is_whole = |&[i, j, k]: &[usize; 3]| {
@@ -162,7 +163,7 @@ impl Seen<'_> {
             has_points && self.is_connected(i, j) && self.is_connected(j, k) && self.is_connected(k, i)
         };
         let of_first: Vec<[usize; 3]> = first.into_iter().filter(is_whole).collect();
-        // A triangle of the second diagonal may fit if none of the first does.
+        // If neither triangle along the first diagonal is valid, one along the second may be.
         let found =
             if of_first.is_empty() { second.into_iter().filter(is_whole).collect::<Vec<_>>() } else { of_first };
         found.into_iter()
@@ -173,7 +174,7 @@ impl Seen<'_> {
 mod tests {
     use super::*;
 
-    /// A frame of 8x8 pixels with a given depth; pixels are 5 mm apart at 1 m.
+    /// Returns the mesh of an 8x8 frame with the given depth in metres; pixels are 5 mm apart at 1 m.
     fn frame(depth_m: impl Fn(usize, usize) -> f32, normal: [f32; 3]) -> TriangleMesh {
         let point = |i: usize| {
             let (u, v) = (i % 8, i / 8);
@@ -197,7 +198,7 @@ mod tests {
 
     #[test]
     fn steps_and_holes_are_left_open_and_creases_are_not() {
-        // 5 cm, which is 30 deviations.
+        // A step of 5 cm, which is 30 standard deviations.
         let step = frame(|u, _| if u < 4 { 1.0 } else { 1.05 }, [0.0, 0.0, -1.0]);
         assert_eq!(step.triangles.len(), 98 - 14);
         let hole = frame(|u, v| if (u, v) == (3, 3) { f32::NAN } else { 1.0 }, [0.0, 0.0, -1.0]);

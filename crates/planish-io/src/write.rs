@@ -31,7 +31,8 @@ pub fn is_same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
-/// Refuses coordinates that f32 would round by more than a tenth of a millimetre, for formats that store nothing finer.
+/// Returns an error if f32 would round coordinates by more than a tenth of a millimetre; for formats that store
+/// nothing finer.
 pub(crate) fn check_f32(origin_m: [f64; 3], mut positions: impl Iterator<Item = [f32; 3]>) -> Result<(), FormatError> {
     const FINE_M: f64 = 1e-4;
     let rounding_m = |axis: usize, value: f32| {
@@ -47,8 +48,8 @@ pub(crate) fn check_f32(origin_m: [f64; 3], mut positions: impl Iterator<Item = 
     Ok(())
 }
 
-/// Encodes a cloud as the bytes of a file. Text files name their columns in a comment, CSV in the first line. LAS and
-/// LAZ lose holes, and NPY stores only positions.
+/// Encodes a cloud as the bytes of a file. Text files name their columns in a comment, CSV files in the first line.
+/// LAS and LAZ drop holes, and NPY stores positions only.
 ///
 /// # Errors
 /// If the format cannot represent the cloud, or fields differ in length.
@@ -95,11 +96,11 @@ pub fn encode_cloud<'a>(
     }
 }
 
-/// Checks in advance whether an output can be written. Refuses a folder that does not exist or is read-only, and a
-/// format that cannot represent the cloud's fields and those added by a result.
+/// Checks in advance whether an output can be written: its folder exists and is writable, and its format can represent
+/// the cloud's fields and the `added` outputs.
 ///
 /// # Errors
-/// If [`write_cloud`] would fail for reasons other than single values.
+/// If [`write_cloud`] would fail, except because of individual values.
 pub fn check_writable<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, added: Outputs) -> Result<(), IoError> {
     let mut none = cloud.into().points().select(&[]);
     let mut result = Smoothed::default();
@@ -129,8 +130,8 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
     }
 }
 
-/// Writes a cloud in the format of the path's extension: PCD, PLY, LAS, LAZ (without holes), E57, lines of text, CSV,
-/// NPZ, a lidar's `.bin`, or NPY (only positions).
+/// Writes a cloud in the format given by the path's extension: PCD, PLY, LAS, LAZ (without holes), E57, lines of text,
+/// CSV, NPZ, a lidar's `.bin`, or NPY (positions only).
 pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: Encoding) -> Result<(), IoError> {
     let cloud = cloud.into();
     let encode = || match Format::of_output(path)? {
@@ -147,7 +148,7 @@ pub fn write_cloud<'a>(path: &Path, cloud: impl Into<CloudRef<'a>>, encoding: En
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
 }
 
-/// Writes a depth image in the format of the path's extension: 16-bit PNG, TIFF or NPY.
+/// Writes a depth image in the format given by the path's extension: 16-bit PNG, TIFF or NPY.
 pub fn write_depth(path: &Path, image: &DepthImage) -> Result<(), IoError> {
     let encode = || encode_depth(Format::of_output(path)?, image);
     encode().and_then(|bytes| write_whole(path, &bytes)).map_err(IoError::at(path))
@@ -158,31 +159,32 @@ pub fn origin_mask_of(depth: &Path) -> PathBuf {
     depth.with_extension(ORIGIN)
 }
 
-/// Returns true for an origin mask: its name ends in .origin.png, and it is an 8-bit PNG, which no depth image is.
+/// Returns true for an origin mask: a file whose name ends in .origin.png and that is an 8-bit PNG, which no depth
+/// image is.
 pub(crate) fn is_origin_mask(path: &Path) -> bool {
     let has_name = path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&format!(".{ORIGIN}")));
     has_name && is_8_bit(path)
 }
 
-/// Returns true for a PNG of 8 bits per channel.
+/// Returns true for a PNG with 8 bits per channel.
 fn is_8_bit(path: &Path) -> bool {
     let mut start = [0; PNG_BIT_DEPTH + 1];
     let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
     read.is_ok() && start[PNG_BIT_DEPTH] == 8
 }
 
-/// Offset of the bit depth in a PNG, after the signature, the header's length and type, width and height.
+/// Byte offset of the bit depth in a PNG: it follows the signature, and the header's length, type, width and height.
 const PNG_BIT_DEPTH: usize = 24;
 
-/// The extension of origin masks.
+/// The extension of origin masks, which replaces the depth file's extension.
 const ORIGIN: &str = "origin.png";
 
 /// Writes the origin mask of a depth file, an 8-bit PNG in the same folder. Values are 0 for holes, 85 for filled
-/// pixels, 170 for pixels carried over from the previous frame, and 255 for measured ones. Write the mask before the
-/// depth, so that no depth is left without a mask.
+/// pixels, 170 for pixels carried over from the previous frame, and 255 for measured pixels. Write the mask before the
+/// depth file, so that an interruption leaves no depth file without a mask.
 ///
 /// # Errors
-/// If the result has no status, the mask cannot be written, or another file has its name.
+/// If the result has no status, the mask cannot be written, or a file that is not an 8-bit PNG has the mask's name.
 pub fn write_origin_mask(depth: &Path, smoothed: &Smoothed) -> Result<(), IoError> {
     let path = origin_mask_of(depth);
     if path.exists() && !is_8_bit(&path) {

@@ -1,11 +1,11 @@
-//! YAML from untrusted files.
+//! Parses YAML from untrusted files.
 
 use serde::de::DeserializeOwned;
 
 /// Maximum nesting depth. The parser's time grows with the square of the depth.
 const DEEPEST: usize = 64;
 
-/// Parses YAML; refuses deep nesting. The error says what is wrong and where.
+/// Parses YAML. Deep nesting is an error. The error states what is wrong and, for syntax errors, where.
 pub fn parse_yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     if nesting(text) > DEEPEST {
         return Err(format!("lists or objects are nested more than {DEEPEST} deep"));
@@ -13,7 +13,8 @@ pub fn parse_yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_yaml_ng::from_str(text).map_err(|error| error.to_string())
 }
 
-/// Returns an upper limit of the nesting depth: that of brackets, plus the most marks of lists and keys on a line.
+/// Returns an upper bound for the nesting depth: the depth of brackets, plus the largest number of list and key marks
+/// at the beginning of a line.
 fn nesting(text: &str) -> usize {
     let (mut depth, mut deepest) = (0usize, 0);
     for c in text.chars() {
@@ -47,7 +48,7 @@ mod tests {
         assert_eq!(value["cameras"][0][0][1][1]["a"], 3);
         let indented = format!("a:\n{}- b: 1\n", " ".repeat(200));
         assert_eq!(parse_yaml::<Value>(&indented).unwrap()["a"][0]["b"], 1);
-        // Brackets of text may not match.
+        // Brackets within text need not match.
         assert_eq!(parse_yaml::<Value>("a: ']}]}'\nb: [1]").unwrap()["b"][0], 1);
     }
 }

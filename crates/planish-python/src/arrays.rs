@@ -1,4 +1,4 @@
-//! numpy's arrays as the library's borrowed views and buffers.
+//! Conversion of NumPy arrays to the library's borrowed views and buffers.
 
 use std::mem::size_of;
 
@@ -38,7 +38,7 @@ impl<'py> Input<'py> {
         Err(PyTypeError::new_err("expected an array of uint16, float32 or float64"))
     }
 
-    /// Returns the frame in the array.
+    /// Returns the array as a frame.
     pub fn frame<'a>(
         &'a self,
         camera: Option<&'a Camera>,
@@ -63,7 +63,7 @@ impl<'py> Input<'py> {
     }
 }
 
-/// Converts an error of numpy's borrow checks, which refuse arrays that share memory.
+/// Converts an error of NumPy's borrow checks, which reject arrays that share memory.
 fn borrowed(error: BorrowError) -> PyErr {
     match error {
         BorrowError::NotWriteable => PyValueError::new_err("out: an array is read-only"),
@@ -95,9 +95,9 @@ fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [
         ));
     }
     let row_stride = row_bytes / size;
-    // SAFETY: all values from the first to the last of the last row are in the array's allocation, since no stride is
-    // negative; those between rows belong to it too. numpy keeps it alive, and borrowed for reading, as long as
-    // `array`.
+    // SAFETY: all values from the first one to the last one of the last row are in the array's allocation, since no
+    // stride is negative; values between rows belong to it too. NumPy keeps the allocation alive, and borrowed for
+    // reading, as long as `array` exists.
     let values = unsafe { std::slice::from_raw_parts(array.data().cast_const(), (height - 1) * row_stride + width) };
     Ok((values, row_stride))
 }
@@ -121,8 +121,8 @@ fn points<'a, T: Element>(
         (0, _) | (_, 0) => 0,
         _ => (height - 1) * row_stride + (width - 1) * point_stride + 2 * value_stride + size_of::<T>(),
     };
-    // SAFETY: all bytes from the first value to the last are in the array's allocation, since no stride is negative,
-    // and stay there, borrowed for reading, as long as `array`. Any bytes are valid as u8.
+    // SAFETY: all bytes from the first value to the last are in the array's allocation, since no stride is negative.
+    // The allocation stays alive, and borrowed for reading, as long as `array` exists. Any bytes are valid as u8.
     let bytes = unsafe { std::slice::from_raw_parts(array.data().cast::<u8>().cast_const(), len) };
     let offsets = [0, value_stride, 2 * value_stride];
     let layout = PointLayout { scalar, offsets, point_stride, row_stride };

@@ -1,4 +1,4 @@
-//! Frames in the memory of CUDA programs, as Python holds the smoother.
+//! The Python class that wraps a smoother for frames in CUDA memory.
 
 use std::sync::Mutex;
 
@@ -40,31 +40,32 @@ impl PyCudaSmoother {
         is_metres: bool,
     ) -> PyResult<Self> {
         let (settings, camera) = (from_dict(settings)?, camera.0);
-        // Compiling takes a second.
+        // Compilation takes about a second, during which other Python threads can run.
         let smoother = py.detach(|| CudaSmoother::open(&settings, &camera, is_metres)).map_err(to_py)?;
         Ok(Self(Mutex::new(smoother)))
     }
 
-    /// Smooths the image at an address into another, while no frame is in flight.
+    /// Smooths the image at the address `depth` and writes the result to the address `result`. Frames must not be in
+    /// flight.
     fn smooth(&self, py: Python<'_>, depth: u64, row_stride: usize, result: u64, stream: usize) -> PyResult<()> {
-        // SAFETY: as of `submit`.
+        // SAFETY: same as in `submit`.
         self.with(py, |smoother| unsafe { smoother.smooth(depth, row_stride, result, stream) })
     }
 
-    /// Hands over the image at an address.
+    /// Submits the image at the address `depth`.
     fn submit(&self, py: Python<'_>, depth: u64, row_stride: usize, stream: usize) -> PyResult<()> {
-        // SAFETY: the Python class checks the arrays. It keeps them until its next call, and documents for how long its
-        // caller must keep them.
+        // SAFETY: the Python class checks the arrays and keeps them until its next call. Its documentation states how
+        // long the caller must keep them.
         self.with(py, |smoother| unsafe { smoother.submit(depth, row_stride, stream) })
     }
 
-    /// Copies the oldest result to an address; false if no frame is in flight.
+    /// Copies the oldest result to the address `result`; returns false if no frame is in flight.
     fn receive(&self, py: Python<'_>, result: u64, stream: usize) -> PyResult<bool> {
         // SAFETY: the same.
         self.with(py, |smoother| unsafe { smoother.receive(result, stream) })
     }
 
-    /// Forgets the frames in flight.
+    /// Discards the frames in flight.
     fn forget(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |smoother| {
             smoother.forget();
@@ -72,12 +73,12 @@ impl PyCudaSmoother {
         })
     }
 
-    /// Memory for the result of an image of this width and height.
+    /// Allocates memory for the result of an image with this height and width.
     fn new_result(&self, py: Python<'_>, height: usize, width: usize) -> PyResult<PyCudaArray> {
         self.with(py, |smoother| Ok(PyCudaArray::new(smoother.new_result()?, [smoother.channels(), height, width])))
     }
 
-    /// Channels of a result, frames in flight, and how many may be.
+    /// Returns the number of channels of a result, the number of frames in flight, and their maximum number.
     fn counts(&self, py: Python<'_>) -> PyResult<(usize, usize, usize)> {
         self.with(py, |smoother| Ok((smoother.channels(), smoother.in_flight(), smoother.max_in_flight())))
     }

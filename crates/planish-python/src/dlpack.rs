@@ -1,7 +1,7 @@
-//! Results in CUDA's memory for libraries that read DLPack or `__cuda_array_interface__`.
+//! Results in CUDA memory for libraries that read DLPack or `__cuda_array_interface__`.
 //!
-//! DLPack's capsules hold a `DLManagedTensor` (dlpack.h, version 0): the reader takes it by renaming the capsule, and
-//! calls its deleter when it needs the memory no more.
+//! A DLPack capsule contains a `DLManagedTensor` (dlpack.h, version 0). The reader takes ownership of the tensor by
+//! renaming the capsule, and calls the tensor's deleter when it no longer needs the memory.
 
 use std::ffi::{CStr, c_int, c_void};
 use std::ptr::{self, NonNull};
@@ -18,11 +18,11 @@ use crate::errors::to_py;
 
 const CUDA: c_int = 2;
 const FLOAT: u8 = 2;
-/// The name of a capsule that nobody has taken.
+/// Name of a capsule whose tensor no reader has taken.
 const FRESH: &CStr = c"dltensor";
-/// A stream by which a reader says that it needs no order.
+/// Stream number by which a reader requests no synchronization.
 const NO_ORDER: isize = -1;
-/// DLPack's and CUDA's number of the default stream.
+/// Number of the default stream in DLPack and in CUDA's array interface.
 const DEFAULT_STREAM: usize = 1;
 
 #[repr(C)]
@@ -46,20 +46,20 @@ struct DlManagedTensor {
     deleter: Option<unsafe extern "C" fn(*mut DlManagedTensor)>,
 }
 
-/// The data that a managed tensor owns.
+/// A managed tensor and the data that it owns.
 struct Owner {
     managed: DlManagedTensor,
     shape: [i64; 3],
     _memory: Arc<CudaMemory>,
 }
 
-/// float32 [channels, height, width] in CUDA's memory.
+/// A float32 array [channels, height, width] in CUDA memory.
 #[pyclass(frozen, name = "CudaArray", module = "planish")]
 pub struct PyCudaArray {
-    /// `None` at its end only.
+    /// `None` only while the array is dropped.
     memory: Option<Arc<CudaMemory>>,
     shape: [i64; 3],
-    /// The last stream that writes it.
+    /// The last stream that wrote the array.
     stream: AtomicUsize,
 }
 
@@ -84,7 +84,7 @@ impl Drop for PyCudaArray {
 
 #[pymethods]
 impl PyCudaArray {
-    /// Channels, height and width.
+    /// Number of channels, height and width.
     #[getter]
     fn shape(&self) -> (i64, i64, i64) {
         self.shape.into()
@@ -103,19 +103,19 @@ impl PyCudaArray {
         Ok(interface)
     }
 
-    /// States that the work of a stream up to now writes the array.
+    /// Records that the work submitted to a stream so far writes the array.
     fn written_by(&self, stream: usize) -> PyResult<()> {
         self.stream.store(stream.max(DEFAULT_STREAM), Ordering::Relaxed);
-        // SAFETY: the Python class passes the stream of its present call.
+        // SAFETY: the Python class passes the stream of its current call.
         unsafe { self.memory()?.written_by(stream) }.map_err(to_py)
     }
 
-    /// DLPack's kind of device and its number.
+    /// DLPack's device type, and the number of the device.
     fn __dlpack_device__(&self) -> PyResult<(c_int, c_int)> {
         Ok((CUDA, self.memory()?.device()))
     }
 
-    /// The array as DLPack's capsule, ready on the reader's stream.
+    /// Returns the array as a DLPack capsule, ready for reading on the reader's stream.
     #[pyo3(signature = (*, stream = None, max_version = None, dl_device = None, copy = None))]
     fn __dlpack__(
         &self,
@@ -125,7 +125,7 @@ impl PyCudaArray {
         dl_device: Option<(c_int, c_int)>,
         copy: Option<bool>,
     ) -> PyResult<Py<PyAny>> {
-        // Readers of later versions take capsules of version 0 too.
+        // Readers of later versions also accept capsules of version 0.
         let _ = max_version;
         let (memory, device) = (self.memory()?, self.__dlpack_device__()?);
         if dl_device.is_some_and(|wanted| wanted != device) || copy == Some(true) {
@@ -180,7 +180,7 @@ impl PyCudaArray {
 /// Frees a managed tensor's data.
 ///
 /// # Safety
-/// It is one of this module's, and not used any more.
+/// `managed` must have been created by this module, and must not be used afterwards.
 unsafe extern "C" fn delete(managed: *mut DlManagedTensor) {
     // SAFETY: the manager is the owner, which was leaked.
     drop(unsafe { Box::from_raw((*managed).manager.cast::<Owner>()) });
@@ -189,9 +189,9 @@ unsafe extern "C" fn delete(managed: *mut DlManagedTensor) {
 /// Frees a tensor that no reader has taken.
 ///
 /// # Safety
-/// The capsule is one of this module's; Python calls this at its end.
+/// The capsule must have been created by this module. Python calls this function when it destroys the capsule.
 unsafe extern "C" fn drop_fresh(capsule: *mut ffi::PyObject) {
-    // SAFETY: the name tells whether it still has its tensor.
+    // SAFETY: the capsule still owns its tensor if its name is still `FRESH`.
     unsafe {
         if ffi::PyCapsule_IsValid(capsule, FRESH.as_ptr()) == 1 {
             delete(ffi::PyCapsule_GetPointer(capsule, FRESH.as_ptr()).cast());

@@ -1,4 +1,4 @@
-//! Conversion of the library's errors to Python's.
+//! Conversion of the library's errors to Python exceptions.
 
 use planish::{EngineError, Error, FormatError, FrameError, IoError, ParamError};
 use std::ffi::CString;

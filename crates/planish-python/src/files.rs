@@ -30,7 +30,7 @@ pub fn read<'py>(
     let options = ReadOptions::default().with_unit(unit).with_columns(columns);
     let FileRead { format, contents, camera, notes, .. } =
         py.detach(|| io::read_file(&path, &options)).map_err(to_py)?;
-    // Level 2, since the Python function of the same name calls this one.
+    // The stack level is 2, since the Python function of the same name calls this one.
     warn(py, &path, &notes, 2)?;
     let found = PyDict::new(py);
     if let Some(camera) = camera {
@@ -234,7 +234,7 @@ pub fn simulate<'py>(
     Ok((raw.into_any(), vectors(&truth.points)?.into_any(), vectors(&truth.normals)?.into_any()))
 }
 
-/// Returns the scores on simulated frames, as JSON.
+/// Evaluates settings on simulated frames; returns the scores as JSON.
 #[pyfunction]
 pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -> PyResult<String> {
     let settings = from_dict(settings)?;
@@ -269,7 +269,7 @@ pub fn evaluate(py: Python<'_>, settings: &Bound<'_, PyDict>, seeds: Vec<u64>) -
     Ok(scores.to_string())
 }
 
-/// Returns the settings of a file in JSON or YAML.
+/// Reads a settings file in JSON or YAML.
 #[pyfunction]
 pub fn read_settings(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     to_dict(py, &planish::io::read_settings(&path).map_err(to_py)?)

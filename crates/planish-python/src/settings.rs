@@ -7,7 +7,7 @@ use pyo3::types::{PyBool, PyDict};
 
 use crate::errors::param;
 
-/// Reads every item of the dictionary; `None` leaves a setting unset.
+/// Converts a dictionary of keyword arguments to settings; `None` leaves a setting unset.
 pub fn from_dict(given: &Bound<'_, PyDict>) -> PyResult<Settings> {
     let mut settings = Settings::default();
     for (key, value) in given.iter() {

@@ -1,4 +1,4 @@
-//! A session for Python.
+//! The Python class that wraps a session.
 
 use std::sync::{Mutex, mpsc};
 use std::thread;
@@ -16,7 +16,7 @@ use crate::camera::PyCamera;
 use crate::errors::to_py;
 use crate::settings::from_dict;
 
-/// Number of frames of a batch between two checks for Python's signals.
+/// Number of batch frames between two checks for Python's signals.
 const FRAMES_AT_ONCE: usize = 256;
 /// Interval between checks for Python's signals while an unorganized cloud is smoothed.
 const PATIENCE: Duration = Duration::from_millis(50);
@@ -37,7 +37,7 @@ type Place<'py> = (Option<PyRef<'py, PyCamera>>, Option<[f64; 7]>, Option<[f64; 
 /// The choices for a cloud (neighbours, edges, passes and noise in metres), and height and width of its rebuilt grid.
 type ChosenForCloud = (Option<(u32, &'static str, u32, Option<f32>)>, Option<(usize, usize)>);
 
-/// An input array with the camera, poses and origin that complete it to a frame.
+/// An input array, and the camera, poses and origin that turn it into a frame.
 struct Given<'py> {
     input: Input<'py>,
     camera: Option<Camera>,
@@ -53,7 +53,7 @@ impl<'py> Given<'py> {
         Ok(Self { input: Input::new(array, is_depth)?, camera, pose, origin_m, camera_pose })
     }
 
-    /// Sets the session's pose of the camera in the world.
+    /// Sets the pose of the camera in the world for the session's next frame.
     fn set_camera_pose(&self, session: &mut Session) -> PyResult<()> {
         session.set_camera_pose(self.camera_pose.map(SensorPose::from_viewpoint)).map_err(to_py)
     }
@@ -93,7 +93,7 @@ impl State {
         Ok(self.take_faults())
     }
 
-    /// Returns the session's faults up to now, for which the Python side issues warnings.
+    /// Removes the session's events and returns the faults among them, which Python reports as warnings.
     fn take_faults(&mut self) -> Vec<String> {
         self.session.take_events().iter().filter(|event| event.is_fault()).map(ToString::to_string).collect()
     }
@@ -193,7 +193,8 @@ impl PySmoother {
         py.detach(|| session.submit_in_place(frame)).map_err(to_py)
     }
 
-    /// Waits for the first frame in flight and writes its result into arrays; returns false if no frame is in flight.
+    /// Waits for the oldest frame in flight and writes its result into arrays; returns false if no frame is in
+    /// flight.
     fn receive(&self, py: Python<'_>, out: &Bound<'_, PyDict>) -> PyResult<bool> {
         let mut buffers = Buffers::new(out)?;
         let mut slices = buffers.slices()?;
@@ -215,7 +216,8 @@ impl PySmoother {
         Ok((state.session.in_flight(), state.session.max_in_flight()))
     }
 
-    /// Smooths frames of one kind, each into its arrays, as many at once as the engine allows. Returns warnings.
+    /// Smooths frames of one kind, each into its own arrays, with several frames in flight if the engine supports
+    /// this. Returns warnings.
     fn smooth_batch(
         &self,
         py: Python<'_>,
@@ -262,7 +264,7 @@ impl PySmoother {
             result.map_err(to_py)?;
             warnings.extend(state.take_faults());
         }
-        // Frames of a batch mostly have the same ones.
+        // The frames of a batch mostly cause the same warnings.
         warnings.sort_unstable();
         warnings.dedup();
         Ok(warnings)
@@ -307,8 +309,8 @@ impl PySmoother {
         Ok((session.engine().map(planish::Engine::name), session.gpu_name().map(str::to_owned), because))
     }
 
-    /// Returns the parameters that planish chose for the last unorganized cloud, if it did, and height and width of
-    /// its rebuilt grid, if any.
+    /// Returns the parameters that planish chose for the last unorganized cloud, and the height and width of its
+    /// rebuilt grid. `None` stands for parameters that were not chosen or a grid that was not rebuilt.
     fn chosen_for_cloud(&self) -> PyResult<ChosenForCloud> {
         let state = self.lock()?;
         let choice = state.session.cloud_choice();
@@ -332,8 +334,8 @@ impl PySmoother {
     }
 }
 
-/// Smooths with frames in flight; results have the order of the frames. A separate thread copies results while this one
-/// submits frames.
+/// Smooths frames with several in flight; results have the order of the frames. A separate thread copies results
+/// while the calling thread submits frames.
 fn pipelined(session: &mut Session, frames: &[Frame<'_>], slices: &mut [Slices<'_>]) -> Result<(), Error> {
     thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel::<(SmoothedView, &mut Slices<'_>)>(VIEWS_WAITING);

@@ -170,7 +170,7 @@ impl PyStream {
         Ok((delivered.map(|delivered| delivered.into_dict(py)).transpose()?, self.frames.take_warnings(), has_ended))
     }
 
-    /// Returns true if the source is a camera, or is played at the pace of one.
+    /// Returns true if the source is a camera, or a recording played back in real time.
     fn is_live(&self) -> bool {
         self.frames.is_live()
     }
@@ -205,7 +205,7 @@ impl PyStream {
 }
 
 impl PyStream {
-    /// Refuses to run in another process: threads do not survive a fork.
+    /// Returns an error if this is not the process that opened the stream, since threads do not survive a fork.
     fn check_process(&self) -> PyResult<()> {
         if self.process == std::process::id() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Files and clouds without smoothing: conversion, comparison, merging, meshes, cleaning, pictures.
+//! Operations on files and clouds: conversion, comparison, merging, meshes, cleaning, pictures.
 
 use std::path::{Path, PathBuf};
 
@@ -119,7 +119,8 @@ pub fn merge(
     merged.map_err(to_py)
 }
 
-/// Smooths the frame of a file and writes its mesh; returns the numbers of vertices and triangles.
+/// Smooths the frame of a file and writes its mesh. With `raw`, the frame is not smoothed. Returns the numbers of
+/// vertices and triangles.
 #[pyfunction]
 pub fn mesh(
     py: Python<'_>,
@@ -150,7 +151,7 @@ fn cloud_given(given: &Given<'_>) -> PyResult<PointCloud> {
     cloud_of(points, *origin_m, fields, *pose)
 }
 
-/// Cleans a cloud; returns the remaining points in the form of `read`.
+/// Cleans a cloud; returns the remaining points in the same form as `read`.
 #[pyfunction]
 pub fn clean<'py>(
     py: Python<'py>,

@@ -18,7 +18,7 @@ pub struct Arguments {
     pub namespace: String,
     /// The node's name.
     pub node: String,
-    /// Remapping rules of topics: old and new names.
+    /// Topic remapping rules: old and new names.
     remappings: Vec<(String, String)>,
     /// Values of parameters; later ones win.
     pub parameters: BTreeMap<String, ParameterValue>,
@@ -73,7 +73,7 @@ impl Arguments {
             let (name, value) =
                 assignment.split_once(":=").with_context(|| format!("-p {assignment}: expected NAME:=VALUE"))?;
             let value: Value = yaml(value).with_context(|| format!("-p {assignment}"))?;
-            // A parameter may be for one node of several.
+            // A parameter may be meant for only one of several nodes.
             let (node, name) = name.split_once(':').unwrap_or((&parsed.node, name));
             if node == parsed.node {
                 let value = parameter(&value).with_context(|| format!("-p {assignment}"))?;

@@ -87,7 +87,7 @@ impl Statistics {
         )
     }
 
-    /// Returns the report for the time since the last one.
+    /// Returns a report with the counts since the start, and the rate and latencies since the last report.
     pub fn report(&mut self, header: Header, node: &str, engine: Option<&str>) -> DiagnosticArray {
         let ms = |quantile: f64| format!("{:.2}", 1e-3 * self.latency_us.value_at_quantile(quantile) as f64);
         let values = [

@@ -58,7 +58,7 @@ fn end_on_panics() {
 }
 
 /// Configures the allocator in two ways. Freed messages return to the system; otherwise about a gigabyte is kept,
-/// since messages are freed by another thread than the one that allocated them. The heap grows in large steps: a
+/// since messages are freed by a different thread from the one that allocated them. The heap grows in large steps: a
 /// message grows within one step while it is written, and its pages need not be cleared for each message.
 fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]

@@ -30,7 +30,7 @@ const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Minimum interval between repetitions of a warning.
 const WARN_EVERY: Duration = Duration::from_secs(10);
 /// Maximum number of messages per topic that reliable subscribers have not acknowledged. Once it is reached, a
-/// subscriber that has stopped holds back all others until its lease ends (20 s with Fast DDS).
+/// subscriber that has stopped delays all other subscribers until its lease ends (20 s with Fast DDS).
 const MOST_UNACKNOWLEDGED: i32 = 32;
 /// Maximum wait for a message before the node checks whether it must end.
 const PATIENCE: Duration = Duration::from_millis(50);
@@ -50,7 +50,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     let settings = NodeSettings::of(&arguments.parameters)?;
     // A missing engine is reported now instead of with the first frame.
     let probe = settings.smoothing.frame_params().unwrap_or_default();
-    // Only a session has standard errors.
+    // Only a session computes standard errors, so they are not requested here.
     let options = settings.smoothing.options().with_outputs(Outputs::POINTS);
     Smoother::open_with(probe, &options, (640, 480)).context("the engine cannot be opened")?;
     let changed = Arc::new(Mutex::new(None));
@@ -146,7 +146,7 @@ fn node_options(
     let mut options = NodeOptions::new();
     for (name, default, ..) in declared() {
         let value = match (arguments.parameters.get(name), &default) {
-            // 1 is given where 1.0 is meant.
+            // Users may write 1 for 1.0.
             (Some(ParameterValue::Integer(value)), ParameterValue::Double(_)) => ParameterValue::Double(*value as f64),
             (Some(value), _) => value.clone(),
             (None, default) => default.clone(),
@@ -160,7 +160,7 @@ fn node_options(
     };
     let known = Arc::clone(&values);
     let validate = move |name: &str, value: &ParameterValue| {
-        // The client library would forget that the parameter exists.
+        // Unsetting a parameter would make the client library forget that it exists.
         if *value == ParameterValue::NotSet && running.load(Ordering::Relaxed) {
             return Err(format!("{name} cannot be unset; set it to its default"));
         }
@@ -437,7 +437,7 @@ impl Work {
         Ok(())
     }
 
-    /// Publishes the normals of the last message, if they are requested and it has a grid.
+    /// Publishes the normals of the last message, if they are requested and the message has a grid.
     fn publish_normals(&mut self, header: &Header) {
         if let Some(image) = self.smoother.normals_image(header.clone()) {
             let sent = self.publishers.normals.publish(image);

@@ -168,7 +168,7 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool, sigma: bo
     let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
     for (name, value) in values.iter().filter(|(name, _)| Settings::NAMES.contains(&name.as_str())) {
         let value = match value {
-            // A declared default that the chosen preset replaces.
+            // The chosen preset replaces the declared default of `strength`.
             ParameterValue::Double(value) if name == "strength" && is_preset && *value == DEFAULT_STRENGTH => continue,
             ParameterValue::Integer(0) if name == "threads" => continue,
             ParameterValue::NotSet => SettingValue::None,
@@ -216,9 +216,9 @@ mod tests {
 
     #[test]
     fn every_setting_of_the_smoother_is_a_parameter() {
-        // Messages keep their grid and camera, and streams do not look for a grid, smooth twice, or move points
-        // along the surface; devices and outputs are not
-        // the node's parameters.
+        // Settings of the smoother without a parameter: messages keep their grid and camera, and streams do not look
+        // for a grid, smooth twice, or move points along the surface; devices and outputs are not the node's
+        // parameters.
         let left_out = [
             "remove_floating",
             "min_range_m",

@@ -1,7 +1,7 @@
 //! The cost of interleaved points and normals in the caller's buffers, compared with separate planes.
 //!
-//! `cargo bench -p planish-tests --bench buffers`. The layouts alternate frame by frame, so a slower machine slows
-//! all of them alike. The ratio is the median over the rounds.
+//! Run `cargo bench -p planish-tests --bench buffers`. The layouts alternate frame by frame, so changes in the
+//! machine's speed affect all layouts alike. The ratio is the median over the rounds.
 
 use std::time::Instant;
 

@@ -1,7 +1,8 @@
-//! The CPU engine over windows, strides, degrees, threads, SIMD levels, outputs and frame sizes, on simulated frames.
+//! Benchmarks the CPU engine by window, stride, degree, threads, SIMD level, outputs and frame size, on simulated
+//! frames.
 //!
-//! `cargo bench -p planish-tests --bench cpu`, on a quiet machine. Every setting's result is compared with the
-//! reference before it is timed.
+//! Run `cargo bench -p planish-tests --bench cpu` on a quiet machine. Each setting's result is compared with the
+//! reference before the setting is timed.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -31,7 +32,8 @@ fn options(threads: usize) -> SmootherOptions {
     SmootherOptions::default().with_engine(Engine::Cpu).with_threads(Some(threads))
 }
 
-/// Checks that the result of a setting agrees with the reference, then times it; the counter is points per iteration.
+/// Checks that the result of a setting agrees with the reference, then times the setting. The counter is the number
+/// of valid points per iteration.
 fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: FrameParams, options: SmootherOptions) {
     let engine =
         TestEngine { threads: options.threads, simd: options.simd, engine: options.engine, ..TestEngine::REFERENCE };

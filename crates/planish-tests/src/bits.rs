@@ -2,8 +2,8 @@
 
 use planish::{Smoothed, Xyz};
 
-/// Returns a result as numbers: its shape, the bits of its points, and for each other field its length (`u32::MAX` if
-/// absent) and bits.
+/// Returns a result as numbers: its shape, the bits of its points, and the length (`u32::MAX` if absent) and bits of
+/// depth, depth_m, normals, curvature, status and neighbours.
 pub fn bits(smoothed: &Smoothed) -> Vec<u32> {
     let Smoothed { width, height, points, depth, depth_m, normals, curvature, status, neighbours, .. } = smoothed;
     let mut all = vec![*width as u32, *height as u32];

@@ -79,7 +79,7 @@ pub fn real_frames(test: &str) -> Vec<RealFrame> {
     clouds.map(cloud).into_iter().chain(depths.map(depth)).collect()
 }
 
-/// Reads a file of the data folder that must be an unorganized cloud.
+/// Reads the file `name` in `folder`, which must be an unorganized cloud.
 ///
 /// # Panics
 /// If the file cannot be read or is not an unorganized cloud.

@@ -1,4 +1,4 @@
-//! Running an engine on a cloud, and the grid of parameters that engines are compared on.
+//! Running an engine on a cloud, and the grid of parameters with which engines are compared.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -73,7 +73,7 @@ impl TestEngine {
         self.smooth_to(frame, params, Outputs::ALL)
     }
 
-    /// Smooths a frame with some outputs.
+    /// Smooths a frame with the given outputs.
     ///
     /// # Panics
     /// If the engine fails.

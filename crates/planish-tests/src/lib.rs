@@ -1,4 +1,4 @@
-//! Items shared by tests and benchmarks: scenes, named tolerances, and the location of the real frames.
+//! Items shared by tests and benchmarks: engines, scenes, real frames, invariants and comparisons.
 
 pub mod bits;
 pub mod data;

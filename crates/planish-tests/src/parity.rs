@@ -16,8 +16,8 @@ pub type Subject = (String, TestEngine);
 /// Pose of a sensor that is rotated about all axes and away from the origin, as on a robot arm.
 const TURNED: SensorPose = SensorPose { position_m: [0.4, -0.7, 0.9], orientation: [0.7, 0.1, -0.5, 0.5] };
 
-/// Runs every engine and the reference on all clouds with each setting, once in their own frame and once seen from a
-/// rotated sensor; returns the violated limits of docs/method.md, section 9.
+/// Runs every engine and the reference on all clouds with each setting, once in the clouds' own coordinate frame and
+/// once as seen by a rotated sensor. Returns the violated limits of docs/method.md, section 9.
 fn compare(name: &str, clouds: &[OrganizedCloud], grid: &[FrameParams], subjects: &[Subject]) -> Vec<String> {
     let turned: Vec<_> = clouds.iter().map(|cloud| moved(cloud, TURNED)).collect();
     let mut misses = compare_in_frame(name, clouds, grid, subjects);
@@ -61,9 +61,9 @@ pub fn simulated_frames_agree(subjects: &[Subject]) {
     assert_none(&compare("simulated", &clouds, &parameter_grid(), subjects));
 }
 
-/// Compares the engines with the reference on the real frames: on the first `whole` frames with the usual settings,
-/// and on quarters of all frames, over which the settings of the parameter grid are distributed. Quarters are also
-/// seen from a rotated sensor.
+/// Compares the engines with the reference on the real frames. The first `whole` frames are compared with the usual
+/// settings. Quarters of all frames share the settings of the parameter grid, and are also compared as seen by a
+/// rotated sensor.
 ///
 /// # Panics
 /// If an engine does not agree.

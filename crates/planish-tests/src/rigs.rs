@@ -12,7 +12,7 @@ pub fn rig_of(case: &RigCase) -> Rig {
     Rig::new(case.cameras.iter().enumerate().map(camera).collect()).unwrap()
 }
 
-/// Returns the frame of each camera of a case.
+/// Returns a case's frames, one per camera.
 pub fn frames_of(case: &RigCase) -> Vec<Option<Frame<'_>>> {
     case.cameras.iter().map(|camera| Some(camera.frame.into_frame().unwrap())).collect()
 }

@@ -1,4 +1,4 @@
-//! The synthetic clouds of the tests, each written once and run on every engine.
+//! Synthetic clouds, shared by the tests of all engines.
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{Camera, OrganizedCloud, Xyz};
@@ -25,7 +25,7 @@ pub fn grid(width: usize, height: usize, point: impl Fn(usize, usize) -> [f32; 3
     OrganizedCloud::from_positions(width, height, positions).expect("an allowed shape")
 }
 
-/// Returns a noisy simulated frame of a scene.
+/// Returns a noisy simulated frame of a room or, if `room` is false, of a table.
 pub fn simulated(seed: u64, room: bool, camera: Camera) -> OrganizedCloud {
     let (scene, pose) = if room { Scene::room(seed) } else { Scene::tabletop(seed) };
     let truth = scene.render(&camera, &pose);

@@ -7,8 +7,8 @@ use planish::internal::lose_gpu_devices;
 use planish::source::{OwnedFrame, Source};
 use planish::{DepthFrame, Error};
 
-/// A source that delivers each frame (stamped 0, 1, 2, ...) after the result of the previous one, so that GPUs are
-/// lost between frames.
+/// A source that delivers each frame only after the result of the previous frame, so that GPUs are lost between
+/// frames. The timestamps are 0, 1, 2, ... seconds.
 pub struct OneByOne {
     frame: DepthFrame,
     next: u64,

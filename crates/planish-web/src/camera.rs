@@ -5,7 +5,7 @@ use planish::io::{parse_camera, unknown_camera_key};
 use serde::Deserialize;
 use serde_json::Value;
 
-/// A camera: an object with fx, fy, cx, cy and more, or the text of a camera file.
+/// A camera: an object with fx, fy, cx, cy and optional other fields, or the text of a camera file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(transparent)]
 pub struct CameraGiven(Value);
@@ -18,7 +18,7 @@ impl CameraGiven {
             object => {
                 let text = object.to_string();
                 let unknown = unknown_camera_key(&text).map_err(|error| error.to_string())?;
-                // Only files may have the old name `depth_scale`, not pages.
+                // Only camera files may use the old name `depth_scale`; requests may not.
                 let old = object.get("depth_scale").map(|_| "depthScale".to_owned());
                 if let Some(key) = unknown.or(old) {
                     return Err(format!(

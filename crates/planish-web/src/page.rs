@@ -33,10 +33,10 @@ const LEFT_OUT: &str = "this build does not include";
 
 type Answer = Result<(Value, Vec<u8>), String>;
 
-/// A result of a frame.
+/// A result and its frame.
 struct Outcome {
     frame: u32,
-    /// The frame itself, since it may be released before its results.
+    /// The frame itself, since the page may release a frame before its results.
     held: Rc<PageFrame>,
     smoothed: Smoothed,
 }
@@ -294,7 +294,7 @@ impl Page {
             let (width, height) = held.contents.shape();
             (OrganizedCloud::new(width, height, points).map_err(text)?, normals)
         };
-        // The range of the raw points colours both sides.
+        // The depth range of the raw points determines the colours of both the raw and the smoothed picture.
         let raw = held.points(camera.as_ref()).map(|raw| depth_range(&raw.positions));
         // Seen from above, depth increases as z decreases.
         let range = raw.map_or([0.0, 1.0], |[near, far]| if is_general { [-far, -near] } else { [near, far] });
@@ -377,7 +377,7 @@ fn about() -> Value {
     })
 }
 
-/// Decodes values of `size` bytes per pixel by `of`.
+/// Decodes one value per pixel with `of`, each from `size` bytes.
 fn numbers<T>(
     bytes: &[u8],
     width: usize,

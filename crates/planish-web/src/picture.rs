@@ -21,15 +21,15 @@ pub(crate) fn depth_range(points: &Xyz) -> [f32; 2] {
     [near, far.max(near + 1e-6 * near.abs().max(1.0))]
 }
 
-/// Returns the colour of a depth: from red (near) to blue (far), in hues of even brightness. Positive depths are
-/// scaled by their inverse, since near depths fill most pixels and are measured most finely.
+/// Returns the colour of a depth: from red (near) to blue (far), in hues of even brightness. The hue of positive
+/// depths is linear in their inverse, since near depths fill most pixels and are measured most finely.
 fn depth_colour(z: f32, [near, far]: [f32; 2]) -> [u8; 3] {
     if !z.is_finite() {
         return HOLE;
     }
     let scale = |z: f32| if near > 0.0 { -1.0 / z.clamp(near, far) } else { z };
     let share = ((scale(z) - scale(near)) / (scale(far) - scale(near))).clamp(0.0, 1.0);
-    // Outside this range of hues the colour does not change.
+    // At hues below 0.5 or above 3.5, the colour would be constant.
     let hue = 0.5 + 3.0 * share;
     let part = |centre: f32| (1.5 - (hue - centre).abs()).clamp(0.0, 1.0);
     [part(0.5), part(2.0), part(3.5)].map(|part| (255.0 * (0.1 + 0.85 * part)) as u8)
@@ -39,7 +39,7 @@ fn normal_colour(normal: [f32; 3]) -> [u8; 3] {
     if normal.iter().any(|n| !n.is_finite()) {
         return HOLE;
     }
-    // Towards the sensor is blue, as in normal maps.
+    // Normals towards the sensor are blue, as in normal maps.
     let [x, y, z] = normal;
     [x, -y, -z].map(|n| (127.5 * (n + 1.0)) as u8)
 }
@@ -53,7 +53,7 @@ pub(crate) fn colours_of(
     is_general: bool,
 ) -> Vec<[u8; 3]> {
     let (width, height) = (cloud.width(), cloud.height());
-    // The picture of an unorganized cloud has its normals as fields.
+    // The grid made from an unorganized cloud contains the cloud's normals as fields.
     let between_pixels = || match cloud.points.attribute("normal_x") {
         Some(_) if is_general => normals_of(cloud),
         _ => difference_normals(width, height, cloud.positions()),
@@ -73,8 +73,8 @@ pub(crate) fn colours_of(
     }
 }
 
-/// Returns the colours of the points of an unorganized cloud: the cloud's colours; otherwise shades or colours of its
-/// normals; otherwise colours of depth along z.
+/// Returns the colours of the points of an unorganized cloud. A relief replaces missing colours, and colours replace
+/// a relief without normals. Without the data for these, colours show depth along z.
 pub(crate) fn colours_of_general(
     cloud: &PointCloud,
     normals: Option<&Xyz>,
@@ -87,7 +87,7 @@ pub(crate) fn colours_of_general(
         (PictureKind::Colour, Some(rgb), _) => rgb,
         (PictureKind::Normals, _, Some(normals)) => normals.iter().map(normal_colour).collect(),
         (PictureKind::Relief | PictureKind::Colour, _, Some(normals)) => {
-            // Lit from above, whichever side it shows.
+            // Surfaces are lit from above, whichever side they show.
             lit(&normals.iter().map(|n| if n[2] > 0.0 { n.map(|value| -value) } else { n }).collect())
         }
         (PictureKind::Relief, Some(rgb), None) => rgb,

@@ -1,4 +1,4 @@
-//! The plans of the usual settings as files, for hosts without this module, and for review.
+//! Plans for the usual settings, as files for review and for hosts without this module.
 
 use planish::webgpu::{Plan, WebGpuLimits};
 use planish::{Camera, DepthFrame, Error, FrameParams, Outputs};
@@ -7,8 +7,8 @@ use serde_json::json;
 /// Limits that most current GPUs support, with 32 KiB of workgroup memory.
 const LIMITS: WebGpuLimits = WebGpuLimits::new(32 << 10, 128 << 20, 65_535);
 
-/// Plans depth images of 640x480 with the default and paper presets to points, normals, status and depth. Returns the
-/// names of files and their contents.
+/// Plans the smoothing of 640x480 depth images to points, normals, status and depth, with the default and paper
+/// presets. Returns the names and contents of the files.
 ///
 /// `NAME.json` contains the [`Plan`] without its kernels, which are in `NAME-INDEX-ENTRY_POINT.wgsl` in the order of
 /// their passes. A kernel shared with an earlier plan is referenced, not written again.

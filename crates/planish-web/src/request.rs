@@ -1,4 +1,4 @@
-//! Requests of a page and their replies. `web/src/core.ts` declares the same in TypeScript.
+//! Requests from the page and their replies. `web/src/core.ts` declares the same types in TypeScript.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -6,16 +6,16 @@ use serde_json::Value;
 use crate::camera::CameraGiven;
 use planish::Settings;
 
-/// A request; some are accompanied by bytes.
+/// A request from the page. Some requests are accompanied by bytes.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "op", rename_all = "snake_case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum Request {
-    /// The names of presets, sensors, statuses and formats, and the version.
+    /// Returns the version, the SIMD level, and the names of presets, settings, sensors and statuses.
     About,
-    /// Continues the numbering of a module that was restarted.
+    /// Continues the numbering of frames, plans and results after a restart of the module.
     Continue {
-        /// The last number that was assigned.
+        /// The last number that was assigned before the restart.
         after: u32,
     },
     /// Reads a camera file.
@@ -35,19 +35,20 @@ pub enum Request {
         /// The settings to write.
         settings: Settings,
     },
-    /// Reads a file, passed as the bytes.
+    /// Reads a file, passed as the request's bytes.
     Open {
-        /// File name; its extension decides if the contents do not identify the format.
+        /// File name; its extension determines the format if the contents do not identify it.
         name: String,
     },
-    /// Opens raw depth, passed as little-endian u16, row by row.
+    /// Opens a raw depth image, passed in the request's bytes as little-endian u16, row by row.
     Depth {
         /// Width in pixels.
         width: usize,
         /// Height in pixels.
         height: usize,
     },
-    /// Opens points on a grid, passed as x, y and z of each in little-endian f32 in metres, row by row.
+    /// Opens points on a grid, passed in the request's bytes row by row: x, y and z of each point in metres, as
+    /// little-endian f32.
     Points {
         /// Width in pixels.
         width: usize,
@@ -72,7 +73,7 @@ pub enum Request {
         /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
     },
-    /// Plans a frame for WebGPU. The reply's bytes are the data to upload.
+    /// Plans the smoothing of a frame with WebGPU. The reply's bytes are the data to upload.
     Plan {
         /// Number of the frame.
         frame: u32,
@@ -80,17 +81,17 @@ pub enum Request {
         settings: Settings,
         /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
-        /// `maxComputeWorkgroupStorageSize`, the smaller of `maxStorageBufferBindingSize` and `maxBufferSize`, and
-        /// `maxComputeWorkgroupsPerDimension`.
+        /// Limits of the WebGPU device: `maxComputeWorkgroupStorageSize`, the smaller of
+        /// `maxStorageBufferBindingSize` and `maxBufferSize`, and `maxComputeWorkgroupsPerDimension`.
         limits: [u64; 3],
     },
-    /// Reads the output of a plan's kernels, passed as the bytes.
+    /// Reads the output of a plan's kernels, passed as the request's bytes.
     Finish {
         /// Number of the plan, which is then released.
         plan: u32,
     },
-    /// Returns the arrays of a result. The reply's bytes are x, y and z of its points as f32, then of its normals, then
-    /// one byte per point for its status.
+    /// Returns the arrays of a result. The reply's bytes are x, y and z of each point as f32, then of each normal,
+    /// then one status byte per point.
     Arrays {
         /// Number of the result.
         result: u32,
@@ -122,7 +123,7 @@ pub enum Request {
     Write {
         /// Number of the result.
         result: u32,
-        /// `pcd`, `ply`, `npy`, `xyz`, or `png` for depth.
+        /// File format: `pcd`, `ply`, `npy`, `xyz`, or `png` for depth.
         format: String,
         /// Camera of the frame, required for depth.
         camera: Option<CameraGiven>,
@@ -134,12 +135,12 @@ pub enum Request {
     },
 }
 
-/// Raw or smoothed.
+/// The raw frame, or a smoothed result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Side {
-    /// As measured.
+    /// The frame as measured.
     Raw,
     /// The result with this number.
     Result(u32),
@@ -150,9 +151,9 @@ pub enum Side {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum PictureKind {
-    /// Lit by the normals between neighbouring pixels.
+    /// A relief, shaded by the normals between neighbouring pixels.
     Relief,
-    /// Depth in colours.
+    /// Depth as colours.
     Depth,
     /// Normals as colours.
     Normals,

@@ -1,4 +1,4 @@
-//! Smooths a live stream for five seconds, from a Kinect if its name is given, otherwise from the simulator.
+//! Smooths a live stream for five seconds: from the named source, such as a Kinect, or by default from the simulator.
 //! `cargo run --release --example 02_live_stream -- kinect`
 
 use std::time::Duration;
@@ -9,7 +9,7 @@ use planish::{Error, FrameParams, SmootherOptions};
 
 fn main() -> Result<(), Error> {
     let name = std::env::args().nth(1).unwrap_or_else(|| "synthetic".to_owned());
-    // The frames of the simulator are delivered at a camera's pace.
+    // Simulated frames are delivered at a camera's frame rate.
     let fps = (!name.starts_with("kinect")).then_some(30.0);
     let source = source::open(&name, &SourceOptions::default().with_fps(fps))?;
     let options = StreamOptions::new(FrameParams::default(), SmootherOptions::default())

@@ -25,7 +25,7 @@ impl Source for MyCamera {
         Ok(Some(OwnedFrame::Depth(frame)))
     }
 
-    /// True for a camera that continues whether or not its frames are read.
+    /// Returns true for a camera that continues whether or not its frames are read.
     fn is_live(&self) -> bool {
         false
     }

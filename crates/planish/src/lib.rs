@@ -1,6 +1,6 @@
 //! Smooths depth-camera frames and point clouds by Moving Least Squares, fast enough for every frame of a camera.
 //!
-//! One frame or cloud, with the settings that a user chose:
+//! This example smooths one frame with settings from a user:
 //!
 //! ```
 //! use planish::{Camera, DepthView, Settings};
@@ -16,7 +16,7 @@
 //!
 //! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers
 //! when a GPU is lost. For frames of one shape with explicit parameters, use a [`Smoother`], which does none of this.
-//! Here it writes into interleaved buffers of the caller:
+//! In this example, it writes into the caller's interleaved buffers:
 //!
 //! ```
 //! use planish::{Camera, DepthView, Engine, FrameParams, Outputs, SmoothedMut, Smoother, SmootherOptions};

@@ -45,7 +45,7 @@ impl Way {
 }
 
 impl Bench<'_> {
-    /// Measures kernels and frames per second at the default setting, each way.
+    /// Measures kernel times and frames per second at the default setting, for each configuration.
     pub(super) fn over_time(&self) -> Result<Vec<OverTimeRow>> {
         let mut rows = Vec::new();
         for transfer in [Transfer::Staged, Transfer::Direct] {
@@ -94,7 +94,7 @@ impl Bench<'_> {
         Ok(Session::new(settings)?.with_kept_window(true).with_options(options))
     }
 
-    /// Submits the frame; a moving camera has another pose than last time.
+    /// Submits the frame. With [`Way::Poses`], the camera pose differs from that of the previous frame.
     fn submit(&self, session: &mut Session, way: Way, buffer: Option<Smoothed>, number: &mut u32) -> Result<()> {
         *number += 1;
         if way == Way::Poses {

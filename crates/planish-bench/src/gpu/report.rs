@@ -48,7 +48,7 @@ pub(super) struct ThroughputRow {
     pub(super) frames_per_second: f64,
 }
 
-/// Rates in frames/s with six frames in flight; `None` if results cannot be read in place.
+/// Kernel time, and rates in frames per second with six frames in flight; `None` if results cannot be read in place.
 #[derive(Serialize)]
 pub(super) struct OverTimeRow {
     pub(super) way: &'static str,

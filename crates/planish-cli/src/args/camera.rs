@@ -75,12 +75,12 @@ impl PoseArgs {
 }
 
 impl CameraArgs {
-    /// Returns the options for an input that may have a camera itself.
+    /// Returns these options, with the camera that an input contains itself, if any.
     pub fn or(&self, own: Option<Camera>) -> Self {
         Self { own, ..self.clone() }
     }
 
-    /// Returns true if any option of the camera is set.
+    /// Returns true if any camera option is set.
     pub fn is_given(&self) -> bool {
         self.camera.is_some() || self.camera_file.is_some() || self.depth_units_per_metre.is_some()
     }
@@ -118,7 +118,7 @@ impl CameraArgs {
         Ok(Some(camera))
     }
 
-    /// Returns the camera, which a depth image requires.
+    /// Returns the camera of a depth image; an error if no camera is given.
     pub fn required(&self, shape: (usize, usize), file: &Path) -> Result<Camera> {
         let (width, height) = shape;
         self.camera(shape)?.with_context(|| {
@@ -143,7 +143,7 @@ impl std::str::FromStr for Intrinsics {
     }
 }
 
-/// Position in metres and quaternion of a sensor.
+/// Pose of a sensor: position in metres, and quaternion w, x, y, z.
 #[derive(Clone, Copy)]
 pub struct Pose([f64; 7]);
 

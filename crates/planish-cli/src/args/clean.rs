@@ -42,7 +42,7 @@ pub struct CleanArgs {
     pub json: bool,
 }
 
-/// Smallest and largest x, y, z.
+/// Smallest and largest x, y, z, in metres.
 #[derive(Clone, Copy)]
 pub struct CropBox {
     pub low: [f64; 3],
@@ -58,7 +58,7 @@ impl std::str::FromStr for CropBox {
     }
 }
 
-/// Number of neighbours, and of standard deviations.
+/// Number of neighbours, and number of standard deviations beyond which a point is an outlier.
 #[derive(Clone, Copy)]
 pub struct Statistical {
     pub neighbours: usize,

@@ -1,4 +1,4 @@
-//! How .pcd and .ply files store points.
+//! The encoding of .pcd and .ply files.
 
 use std::path::Path;
 
@@ -32,7 +32,8 @@ impl EncodingArgs {
         !self.encoding.is_empty()
     }
 
-    /// Refuses an output whose format is unknown or lacks the encoding, and encodings that contradict each other.
+    /// Returns an error if the output's format cannot be written or does not support the requested encoding, or if
+    /// requested encodings contradict each other.
     pub fn check(&self, output: &Path) -> Result<()> {
         let is_precision = |encoding: &&EncodingArg| matches!(encoding, EncodingArg::F32 | EncodingArg::F64);
         let precisions = self.encoding.iter().filter(is_precision).count();

@@ -1,4 +1,5 @@
-//! The arguments, and how they become the library's types. Defaults live in the library: options here are `Option`.
+//! The command-line arguments and their conversion to the library's types. The library defines the defaults, so
+//! options here are `Option`.
 
 mod bench;
 mod camera;
@@ -32,7 +33,7 @@ pub use smoothing::{
 const AFTER_HELP: &str = "Start with `planish demo`, then `planish smooth your.pcd smooth.pcd`.\n\
                           Exit codes: 0 success, 1 some frames failed, 2 bad arguments or input, 130 interrupted.";
 
-// Groups of options in the help.
+// Headings of option groups in the help.
 const CAMERA: &str = "Camera and pose";
 const ENGINE: &str = "Engine";
 const INPUT: &str = "Input";
@@ -512,7 +513,7 @@ pub enum FieldArg {
     None,
 }
 
-/// Returns the outputs that fields are made from.
+/// Returns the outputs that the given fields need.
 pub fn outputs_of(fields: &[FieldArg]) -> Outputs {
     let wants = |field| fields.contains(&field);
     Outputs::POINTS

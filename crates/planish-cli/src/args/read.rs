@@ -1,4 +1,4 @@
-//! How inputs are read: limits of memory, and what files do not state.
+//! The arguments that control reading: the memory limit, and properties that files do not state.
 
 use planish::io::{LengthUnit, ReadOptions};
 
@@ -37,7 +37,7 @@ pub struct ReadArgs {
 }
 
 impl ReadArgs {
-    /// Returns the options for files, and depth images of this camera.
+    /// Returns the options for reading files, with the depth unit of the given camera.
     pub fn options(&self, camera: &CameraArgs) -> ReadOptions {
         self.read_options().with_depth_units_per_metre(camera.depth_units_per_metre)
     }

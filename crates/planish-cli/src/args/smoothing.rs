@@ -1,4 +1,4 @@
-//! How to smooth, and with what.
+//! The arguments that select smoothing parameters, engines and devices.
 
 use std::path::PathBuf;
 
@@ -261,7 +261,7 @@ impl GpusArgs {
     }
 }
 
-/// Names the option in place of the setting.
+/// Converts an error about a setting to one that names the command-line option instead.
 pub fn by_option(error: ParamError) -> anyhow::Error {
     match error.field {
         field if Settings::NAMES.contains(&field) => {
@@ -271,7 +271,7 @@ pub fn by_option(error: ParamError) -> anyhow::Error {
     }
 }
 
-/// Replaces the setting's name by the option's, if the error is about a setting.
+/// Converts an error; if it is about a setting, the result names the command-line option instead.
 pub fn by_option_of_error(error: planish::Error) -> anyhow::Error {
     match error {
         planish::Error::Param(error) => by_option(error),
@@ -279,7 +279,7 @@ pub fn by_option_of_error(error: planish::Error) -> anyhow::Error {
     }
 }
 
-/// Returns the option of a setting.
+/// Returns the command-line option that corresponds to a setting, such as `--radius` for `radius_m`.
 pub fn option_of(setting: &str) -> String {
     let name = match setting {
         "devices" => "gpus",
@@ -289,7 +289,7 @@ pub fn option_of(setting: &str) -> String {
     format!("--{}", name.replace('_', "-"))
 }
 
-/// Returns the name of an option's value.
+/// Returns the name of an option's value as a setting value.
 fn named<T: ValueEnum>(value: Option<&T>) -> SettingValue {
     value.and_then(ValueEnum::to_possible_value).map(|value| value.get_name().to_owned()).into()
 }
@@ -300,7 +300,7 @@ impl SmoothingArgs {
         self.settings_over_file(self.given()?)
     }
 
-    /// Returns the settings as [`settings`](Self::settings), with the devices of `--gpus`.
+    /// Returns the same settings as [`settings`](Self::settings), plus the devices of `--gpus`.
     pub fn settings_with(&self, gpus: &GpusArgs) -> Result<Settings> {
         let mut given = self.given()?;
         if let Some(list) = &gpus.gpus {
@@ -366,12 +366,12 @@ impl SmoothingArgs {
         Ok(settings)
     }
 
-    /// Returns the parameters for the points of a rig's cameras as one cloud.
+    /// Returns the parameters for smoothing the merged points of a rig's cameras.
     pub fn merged_params(&self, voxel_m: Option<f64>) -> Result<CloudParams> {
         self.settings()?.override_cloud(params_of_voxels(voxel_m)?).map_err(by_option)
     }
 
-    /// Returns how a smoother is opened.
+    /// Returns the options for opening a smoother that computes `outputs`.
     pub fn options(&self, outputs: Outputs) -> Result<SmootherOptions> {
         Ok(self.settings()?.options().with_outputs(outputs))
     }
@@ -397,7 +397,8 @@ impl std::str::FromStr for RadiusArg {
     }
 }
 
-/// Returns the parameters for a rig's merged points: all of them, or one per voxel of this size in metres.
+/// Returns the parameters for a rig's merged points: for all points, or for one point per voxel if a voxel size is
+/// given.
 pub fn params_of_voxels(voxel_m: Option<f64>) -> Result<CloudParams> {
     let Some(size_m) = voxel_m else { return Ok(merged_params()) };
     if !(size_m > 0.0 && size_m.is_finite()) {

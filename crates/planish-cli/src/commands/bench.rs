@@ -127,7 +127,7 @@ fn run_general(args: &BenchGeneralArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns the frames that the user gave, or a simulated room and a simulated table.
+/// Returns the given frames; by default, a simulated room and a simulated table.
 fn inputs(args: &ExperimentArgs, work: Work) -> Result<Vec<Input>> {
     let of_file = |(index, file): (usize, &PathBuf)| {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

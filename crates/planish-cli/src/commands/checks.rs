@@ -1,4 +1,4 @@
-//! Checks, reports and conversions of fields shared by the commands that write points.
+//! Checks, reports and field conversions shared by the commands that write points.
 
 use std::path::Path;
 
@@ -11,11 +11,11 @@ use planish_bench::errln;
 const MAX_RADIUS_SHARE: f32 = 0.2;
 /// Mean number of neighbours above which the radius is probably in the wrong unit.
 const MOST_NEIGHBOURS: f64 = 5000.0;
-/// Number of points below which any radius is accepted, since such clouds are smoothed at once.
+/// Number of points below which any radius is accepted, since such small clouds are smoothed quickly.
 const FEW_POINTS: usize = 1000;
 
-/// Refuses an output whose format is unknown or cannot be written, and an encoding that the format does not support,
-/// before anything is read.
+/// Returns an error if the output's format is unknown or cannot be written, or if an encoding is given that the
+/// format does not support. Commands call this before they read anything.
 pub fn check_output(output: &Path, encoding_is_given: bool) -> Result<()> {
     match (Format::of_extension(output), encoding_is_given) {
         (None, _) => {
@@ -51,8 +51,8 @@ pub fn check_is_new(output: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses to overwrite the input or a read-only file unless `overwrite` is `Some(true)`. `None` stands for commands
-/// without `--overwrite`.
+/// Refuses to overwrite the input or a read-only file unless `overwrite` is `Some(true)`. Commands without
+/// `--overwrite` pass `None`.
 pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> Result<()> {
     if overwrite == Some(true) {
         io::replace_read_only_files();

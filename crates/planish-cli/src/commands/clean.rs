@@ -94,7 +94,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Replaces the field name in an error by its option.
+/// Replaces the field name in an error by the name of the field's option.
 fn by_option(error: Error) -> Error {
     let Error::Param(error) = error else { return error };
     let field = match error.field {

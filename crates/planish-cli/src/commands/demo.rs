@@ -16,9 +16,9 @@ use planish_bench::outln;
 use super::ms_since;
 use crate::args::{DemoArgs, by_option};
 
-/// Minimum distance from every edge, in pixels, of a pixel that counts as flat.
+/// Minimum distance of a flat pixel from every edge, in pixels.
 const FLAT_MARGIN_PX: usize = 6;
-/// Error in metres that has full colour in the error maps.
+/// Error at which the error maps reach full colour, in metres.
 const ERROR_SCALE_M: f32 = 0.005;
 const TIMED_RUNS: usize = 5;
 

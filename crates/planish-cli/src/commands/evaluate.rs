@@ -1,4 +1,4 @@
-//! `planish evaluate`: how good the surface is.
+//! `planish evaluate`: measures the quality of smoothed surfaces.
 
 mod filling;
 mod print;
@@ -30,9 +30,9 @@ use self::print::{draw_error_over_z, percent, print};
 use super::{ms_since, organized, read_within};
 use crate::args::{EvaluateArgs, MemoryArgs, SmoothingArgs, by_option, option_of};
 
-/// Full colour in the error maps.
+/// Error at which the error maps reach full colour, in metres.
 const ERROR_SCALE_M: f32 = 0.01;
-/// The method to compare with.
+/// Name of the method to compare with: the setting of the 2011 report.
 const PAPER: &str = "paper";
 
 /// Result of a method on the suite.
@@ -43,9 +43,9 @@ struct Row {
     report: Report,
     /// Share of points within one and two of their stated standard errors.
     calibration: Option<Vec<CalibrationReport>>,
-    /// Root mean square of the deviations over 30 frames of a still scene, in millimetres.
+    /// Root mean square of the deviations over several frames of a still scene, in millimetres.
     jitter_mm: Option<f64>,
-    /// Median time of a frame, in milliseconds.
+    /// Median time per frame, in milliseconds.
     frame_ms: Option<f64>,
 }
 
@@ -189,7 +189,7 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns the settings for unorganized clouds; reports options without effect on them.
+/// Returns the settings for unorganized clouds, and reports options that have no effect on such clouds.
 fn general_settings(args: &EvaluateArgs, what: &str) -> Result<Settings> {
     let settings = args.smoothing.settings()?;
     let mut unused = settings.unused_by_clouds();
@@ -222,14 +222,14 @@ fn normals_field(cloud: &PointCloud) -> Option<Xyz> {
     Xyz::from_arrays([x?, y?, z?]).ok()
 }
 
-/// A cloud's positions relative to another origin.
+/// Returns a cloud's positions relative to another origin.
 fn moved_to_origin(cloud: &PointCloud, origin_m: [f64; 3]) -> Xyz {
     let by_m = [0, 1, 2].map(|axis| cloud.origin_m[axis] - origin_m[axis]);
     let moved = |p: [f32; 3]| [0, 1, 2].map(|axis| (f64::from(p[axis]) + by_m[axis]) as f32);
     cloud.positions.iter().map(moved).collect()
 }
 
-/// Simulated frames against their truth.
+/// Evaluates simulated frames, whose truth is known.
 fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     let noise = DepthNoise::of_sensor(&sensor_of(args)?);
     let suite = Suite { noise, ..Suite::default() };
@@ -322,10 +322,10 @@ fn on_suite(args: &EvaluateArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A setting and its results so far.
+/// A method under evaluation, and its results so far.
 struct Method {
     name: &'static str,
-    /// Whether frames are smoothed as unorganized clouds.
+    /// True if frames are smoothed as unorganized clouds.
     is_general: bool,
     session: Session,
     smoothed: Smoothed,
@@ -381,8 +381,8 @@ impl Method {
     }
 }
 
-/// Returns the requested method, after another to compare with: the 2011 report's setting or, for unorganized clouds,
-/// the default on the grid.
+/// Returns two methods: one to compare with, and the requested one. The first is the 2011 report's setting or, for
+/// unorganized clouds, the default setting on the grid.
 fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     let options = args.smoothing.options(Outputs::POINTS.with_normals(true))?;
     let settings = args.smoothing.settings()?;
@@ -413,12 +413,12 @@ fn methods(args: &EvaluateArgs) -> Result<Vec<Method>> {
     Ok(vec![on_grid(PAPER, FrameParams::paper())?, on_grid("smoothed", params)?])
 }
 
-/// Reads a file that is to be measured.
+/// Reads a file to be measured.
 fn read_measured(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
     read_within(memory, io::Work::Evaluate, file)
 }
 
-/// Reads another program's result for a frame of that shape: points and normals.
+/// Reads another program's result for a frame of the given shape: points and normals.
 fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
     let Contents::Organized(cloud) = read_measured(&args.memory, file)? else {
         bail!("{}: is not an organized cloud; results must keep each point on its pixel", file.display());
@@ -426,7 +426,7 @@ fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) 
     if (cloud.width(), cloud.height()) != (width, height) {
         bail!("{}: the size differs from the frame's; expected {width}x{height}", file.display());
     }
-    // Normalize them and turn them towards the camera, whatever the other program's convention.
+    // Normalize the normals and turn them towards the camera, whatever the other program's convention.
     let unit = |(n, p): ([f32; 3], [f32; 3])| {
         let dot = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
         let length = if dot(n, p) > 0.0 { -dot(n, n).sqrt() } else { dot(n, n).sqrt() };

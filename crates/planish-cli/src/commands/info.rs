@@ -27,7 +27,7 @@ struct Info {
     organized: bool,
     fields: Vec<String>,
     valid_points: usize,
-    /// Smallest and largest x, y, z in metres.
+    /// Smallest and largest x, y, z, in metres or in `unit`.
     bounds_m: Option<[[f64; 3]; 2]>,
     /// Unit of a LAS file's coordinates and of the lengths in this report, if it is not the metre.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -45,7 +45,7 @@ struct Info {
     sensor: Option<SensorInfo>,
     /// Smallest and largest raw value of a depth image.
     raw_depth: Option<[u16; 2]>,
-    /// Dropped data, guesses and repairs.
+    /// Notes on dropped data, guesses and repairs.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
 }
@@ -136,7 +136,7 @@ impl Info {
     }
 }
 
-/// Describes a file larger than memory; its median comes from a sample.
+/// Describes a file larger than memory. The median of z comes from a sample of the points.
 fn describe_in_parts(args: &InfoArgs) -> Result<Info> {
     const POINTS_AT_ONCE: usize = 1 << 18;
     const SAMPLE_STEP: usize = 97;

@@ -44,12 +44,12 @@ pub fn stream(args: &StreamArgs) -> Result<ExitCode> {
     }
 }
 
-/// Milliseconds since `start`.
+/// Returns the milliseconds since `start`.
 fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
-/// Reads a file; returns it and the options of the camera, which the file may have itself.
+/// Reads a file. Returns it, and the camera options with the camera that the file contains, if any.
 fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Result<(FileRead, CameraArgs)> {
     let options = options.with_depth_units_per_metre(camera.depth_units_per_metre);
     let read = io::read_file(file, &options)?;
@@ -57,7 +57,7 @@ fn read_input(file: &Path, options: &io::ReadOptions, camera: &CameraArgs) -> Re
     Ok((read, camera))
 }
 
-/// Reads a file for work of that kind, within a limit of memory.
+/// Reads a file for the given kind of work, within the memory limit.
 fn read_within(memory: &MemoryArgs, work: io::Work, file: &Path) -> Result<Contents> {
     let options = memory.options();
     let contents = io::read_with(file, &options)?.1;
@@ -65,13 +65,13 @@ fn read_within(memory: &MemoryArgs, work: io::Work, file: &Path) -> Result<Conte
     Ok(contents)
 }
 
-/// Refuses work that needs more memory than allowed.
+/// Returns an error if the work needs more memory than allowed.
 fn check_work(work: io::Work, contents: &Contents, options: &io::ReadOptions, file: &Path) -> Result<()> {
     options.check_work_on(work, contents).with_context(|| file.display().to_string())
 }
 
-/// Returns the organized cloud that a file holds, deprojecting depth with the camera given. Reports a lens model that
-/// loses pixels.
+/// Returns the organized cloud in a file's contents; depth is deprojected with the given camera. Reports a lens model
+/// that loses pixels.
 fn organized(contents: Contents, camera: &CameraArgs, file: &Path) -> Result<OrganizedCloud> {
     let is_depth = contents.is_depth();
     let cloud = organized_for_session(contents, camera, file)?;

@@ -25,7 +25,7 @@ struct Report {
     seconds: f64,
 }
 
-/// Number of consecutive failures after which a source counts as ended.
+/// Number of consecutive failures after which the recording ends with an error.
 const MOST_FAILURES: u32 = 100;
 
 /// The destination of a recording.
@@ -48,7 +48,7 @@ impl Recorder {
         Ok(Self::Tum(TumRecorder::create(output)?))
     }
 
-    /// Refuses the same outputs as [`Self::create`], but creates nothing.
+    /// Returns the same errors as [`Self::create`], but creates nothing.
     fn check(output: &std::path::Path) -> Result<()> {
         if super::checks::is_mcap(output) {
             return super::checks::check_is_new(output);
@@ -70,7 +70,7 @@ impl Recorder {
         }
     }
 
-    /// Returns a note for the readers of the data set.
+    /// Returns a note on unusual depth units or on pixels beyond the layout's range, if there are any.
     fn note(&self) -> Option<String> {
         let recorder = match self {
             Self::Tum(recorder) => recorder,
@@ -147,7 +147,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     if frames > 0 || result.is_ok() {
         match (recorder.finish(), &result) {
             (Ok(()), Ok(())) => {}
-            (Ok(()), Err(_)) => errln!("{} contains the {frames} frames before the error", args.folder.display()),
+            (Ok(()), Err(_)) => errln!("{} contains {frames} whole frames", args.folder.display()),
             (Err(error), Ok(())) => result = Err(error),
             // A full disk may have no room for the index either.
             (Err(error), Err(_)) => {

@@ -1,4 +1,4 @@
-//! `planish rig`: describes rigs, makes them of calibrations, simulates them; and `planish stream --rig`.
+//! `planish rig`: describes rigs, creates them from calibrations, and simulates them; and `planish stream --rig`.
 
 mod evaluate;
 mod simulate;
@@ -83,9 +83,9 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns true if a file is planish's own: JSON of an object, where COLMAP's has a list.
+/// Returns true if a file is planish's rig.json: a JSON object, unlike COLMAP's rig_config.json, which is a list.
 fn is_rig_file(file: &Path) -> bool {
-    /// Enough for any white space before the first brace.
+    /// Number of bytes to read from the file, enough for white space and the first brace.
     const HEAD_BYTES: u64 = 4096;
     let is_json = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
     let mut head = Vec::new();
@@ -237,7 +237,8 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     Ok(if report.failed_sinks > 0 || unreadable { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-/// Refuses outputs that cannot be written or that would replace existing files, before anything is written.
+/// Checks the outputs before anything is written. Result folders must be empty and separate; the picture must be
+/// writable and not part of the input.
 fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
     for folder in [&args.save, &args.save_cameras].into_iter().flatten() {
         if is_mcap(folder) {

@@ -38,7 +38,7 @@ use super::checks::{
 use super::{ms_since, organized_for_session, read_input};
 use crate::args::{CameraArgs, FieldArg, SmoothArgs, by_option, by_option_of_error};
 
-/// Refuses two files that would both be read from standard input.
+/// Returns an error if more than one file would be read from standard input.
 fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
     let is_standard_input = |path: &Path| path == Path::new("-");
     let readers = [Some(&args.input), args.smoothing.settings.as_ref(), args.camera.camera_file.as_ref()];
@@ -127,7 +127,7 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Smooths one file after another.
+/// A worker that smooths files one after another.
 struct Worker<'a> {
     args: &'a SmoothArgs,
     settings: Settings,
@@ -137,7 +137,7 @@ struct Worker<'a> {
     /// Number of workers, which share threads and memory equally.
     beside: u64,
     smoothed: Smoothed,
-    /// Fields of the file that are computed again.
+    /// Outputs that replace fields of the file.
     renewed: Outputs,
     /// Unit of the current cloud.
     unit: LengthUnit,
@@ -149,7 +149,7 @@ struct Worker<'a> {
 enum Output {
     Organized(OrganizedCloud),
     General(PointCloud),
-    /// The points of a depth image.
+    /// The points of a depth image with this camera.
     Points(Camera),
     /// A depth image with `width` columns and `height` rows.
     Depth {
@@ -229,13 +229,13 @@ impl Worker<'_> {
         })
     }
 
-    /// Returns the read options with the share of the memory limit of this worker.
+    /// Returns the read options with this worker's share of the memory limit.
     fn read_options(&self) -> ReadOptions {
         let options = self.args.reading.read_options();
         options.with_max_memory_bytes(options.max_memory_bytes / self.beside)
     }
 
-    /// Replaces the file's pose by the user's, if one is given.
+    /// Replaces the file's pose with the user's pose, if one is given.
     fn set_pose(&self, input: &Path, contents: &mut Contents) -> Result<()> {
         let Some(pose) = self.pose else { return Ok(()) };
         match contents {
@@ -315,8 +315,8 @@ impl Worker<'_> {
         }
     }
 
-    /// Returns the fields to write: `--fields`, or the outputs of the settings, plus renewed fields, and the status
-    /// if holes are filled.
+    /// Returns the fields to write: those of `--fields` or else of the settings, the recomputed fields of the file,
+    /// and the status if holes are filled.
     fn outputs(&self) -> Outputs {
         let outputs = self.wanted_outputs();
         let Outputs { normals, curvature, .. } = self.renewed;
@@ -471,7 +471,7 @@ fn is_depth(path: &Path) -> bool {
     matches!(Format::of_extension(path), Some(Format::DepthPng | Format::DepthTiff))
 }
 
-/// The error of a frame without any remaining point.
+/// The error of a frame without points that can be smoothed.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct NothingLeft(String);
@@ -482,5 +482,5 @@ struct PointCounts {
     lost: usize,
 }
 
-/// Share of lost points above which a warning is printed.
+/// Share of lost or unchanged points above which a warning is printed.
 const LOST_SHARE_TOLD: f64 = 0.01;

@@ -17,7 +17,7 @@ use super::status_line::{StatusLine, ms};
 use crate::args::{StreamArgs, StreamFormatArg, by_option_of_error, outputs_of};
 use crate::signals::stop_by;
 
-/// Final report.
+/// Report at the end of a stream.
 #[derive(Serialize)]
 struct Report {
     frames_in: u64,
@@ -109,7 +109,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     let stop = Arc::default();
     let source = open_source(&args.source, &stop)?;
     stop_by(&stop);
-    // Created after the source, so that a missing source leaves no folder behind.
+    // The sink is created after the source, so that a missing source leaves no folder behind.
     if let Some(folder) = &args.save {
         check_not_input(Path::new(args.source.name()), folder, None)?;
         sinks.push(saving_sink(folder, format, outputs)?);

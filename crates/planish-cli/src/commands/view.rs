@@ -45,12 +45,12 @@ const LOOK: Duration = Duration::from_millis(50);
 struct Served {
     /// Names and contents of the page's files, the frame and its camera.
     files: Vec<(String, Vec<u8>)>,
-    /// The random first part of the paths of all files, which cannot be guessed.
+    /// Random first component of every path, so that other users cannot guess the addresses of the files.
     token: String,
     /// A one-time path for the browser that this process starts, and its expiry. Other users can see the command line
     /// of the browser, so it must not contain the token.
     ticket: Mutex<Option<(String, Instant)>>,
-    /// The fragment of the address that names the frame and its camera.
+    /// Fragment of the page's address, with the names of the frame and its camera.
     shown: String,
     /// Number of requests in progress.
     requests: AtomicUsize,
@@ -161,7 +161,7 @@ fn token() -> String {
     format!("{:016x}{:016x}", bits(), bits())
 }
 
-/// Percent-encodes a name for an address.
+/// Percent-encodes a name for a URL.
 fn escaped(name: &str) -> String {
     name.bytes().fold(String::new(), |mut text, byte| {
         match byte {
@@ -215,7 +215,7 @@ fn serve(listener: &TcpListener, served: &Arc<Served>, stop: &AtomicBool) -> Res
     Ok(ExitCode::SUCCESS)
 }
 
-/// Answers one request: a GET of a file below the token, or of the ticket.
+/// Answers one request. Only GET requests for a file below the token, or for the ticket, succeed.
 fn answer(mut stream: TcpStream, served: &Served) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_write_timeout(Some(PATIENCE))?;

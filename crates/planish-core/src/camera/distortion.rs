@@ -30,17 +30,18 @@ pub enum Distortion {
 const MAX_STEPS: usize = 50;
 /// Number of steps from the centre to a ray at which the image is checked for a fold.
 const FOLD_SAMPLES: u32 = 24;
-/// Maximum residual of a ray, in focal lengths: a millionth of a pixel.
+/// Maximum residual of a ray in focal lengths; at a focal length of 1000 pixels, a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
-/// Largest angle between the axis and a ray, in radians: 86 degrees, since x/z grows without limit towards 90.
+/// Largest angle between the axis and a ray, in radians: 86 degrees, since x/z grows without limit towards 90
+/// degrees.
 const WIDEST: f64 = 1.5;
 
-/// Names of lenses without distortion.
+/// Names that other programs give to lenses without distortion.
 const PINHOLE: [&str; 4] = ["none", "pinhole", "simple_pinhole", "rectified"];
-/// Names of the models with OpenCV's coefficients in other programs.
+/// Names that other programs give to models with OpenCV's coefficients.
 const RATIONAL: [&str; 8] =
     ["", "opencv", "full_opencv", "plumb_bob", "rational_polynomial", "radtan", "radial-tangential", "brown_conrady"];
-/// Names of the model of Kannala and Brandt in other programs.
+/// Names that other programs give to the model of Kannala and Brandt.
 const EQUIDISTANT: [&str; 8] = [
     "equidistant",
     "equi",
@@ -70,8 +71,8 @@ impl Distortion {
         Some(Self::Rational { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] })
     }
 
-    /// Returns the distortion of a model by its case-insensitive name in ROS, OpenCV, Kalibr, COLMAP, librealsense or
-    /// ORB-SLAM. An empty name is OpenCV's model.
+    /// Creates the distortion of a model from its coefficients and its case-insensitive name in ROS, OpenCV, Kalibr,
+    /// COLMAP, librealsense or ORB-SLAM. An empty name is OpenCV's model.
     ///
     /// # Errors
     /// If the model is unknown, or the number of coefficients does not fit the model.
@@ -96,7 +97,7 @@ impl Distortion {
             let known = if are_zero { Some(Self::NONE) } else { Self::from_opencv(coefficients) };
             return known.ok_or_else(|| wrong_count("4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6)"));
         }
-        // Zero coefficients mean no distortion in these models too.
+        // With zero coefficients, these models have no distortion either.
         if are_zero && name.ends_with("brown_conrady") {
             return Ok(Self::NONE);
         }
@@ -145,7 +146,7 @@ impl Distortion {
         Err(FrameError::BadCamera(ParamError { field: "distortion", value, allowed: "finite coefficients" }))
     }
 
-    /// Returns the position at which the direction (x, y, 1) is seen, in focal lengths from the principal point.
+    /// Returns the image position of the direction (x, y, 1), in focal lengths from the principal point.
     pub(super) fn distort(&self, x: f64, y: f64) -> [f64; 2] {
         match self {
             Self::Rational { radial, tangential } => rational(radial, tangential, [x, y]).0,
@@ -158,8 +159,8 @@ impl Distortion {
         }
     }
 
-    /// Returns the direction (x, y, 1) seen at a position, which is in focal lengths from the principal point. `None`
-    /// outside the image circle, where the model is not invertible.
+    /// Returns x and y of the direction (x, y, 1) that is seen at an image position, which is in focal lengths from
+    /// the principal point. `None` outside the image circle, where the model is not invertible.
     pub fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Rational { radial, tangential } => undistort_rational(radial, tangential, seen),
@@ -173,8 +174,8 @@ impl Distortion {
     }
 }
 
-/// Projects the direction (x, y, 1) by the rational model. Returns its position and the partial derivatives
-/// [xx, xy, yy].
+/// Projects the direction (x, y, 1) by the rational model. Returns the image position in focal lengths, and its
+/// partial derivatives [xx, xy, yy].
 fn rational(radial: &[f64; 6], tangential: &[f64; 2], [x, y]: [f64; 2]) -> ([f64; 2], [f64; 3]) {
     let ([k1, k2, k3, k4, k5, k6], [p1, p2]) = (*radial, *tangential);
     let r2 = x * x + y * y;
@@ -224,10 +225,11 @@ fn equidistant([k1, k2, k3, k4]: &[f64; 4], angle: f64) -> (f64, f64) {
     (seen, 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4))))
 }
 
-/// Returns the angle that is seen at a distance from the principal point; `None` beyond [`WIDEST`] and where the image
-/// folds over itself.
+/// Returns the angle in radians that is seen at a distance from the principal point, in focal lengths; `None` beyond
+/// [`WIDEST`] and where the image folds over itself.
 fn angle_seen_at(k: &[f64; 4], radius: f64) -> Option<f64> {
-    // Up to the fold or the widest angle, the radius grows with the angle, so one angle fits, which bisection finds.
+    // Up to the fold or the widest angle, the radius grows with the angle, so one angle fits. Newton's method finds
+    // it, with bisection as a fallback.
     let grows = |i: &u32| equidistant(k, WIDEST * f64::from(*i) / f64::from(FOLD_SAMPLES)).1 > 0.0;
     let growing = (1..=FOLD_SAMPLES).take_while(grows).last().unwrap_or(0);
     let mut bounds = [0.0, WIDEST * f64::from(growing) / f64::from(FOLD_SAMPLES)];
@@ -252,7 +254,7 @@ fn angle_seen_at(k: &[f64; 4], radius: f64) -> Option<f64> {
 
 impl Distortion {
     /// Fits the model with five coefficients that maps directions (x, y, 1) to observed positions, by least squares.
-    /// Returns it with its largest error, in focal lengths; `None` if the pairs do not determine it.
+    /// Returns the model and its largest error in focal lengths; `None` if the pairs do not determine the model.
     pub fn fit(pairs: &[([f64; 2], [f64; 2])]) -> Option<(Self, f64)> {
         // The model is linear in k1, k2, k3, p1, p2.
         let (mut a, mut t) = ([[0.0; 5]; 5], [0.0; 5]);

@@ -2,8 +2,8 @@
 //!
 //! Axes: x right, y down, z forward, in metres. Pixel (u, v) has its centre at integer coordinates. Deprojection
 //! (docs/method.md, section 1): z = raw * metres_per_unit, X = z * ray_x, Y = z * ray_y. Without distortion the rays
-//! are (u - cx)/fx and (v - cy)/fy. They are computed in f64 and rounded once to f32, so that every engine gets the
-//! same bits from one multiplication each.
+//! are (u - cx)/fx and (v - cy)/fy. They are computed in f64 and rounded once to f32, so that one multiplication per
+//! coordinate gives the same bits in every engine.
 
 mod distortion;
 mod rays;
@@ -38,9 +38,9 @@ pub struct Camera {
     pub fx: f64,
     /// Focal length in pixels along y.
     pub fy: f64,
-    /// Principal point in pixels, x.
+    /// The x coordinate of the principal point in pixels.
     pub cx: f64,
-    /// Principal point in pixels, y.
+    /// The y coordinate of the principal point in pixels.
     pub cy: f64,
     /// Number of depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM data sets.
     pub depth_units_per_metre: f64,
@@ -71,12 +71,12 @@ impl Camera {
         Self { distortion, ..self }
     }
 
-    /// Sets the size of images, with the same intrinsics.
+    /// Sets the image size in pixels, and keeps focal lengths and principal point.
     pub const fn with_shape(self, (width, height): (usize, usize)) -> Self {
         Self { width, height, ..self }
     }
 
-    /// Refuses invalid intrinsics, including all for which a depth value could become a point that is not finite in
+    /// Refuses invalid intrinsics, including any with which a depth value could become a point that is not finite in
     /// f32.
     pub fn validate(&self) -> Result<(), FrameError> {
         validate_shape(self.width, self.height)?;
@@ -111,7 +111,7 @@ impl Camera {
         lost as f32 / (COLUMNS * COLUMNS) as f32
     }
 
-    /// Refuses frames of another shape.
+    /// Refuses a frame whose width or height differs from the camera's.
     pub fn check_shape(&self, (frame_width, frame_height): (usize, usize)) -> Result<(), FrameError> {
         let Self { width, height, .. } = *self;
         if (width, height) == (frame_width, frame_height) {
@@ -125,14 +125,15 @@ impl Camera {
         (1.0 / self.depth_units_per_metre) as f32
     }
 
-    /// Finds the camera of organized points in its frame, from their pixels. `None` if the sample has fewer than 100
+    /// Fits a camera to organized points that are in the camera's frame. `None` if the sample has fewer than 100
     /// points, or if they do not fit a camera without distortion.
     pub(crate) fn of_points((width, height): (usize, usize), points: &crate::xyz::Xyz) -> Option<Self> {
         /// Maximum number of sampled pixels.
         const SAMPLE: usize = 4096;
         /// Minimum number of points in the sample.
         const LEAST: usize = 100;
-        /// Maximum root mean square distance from the pixels' centres along x, and along y, in pixels.
+        /// Maximum root mean square distance of the projected points from the centres of their pixels, along x and
+        /// along y, in pixels.
         const MOST_OFF_PX: f64 = 0.1;
         let step = (width * height).div_ceil(SAMPLE).max(1);
         // Avoids a sample of a single column.
@@ -170,14 +171,14 @@ impl Camera {
         }
     }
 
-    /// Returns a raw depth value in metres; NaN for a hole (0 or saturated).
+    /// Converts a raw depth value to metres; NaN for a hole (0 or saturated).
     pub fn depth_m(&self, raw: u16) -> f32 {
         depth_m(raw, self.metres_per_unit())
     }
 
     /// Returns the raw value nearest to a depth in metres; 0 (a hole) if it is not finite or not representable.
     pub fn raw_depth(&self, depth_m: f32) -> u16 {
-        // The cast rounds down.
+        // The cast rounds down, hence the added 0.5.
         let raw = f64::from(depth_m) * self.depth_units_per_metre + 0.5;
         if raw >= 1.0 && raw < f64::from(SATURATED_DEPTH) { raw as u16 } else { 0 }
     }
@@ -192,7 +193,7 @@ impl Camera {
         [(self.fx * x + self.cx) as f32, (self.fy * y + self.cy) as f32]
     }
 
-    /// Projects a point of the camera's frame to image coordinates (u, v); `None` behind the camera.
+    /// Projects a point in the camera's frame to image coordinates (u, v); `None` if the point is behind the camera.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
         // False for a NaN.
         (z > 0.0).then(|| {
@@ -201,7 +202,8 @@ impl Camera {
         })
     }
 
-    /// Returns the index of the pixel that sees a point of the camera's frame; `None` outside the image.
+    /// Returns the index of the pixel that sees a point in the camera's frame; `None` if the point is outside the
+    /// image.
     pub fn pixel_of(&self, point: [f64; 3]) -> Option<usize> {
         let [u, v] = self.project(point)?.map(f64::round);
         let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
@@ -223,7 +225,7 @@ impl Camera {
     }
 }
 
-/// Returns a raw depth value in metres; NaN for a hole.
+/// Converts a raw depth value to metres; NaN for a hole.
 #[inline(always)]
 pub(crate) fn depth_m(raw: u16, metres_per_unit: f32) -> f32 {
     if raw == 0 || raw == SATURATED_DEPTH { f32::NAN } else { f32::from(raw) * metres_per_unit }

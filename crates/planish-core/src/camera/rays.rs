@@ -2,13 +2,14 @@
 
 use super::Camera;
 
-/// The factors of deprojection, computed again only if the camera changes.
+/// The factors of deprojection, which are recomputed only if the camera changes.
 #[derive(Debug, Clone, Default)]
 pub struct Rays {
     camera: Option<Camera>,
-    /// X/Z of each column, or of each pixel with lens distortion. NaN for pixels outside the lens.
+    /// X/Z for each column, or with lens distortion for each pixel; NaN for pixels for which the lens model has no
+    /// ray.
     pub x: Vec<f32>,
-    /// Y/Z of each row, or of each pixel with lens distortion. NaN for pixels outside the lens.
+    /// Y/Z for each row, or with lens distortion for each pixel; NaN for pixels for which the lens model has no ray.
     pub y: Vec<f32>,
 }
 
@@ -19,16 +20,16 @@ pub struct RowRays<'a> {
     pub y: RowRaysY<'a>,
 }
 
-/// Y/Z along a row.
+/// The values of Y/Z along a row.
 #[derive(Clone, Copy)]
 pub enum RowRaysY<'a> {
-    /// One value for every pixel.
+    /// One value for all pixels of the row.
     Same(f32),
     Each(&'a [f32]),
 }
 
 impl Rays {
-    /// Sets the camera; does nothing if it is unchanged.
+    /// Sets the camera, and recomputes the rays if it differs from the previous one.
     pub fn set(&mut self, camera: &Camera) {
         if self.camera.as_ref() == Some(camera) {
             return;

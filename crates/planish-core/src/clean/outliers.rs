@@ -1,4 +1,4 @@
-//! Points far from all others.
+//! Detection of points that are far from all other points.
 //!
 //! Both tests visit the leaves of a [`PointIndex`]. The leaves around each leaf are gathered once for its 16 points,
 //! whose distances to all gathered points are computed with the machine's SIMD instructions.
@@ -18,8 +18,9 @@ const LEAVES_PER_TASK: usize = 64;
 /// its points separately.
 const WIDEST_LEAF: f32 = 4.0;
 
-/// Marks the points whose mean distance to their nearest `neighbours` is larger than the mean of all such distances by
-/// more than `deviations` of their standard deviations: the statistical test of PCL and Open3D (Rusu et al., 2008).
+/// Marks the points whose mean distance to their nearest `neighbours` points exceeds the mean of these distances over
+/// all points by more than `deviations` standard deviations. This is the statistical test of PCL and Open3D (Rusu et
+/// al., 2008).
 ///
 /// `neighbours` does not count the point itself, as in PCL; Open3D's `nb_neighbors` does.
 ///
@@ -53,7 +54,7 @@ pub fn statistical_outliers(
     Ok((0..points.len()).into_par_iter().map(|i| mean_of(i).is_some_and(|mean_m| mean_m > most_m)).collect())
 }
 
-/// Marks the points that have fewer than `least` others within `radius_m`, as PCL and Open3D do.
+/// Marks the points that have fewer than `least` other points within `radius_m`, as PCL and Open3D do.
 ///
 /// # Errors
 /// If the radius is not a positive number, `least` is 0, or coordinates exceed 10^18 m.
@@ -91,12 +92,12 @@ fn index_of(points: &PointsView<'_>) -> Result<PointIndex, ParamError> {
     Ok(index)
 }
 
-/// The points around a leaf, or around one of its points.
+/// The points gathered around a leaf, or around one of its points.
 struct Search<'a> {
     index: &'a PointIndex,
     positions: [Vec<f32>; 3],
     counts: Vec<f32>,
-    /// Whether some gathered positions have several points.
+    /// Whether several points share one of the gathered positions.
     has_repeated: bool,
     squares: Vec<f32>,
     nearest: Vec<f32>,
@@ -185,12 +186,14 @@ impl<'a> Search<'a> {
                     largest_m = largest_m.max(farthest_m);
                 }
             }
-            // Limited, since a stray's reach would gather far too many points for the next leaf.
+            // The change of the reach is limited, since a stray's reach would gather far too many points for the next
+            // leaf.
             reach_m = (1.1 * largest_m).clamp(0.5 * reach_m, 2.0 * reach_m);
         }
     }
 
-    /// Returns a distance slightly larger than from the first point of a leaf to its nearest `neighbours` points.
+    /// Returns a distance in metres that is slightly larger than the distance from the first point of a leaf to its
+    /// `neighbours`-th nearest point.
     fn first_reach_m(&self, leaf: usize, neighbours: usize) -> f32 {
         let nearest = self.index.nearest(self.index.point(LEAF * leaf)).take(neighbours + 1);
         1.1 * nearest.last().map_or(0.0, |(square, _)| square).sqrt().max(f32::MIN_POSITIVE.sqrt())
@@ -211,12 +214,12 @@ impl<'a> Search<'a> {
         }
         self.nearest.truncate(within);
         if self.has_repeated {
-            // Each position counts with its number of points.
+            // Each position counts as often as it has points.
             for (&square, &count) in self.squares.iter().zip(&self.counts).filter(|(square, _)| **square <= most) {
                 self.nearest.extend(std::iter::repeat_n(square, (count as usize - 1).min(neighbours)));
             }
         }
-        // The point itself is among them, at no distance.
+        // The nearest points include the point itself, at distance 0.
         if self.nearest.len() <= neighbours {
             if reach_m.is_finite() {
                 return None;
@@ -232,7 +235,7 @@ impl<'a> Search<'a> {
     }
 
     /// Returns true if the points of a leaf have enough neighbours in the leaf and the adjacent ones. This test is
-    /// cheap, and true for most leaves.
+    /// cheap, and most leaves pass it.
     #[inline(always)]
     fn have_company(&self, leaf: usize, most: f32, least: usize) -> bool {
         let [x, y, z] = &self.index.positions;
@@ -250,7 +253,7 @@ impl<'a> Search<'a> {
         (LEAF * leaf..(LEAF * (leaf + 1)).min(self.index.len())).all(has_company)
     }
 
-    /// Computes whether each point of some leaves has fewer than `least` others within the radius.
+    /// For each point of some leaves, computes whether fewer than `least` other points are within the radius.
     #[inline(always)]
     fn are_alone<S: Simd>(&mut self, simd: S, first_leaf: usize, radius_m: f32, least: usize, is_outlier: &mut [bool]) {
         let most = radius_m * radius_m;

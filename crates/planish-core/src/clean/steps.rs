@@ -13,31 +13,31 @@ pub struct CleanSteps {
     pub crop_m: Option<[[f64; 3]; 2]>,
     /// Size of voxels in metres; one point is kept per voxel, and the grid is lost.
     pub voxel_m: Option<f64>,
-    /// Number of neighbours, and the maximum excess of a point's mean distance to them over the average, in standard
-    /// deviations.
+    /// Statistical test: the number of nearest neighbours, and the maximum excess of a point's mean distance to these
+    /// neighbours over the average of all points, in standard deviations.
     pub statistical: Option<(usize, f32)>,
-    /// Radius in metres, and the minimum number of neighbours within it.
+    /// Radius test: the radius in metres, and the minimum number of neighbours within the radius.
     pub radius: Option<(f32, usize)>,
 }
 
-/// Number of points removed by each step; `None` for skipped steps.
+/// The number of points before and after cleaning, and the number removed by each step; `None` for a skipped step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct CleanCounts {
-    /// Points of the input, without holes.
+    /// Number of points in the input, excluding holes.
     pub points_in: usize,
-    /// Holes of an unorganized cloud, which are dropped.
+    /// Number of holes in an unorganized cloud, which are dropped.
     pub holes_dropped: usize,
-    /// Points outside the box.
+    /// Number of points outside the box.
     pub outside_box: Option<usize>,
-    /// Points replaced by another in the same voxel.
+    /// Number of points merged into another point of the same voxel.
     pub merged: Option<usize>,
-    /// Statistical outliers.
+    /// Number of statistical outliers.
     pub statistical_outliers: Option<usize>,
-    /// Points with too few neighbours within the radius.
+    /// Number of points with too few neighbours within the radius.
     pub radius_outliers: Option<usize>,
-    /// Points that remain.
+    /// Number of points that remain.
     pub points_out: usize,
 }
 
@@ -52,8 +52,8 @@ impl CleanSteps {
     ///
     /// # Errors
     /// If a value is outside its range; `field` names the step and the value: `crop`, `voxel`,
-    /// `statistical.neighbours`, `statistical.deviations`, `radius.radius_m`, `radius.neighbours`. If f32 rounds the
-    /// coordinates of the points in the box too coarsely ([`Doubt::Coarse`](crate::Doubt::Coarse)).
+    /// `statistical.neighbours`, `statistical.deviations`, `radius.radius_m`, `radius.neighbours`. Also if f32 rounds
+    /// the coordinates of the points in the box too coarsely ([`Doubt::Coarse`](crate::Doubt::Coarse)).
     pub fn apply(&self, points: &mut PointCloud, grid: &mut Option<(usize, usize)>) -> Result<CleanCounts, Error> {
         let points_in = points.valid_points();
         let mut counts = CleanCounts { points_in, ..CleanCounts::default() };

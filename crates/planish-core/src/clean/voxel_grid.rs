@@ -1,4 +1,4 @@
-//! Assignment of points to voxels.
+//! Assignment of the points of a cloud to voxels.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -16,24 +16,24 @@ const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 /// Number of points per task.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
-/// The key of holes; voxel keys begin at 1.
+/// The key of holes. The keys of voxels begin at 1.
 const NO_VOXEL: u64 = 0;
 
-/// Typical number of points per voxel in clouds that are worth thinning. Tables are allocated for it and grow when
-/// needed.
+/// Typical number of points per voxel in clouds that are worth thinning. Hash tables are allocated for this number,
+/// and grow if needed.
 const POINTS_OF_A_VOXEL: usize = 8;
 
-/// Maximum number of shards. Each shard reads all keys, so more shards would read them for few points each.
+/// Maximum number of shards. Each shard reads all keys, which is wasteful if a shard has few points.
 const MOST_SHARDS: usize = 64;
 
 /// The occupied voxels of a cloud, with their points.
 ///
-/// A voxel's points ascend, and voxels are in the order of their first points, so that neither depends on the number of
-/// threads.
+/// The point indices of a voxel ascend, and voxels are ordered by their first points, so neither order depends on the
+/// number of threads.
 pub struct Voxels {
     grid: Grid,
     shards: Vec<Shard>,
-    /// For each voxel: its shard, and its index in that shard.
+    /// The shard of each voxel, and its index in that shard.
     order: Vec<(u8, u32)>,
 }
 
@@ -41,19 +41,19 @@ pub struct Voxels {
 struct Grid {
     size_m: f64,
     origin_m: [f64; 3],
-    /// Smallest coordinates of the cloud's voxels, in multiples of the size.
+    /// The smallest coordinates of the cloud's voxels along each axis, in multiples of the voxel size.
     first: [f64; 3],
     /// Extent of the cloud in voxels.
     along: [u64; 3],
 }
 
-/// The voxels of one share of the keys, found by one task.
+/// The voxels for one share of the keys, which one task finds.
 #[derive(Default)]
 struct Shard {
     found: HashMap<u64, u32, BuildHasherDefault<KeyHasher>>,
     /// The points' indices, voxel by voxel.
     points: Vec<u32>,
-    /// The index in `points` at which each voxel begins, and the end of the last.
+    /// The index in `points` at which each voxel begins, followed by the end of the last voxel.
     starts: Vec<u32>,
 }
 
@@ -99,7 +99,7 @@ impl Voxels {
 /// A map from positions to occupied voxels.
 pub struct VoxelMap<'a> {
     voxels: &'a Voxels,
-    /// For each shard: the global index of each of its voxels.
+    /// The global index of each voxel, by shard and by index in that shard.
     ranks: Vec<Vec<u32>>,
 }
 
@@ -141,7 +141,8 @@ impl<'a> VoxelMap<'a> {
     }
 }
 
-/// Returns the shard of a key, by other bits of its hash than tables use. `shards` must be a power of two.
+/// Returns the shard of a key, chosen by bits of the key's hash that hash tables do not use. `shards` must be a power
+/// of two.
 fn shard_of(key: u64, shards: usize) -> u8 {
     ((hash(key) >> 40) as usize & (shards - 1)) as u8
 }
@@ -198,14 +199,15 @@ impl Grid {
         }
     }
 
-    /// Returns the key of a position, which must be within the grid, where a cast rounds down.
+    /// Returns the key of a position in voxels. The position must be within the grid, where it is not negative, so
+    /// that a cast rounds down.
     fn key_at(&self, place: [f64; 3]) -> u64 {
         1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
     }
 }
 
 impl Shard {
-    /// Finds the voxels of the keys that shard `own` owns. `points` is the expected number of points of the shard.
+    /// Finds the voxels whose keys belong to shard `own`. `points` is the expected number of points in the shard.
     fn of(keys: &[u64], owners: &[u8], own: u8, points: usize) -> Self {
         let mut found = HashMap::with_capacity_and_hasher(points / POINTS_OF_A_VOXEL, BuildHasherDefault::default());
         let mut counts: Vec<u32> = Vec::with_capacity(points / POINTS_OF_A_VOXEL);
@@ -213,7 +215,7 @@ impl Shard {
         let mut last = (NO_VOXEL, 0);
         let own = keys.iter().zip(owners).enumerate().filter(|(_, (_, owner))| **owner == own);
         for (i, (&key, _)) in own.filter(|(_, (key, _))| **key != NO_VOXEL) {
-            // Points that follow each other are often in one voxel.
+            // Consecutive points are often in the same voxel.
             if key != last.0 {
                 let next = counts.len() as u32;
                 last = (key, *found.entry(key).or_insert(next));
@@ -224,8 +226,8 @@ impl Shard {
             counts[last.1 as usize] += 1;
             members.push((i as u32, last.1));
         }
-        // Entry `voxel + 1` is the index at which the voxel's next point goes: at first its beginning, finally its
-        // end.
+        // Entry `voxel + 1` is the index for the voxel's next point: initially the beginning of the voxel, finally
+        // its end.
         let mut starts = Vec::with_capacity(counts.len() + 1);
         starts.push(0);
         let mut total = 0;
@@ -248,7 +250,7 @@ impl Shard {
 
     /// Returns the shard's voxels whose first point is in the given range.
     fn begun_within(&self, points: Range<usize>) -> Range<u32> {
-        // First points ascend.
+        // The indices of first points ascend.
         let begun_before = |point: usize| {
             let starts = &self.starts[..self.starts.len() - 1];
             starts.partition_point(|&start| (self.points[start as usize] as usize) < point) as u32
@@ -332,7 +334,7 @@ mod tests {
 
     #[test]
     fn a_point_is_in_its_voxel_and_between_the_centres_of_eight() {
-        // All 27 voxels round the origin.
+        // All 27 voxels around the origin.
         let centres = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|at| at as f32 - 0.5));
         let cloud = PointCloud::new(centres.collect());
         let voxels = Voxels::of(&cloud, 1.0).unwrap();

@@ -7,7 +7,7 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::ParamError;
 use crate::xyz::Xyz;
 
-/// The rule by which a field of a voxel is computed from the voxel's points.
+/// The rule by which the value of a field for a voxel is computed from the voxel's points.
 #[derive(Clone, Copy, PartialEq)]
 enum Merge {
     /// The mean, in the field's own type.
@@ -19,10 +19,10 @@ enum Merge {
 }
 
 /// Replaces the points of each voxel of `size_m` metres by their centroid. Colour, intensity, normals and floats with
-/// fractions are averaged; other fields are those of the point nearest to the centroid.
+/// fractions are averaged; other fields have the value of the point nearest to the centroid.
 ///
-/// Voxels begin at multiples of their size in the cloud's frame; results have the order of each voxel's first point.
-/// Holes are left out.
+/// Voxels begin at multiples of their size in the cloud's frame; the resulting points are in the order of each
+/// voxel's first point. Holes are dropped.
 ///
 /// # Errors
 /// If the size is not a positive number, or so small that the cloud is over 2 million voxels wide.
@@ -30,7 +30,7 @@ pub fn voxel_downsample(cloud: &PointCloud, size_m: f64) -> Result<PointCloud, P
     Ok(downsample(cloud, &Voxels::of(cloud, size_m)?))
 }
 
-/// Thins a cloud to its voxels.
+/// Reduces a cloud to one point per voxel.
 pub fn downsample(cloud: &PointCloud, voxels: &Voxels) -> PointCloud {
     let centroids: Vec<[f32; 3]> = voxels.iter().map(|voxel| centroid(&cloud.positions, voxel)).collect();
     let ways: Vec<Merge> = cloud.attributes.iter().map(how_to_merge).collect();
@@ -64,7 +64,8 @@ fn nearest_to(centroid: [f32; 3], voxel: &[u32], points: &Xyz) -> usize {
     voxel.iter().copied().min_by(|&a, &b| square(a).total_cmp(&square(b))).map_or(0, |i| i as usize)
 }
 
-/// Returns the mean of a voxel's points. Averages offsets from the first point, which keeps their precision.
+/// Returns the mean of a voxel's points. Offsets from the first point are averaged instead of positions, which
+/// preserves precision.
 fn centroid(positions: &Xyz, voxel: &[u32]) -> [f32; 3] {
     let first = positions.get(voxel[0] as usize).map(f64::from);
     let mut sum = [0.0; 3];
@@ -123,7 +124,7 @@ fn mean_colour(attribute: &Attribute, voxels: &Voxels) -> Attribute {
     Attribute { name: attribute.name.clone(), count: attribute.count, values }
 }
 
-/// Normalizes normals, since means of unit vectors are shorter than unit vectors.
+/// Scales normals to unit length, since means of unit vectors are shorter.
 fn normalize(attributes: &mut [Attribute]) {
     for names in [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]] {
         let place = |name: &str| attributes.iter().position(|attribute| attribute.name == name && attribute.count == 1);

@@ -1,7 +1,7 @@
 //! Bending of the surface, within a window and between the planes around a point (docs/method.md, section 10).
 //!
-//! A bend is a symmetric tensor H in 1/m along the plane's [`tangents`](super::eigen::tangents): the surface is x·Hx/2
-//! above its tangent plane, at an offset x along it. For a window, only the trace of H is known.
+//! A bend is a symmetric tensor H in 1/m along the plane's [`tangents`](super::eigen::tangents): at an offset x along
+//! its tangent plane, the surface is x·Hx/2 above that plane. For a window, only the trace of H is known.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -14,8 +14,8 @@ use crate::constants::{
     BEND_DAMPING, BEND_EXPLAINED, BEND_SHARED, LEAST_BEND_WEIGHT, LEAST_SPREAD, LEAST_TURN, MOST_BEND, MOST_WINDOW_BEND,
 };
 
-/// Returns the sum of each window's principal curvatures in 1/m, (10.13), from the mean height of the neighbours in
-/// its middle over its plane, which is fitted to all neighbours.
+/// Returns the sum of each window's principal curvatures in 1/m (docs/method.md, (10.13)). It is computed from the
+/// mean height of the neighbours in the inner part of the window over the plane fitted to all neighbours.
 #[inline(always)]
 pub(super) fn of_window<S: Simd>(
     simd: S,
@@ -128,7 +128,7 @@ impl<S: Simd> Bend<S> {
     }
 }
 
-/// Weighted sums over the planes around a point, for the bend between them.
+/// Weighted sums over the planes around a point, from which the bend between the planes is computed.
 pub(super) struct Around<S: Simd> {
     /// Sum of x, the offset of a plane's centroid from the point.
     offset: Vec3<S>,
@@ -136,18 +136,18 @@ pub(super) struct Around<S: Simd> {
     offsets: Symmetric<S>,
     /// Sum of n x^T + x n^T, where n is the normal.
     slopes: Symmetric<S>,
-    /// Sum of the bends of the planes' windows.
+    /// Sum of the bends measured within each plane's window.
     windows: S::f32s,
-    /// Sum of the variances along the planes.
+    /// Sum of the planes' spreads, in m².
     spreads: S::f32s,
 }
 
-/// A bend along the tangents of a normal.
+/// The bend measured between the planes around a point, along the tangents of their mean normal.
 pub(super) struct Measured<S: Simd> {
     pub(super) bend: Bend<S>,
-    /// Mean position of the planes along the tangents, in metres; the vote's normal applies there.
+    /// Mean position of the planes along the tangents, in metres; the mean normal applies there.
     pub(super) centre: [S::f32s; 2],
-    /// Weighted sum of the surface's height at the point over each plane, in metres.
+    /// Weighted sum, over the planes, of the bent surface's height at the point above each plane, in metres.
     pub(super) rise: S::f32s,
 }
 
@@ -222,11 +222,11 @@ impl<S: Simd> Around<S> {
     pub(super) fn bend(&self, simd: S, turn: &Turn<S>, (u, v): (Vec3<S>, Vec3<S>), radius: S::f32s) -> Measured<S> {
         let (zero, one, tiny) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::MIN_POSITIVE));
         let per_total = turn.per_total;
-        // In units of the radius, whose square may be as small as 1e-24 m².
+        // Lengths are in units of the radius, whose square may be as small as 1e-24 m².
         let per_radius = one / radius;
         let scale = per_total * per_radius;
-        // The mean place and the mean slope of the planes. A slope is the sine of an angle: on a circle it grows with
-        // the place by 1/r.
+        // The mean position t and the mean slope s of the planes. A slope is the sine of an angle; on a circle of
+        // radius r, it changes by 1/r per unit of position.
         let (t0, t1) = (self.offset.dot(u) * scale, self.offset.dot(v) * scale);
         let (s0, s1) = (-turn.mean_normal.dot(u), -turn.mean_normal.dot(v));
         let squares: Bend<S> = self.offsets.along(u, v);

@@ -11,7 +11,7 @@ use super::window::Gate;
 use super::{Kernel, valid_points};
 use crate::constants::{BLOCK_WIDTH, MIN_BLOCK_WEIGHT};
 
-/// The block of a vector of pixels, or of cells.
+/// The blocks around a vector of pixels or cells.
 pub(super) struct Block<'a, S: Simd, P> {
     pixels: &'a P,
     half: usize,
@@ -21,7 +21,7 @@ pub(super) struct Block<'a, S: Simd, P> {
     gate: Gate<S>,
 }
 
-/// Pixels that blocks are made of.
+/// Pixels from which blocks are formed.
 pub(super) trait BlockPixels {
     /// Visits the points of the blocks around a vector of pixels or cells, the first at `place`. A block is the pixel
     /// or cell plus `half` pixels on each side.
@@ -36,7 +36,7 @@ impl BlockPixels for PaddedFrame {
         let part = self.part(first, first + 2 * half * (self.row_len + 1));
         for row in 0..side {
             for column in 0..side {
-                // SAFETY: the part is from the first to the last point of the block.
+                // SAFETY: the part extends from the first to the last point of the block.
                 visit(unsafe { part.vector(simd, 0, first + row * self.row_len + column) });
             }
         }
@@ -57,7 +57,7 @@ impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
         Self { pixels, half: kernel.block_half, place, p, gate: Gate::new(simd, kernel.rules.block_gate(simd, range)) }
     }
 
-    /// Averages the block's points, each weighted by the gate and by `weigh` of its offset from p.
+    /// Averages the block's points, each weighted by the gate and by the value of `weigh` at its offset from p.
     #[inline(always)]
     fn mean(&self, simd: S, weigh: impl Fn(Vec3<S>) -> S::f32s) -> Vec3<S> {
         let (mut sum, mut total) = (Vec3::splat(simd, 0.0), splat(simd, 0.0));
@@ -75,7 +75,7 @@ impl<'a, S: Simd, P: BlockPixels> Block<'a, S, P> {
                 total = near.select(total + weight, total);
             },
         );
-        // Not 0, since p itself has a weight.
+        // The total is not 0, since p itself has a weight.
         self.p.add_scaled(splat(simd, 1.0) / total, sum)
     }
 

@@ -1,4 +1,4 @@
-//! Numbers for each pixel of a frame, from which kernels load a vector of neighbouring pixels at a time.
+//! Values for each pixel of a frame, from which kernels load a vector of adjacent pixels at a time.
 
 use std::ops::Range;
 
@@ -9,10 +9,10 @@ use super::vector::Vec3;
 /// Number of lanes of the widest f32 vector of any SIMD level.
 pub(super) const MAX_LANES: usize = 16;
 
-/// Channels of equal length, one per number.
+/// Channels of equal length, one for each value of a pixel.
 pub(super) struct Channels<const N: usize> {
     values: [Vec<f32>; N],
-    /// The last index from which every level can load a vector.
+    /// The last index at which a vector of any SIMD level can be loaded.
     last: usize,
 }
 
@@ -27,24 +27,25 @@ impl<const N: usize> Channels<N> {
         self.values.iter().map(|values| size_of_val(&values[..])).sum()
     }
 
-    /// Returns part of each channel.
+    /// Returns a range of each channel.
     pub(super) fn range_mut(&mut self, range: Range<usize>) -> [&mut [f32]; N] {
         self.values.each_mut().map(|values| &mut values[range.clone()])
     }
 
-    /// Returns the values of a channel from an index on.
+    /// Returns the vector of a channel's values that starts at an index.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
-        // SAFETY: the part consists of this index.
+        // SAFETY: `at` is the only index of the part.
         unsafe { self.part(at, at).load(simd, channel, at) }
     }
 
-    /// Returns the values of three channels, from the given one on, as vectors.
+    /// Returns the vectors of values that start at an index in three consecutive channels, beginning with the given
+    /// channel.
     ///
-    /// One bounds check covers all three: checking each slice would take a fifth of all instructions of a frame.
+    /// One bounds check covers all three: checking each slice would take a fifth of the instructions per frame.
     #[inline(always)]
     pub(super) fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
-        // SAFETY: the part consists of this index.
+        // SAFETY: `at` is the only index of the part.
         unsafe { self.part(at, at).vector(simd, channel, at) }
     }
 
@@ -62,7 +63,7 @@ impl<const N: usize> Channels<N> {
     }
 }
 
-/// A part of channels. Unlike [`Channels`], a loop keeps it in registers.
+/// A part of channels. Unlike [`Channels`], it stays in registers during a loop.
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a, const N: usize> {
     channels: [&'a [f32]; N],
@@ -71,25 +72,26 @@ pub(super) struct Part<'a, const N: usize> {
 }
 
 impl<const N: usize> Part<'_, N> {
-    /// Returns the values of a channel from an index on.
+    /// Returns the vector of a channel's values that starts at an index.
     ///
     /// # Safety
-    /// `at` must be from the part's first to its last index.
+    /// `at` must be in the range from the part's first to its last index, both inclusive.
     #[inline(always)]
     pub(super) unsafe fn load<S: Simd>(&self, simd: S, channel: usize, at: usize) -> S::f32s {
         const { assert!(S::f32s::LEN <= MAX_LANES) };
         debug_assert!((self.first..=self.last).contains(&at));
-        // SAFETY: channels have MAX_LANES values from every index on, and no vector has more lanes.
+        // SAFETY: channels have MAX_LANES values from every index of a part on, and no vector has more lanes.
         S::f32s::from_slice(simd, unsafe { self.channels[channel].get_unchecked(at..at + S::f32s::LEN) })
     }
 
-    /// Returns the values of three channels, from the given one on, as vectors.
+    /// Returns the vectors of values that start at an index in three consecutive channels, beginning with the given
+    /// channel.
     ///
     /// # Safety
-    /// `at` must be from the part's first to its last index.
+    /// `at` must be in the range from the part's first to its last index, both inclusive.
     #[inline(always)]
     pub(super) unsafe fn vector<S: Simd>(&self, simd: S, channel: usize, at: usize) -> Vec3<S> {
-        // SAFETY: the same condition.
+        // SAFETY: the caller guarantees the same condition.
         unsafe {
             Vec3::new(self.load(simd, channel, at), self.load(simd, channel + 1, at), self.load(simd, channel + 2, at))
         }

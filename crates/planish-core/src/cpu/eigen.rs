@@ -1,4 +1,4 @@
-//! The smallest eigenvector of a symmetric 3x3 matrix in every lane (docs/method.md, section 4), in f32.
+//! Computes the smallest eigenvector of a symmetric 3x3 matrix in every lane (docs/method.md, section 4), in f32.
 //!
 //! The eigenvalues are the trigonometric roots of the characteristic polynomial. Near a double root these lose half
 //! their digits, so each lane first solves for the isolated root: the smallest for planar points, the largest for
@@ -38,7 +38,7 @@ impl<S: Simd> Symmetric<S> {
     }
 }
 
-/// Eigenvalues in ascending order and the unit eigenvector of the smallest.
+/// The eigenvalues in ascending order, and the unit eigenvector of the smallest eigenvalue.
 pub(super) struct Smallest<S: Simd> {
     pub(super) values: [S::f32s; 3],
     pub(super) vector: Vec3<S>,
@@ -121,7 +121,7 @@ fn null_vector<S: Simd>(simd: S, m: &Symmetric<S>, value: S::f32s) -> Vec3<S> {
     let (longest, square) = (b.or(b_longer, a), b2.max(a2));
     let c_longer: Mask<S> = c2.simd_gt(square);
     let (longest, square) = (c.or(c_longer, longest), c2.max(square));
-    // A zero matrix has no direction; any is valid.
+    // A zero matrix has no direction; any direction is valid.
     let usable: Mask<S> = square.simd_gt(splat(simd, f32::MIN_POSITIVE));
     let zero = splat(simd, 0.0);
     let one = splat(simd, 1.0);

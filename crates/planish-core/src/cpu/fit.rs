@@ -1,4 +1,4 @@
-//! The final fit, in bands of rows: sections 5 to 7 of docs/method.md over the surfaces found before.
+//! The final fit, in bands of rows: sections 5 to 7 of docs/method.md, over the surfaces from earlier passes.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdMask};
 
@@ -18,7 +18,7 @@ use crate::constants::LEAST_NEIGHBOURS;
 pub(super) struct Fitting {
     pub(super) bandwidth_m: Option<f32>,
     pub(super) ridge: f32,
-    /// Whether points with too few neighbours are kept unchanged.
+    /// True if points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
     /// Minimum number of neighbours of a smoothed point.
     pub(super) least_neighbours: f32,
@@ -27,11 +27,11 @@ pub(super) struct Fitting {
 /// A band of rows of the final fit.
 #[expect(clippy::large_enum_variant, reason = "the larger one is the usual one")]
 pub(super) enum FitRows<'a> {
-    /// The surfaces are the planes of windows; the results are written to the output.
+    /// The surfaces are the planes of the pixels' own windows; the results are written to the output.
     Own(OutputRows<'a>),
-    /// The surfaces were found before; the results are written to the output.
+    /// The surfaces come from an earlier pass; the results are written to the output.
     Kept(SurfaceRows<'a>, OutputRows<'a>),
-    /// The surfaces of cells were found before; the results replace them.
+    /// The surfaces of cells come from an earlier pass; the results replace them.
     Cells(SurfaceRows<'a>),
 }
 
@@ -62,7 +62,7 @@ impl SplitRows for FitRows<'_> {
 }
 
 impl<'a> FitRows<'a> {
-    /// Returns the first row's number in the image.
+    /// Returns the index of the band's first row in the image.
     fn first(&self) -> usize {
         match self {
             Self::Own(out) => out.first,
@@ -108,8 +108,8 @@ pub(super) fn fit_rows<S: Simd, const D: usize>(
     }
 }
 
-/// Applies sections 2 to 7 and 10 to one vector of pixels. The terms are reused between vectors, to avoid clearing
-/// them.
+/// Smooths one vector of pixels (docs/method.md, sections 2 to 7 and 10). The terms are reused between vectors, to
+/// avoid clearing them.
 #[inline(always)]
 fn fit_vector<S: Simd, const D: usize>(
     simd: S,
@@ -160,7 +160,8 @@ fn fit_vector<S: Simd, const D: usize>(
 }
 
 impl Fitting {
-    /// Applies sections 5 to 7 to points over their surfaces.
+    /// Fits the polynomials over the points' surfaces, and moves the points onto them (docs/method.md, sections 5 to
+    /// 7).
     #[inline(always)]
     pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
         &self,

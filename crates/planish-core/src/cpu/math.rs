@@ -14,7 +14,7 @@ pub(super) fn exp2_neg<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let x = x.min(splat(simd, 126.0));
     let rounded = shift - x;
     let f = (shift - rounded) - x;
-    // Minimax on [-1/2, 1/2].
+    // Minimax polynomial on [-1/2, 1/2].
     let p = splat(simd, 9.570_102e-3);
     let p = p.mul_add(f, splat(simd, 5.591_786e-2));
     let p = p.mul_add(f, splat(simd, 2.402_474_4e-1));

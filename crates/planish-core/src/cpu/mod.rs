@@ -1,5 +1,5 @@
-//! The CPU engine: docs/method.md in f32, on vectors of adjacent pixels, for organized clouds. [`general`] smooths
-//! unorganized ones.
+//! The CPU engine for organized clouds: the method of docs/method.md in f32, on vectors of adjacent pixels.
+//! [`general`] smooths unorganized clouds.
 //!
 //! Each stage has its own file, named as in the reference, and is written once for all SIMD levels ([`SimdLevel`]).
 //! The frame is copied into a padded buffer ([`padded`]), and each task processes a band of rows ([`row_tasks`],
@@ -65,9 +65,9 @@ use sensor::Sensor;
 use vector::{Mask, Vec3, splat};
 use window::Offsets;
 
-/// Parameters of a kernel.
+/// Parameters of all passes over a frame.
 struct Kernel {
-    /// Distances to the columns and rows of the window.
+    /// Offsets of the window's columns and rows from its centre.
     offsets: Offsets,
     /// Half width of the blocks that are averaged, in pixels.
     block_half: usize,
@@ -75,7 +75,7 @@ struct Kernel {
     rules: RangeRules,
     sensor: Sensor,
     fitting: Fitting,
-    /// Whether points move along their rays.
+    /// True if points move along their rays.
     on_ray: bool,
 }
 
@@ -111,7 +111,7 @@ impl Kernel {
     }
 }
 
-/// Returns the SIMD level to use: the given one, or the widest of this machine.
+/// Returns the SIMD level to use: the given one, or by default the widest that this machine supports.
 fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
     let machine = Level::new();
     let Some(level) = simd else { return Ok(machine) };
@@ -130,7 +130,7 @@ pub(crate) struct Cpu {
     timings: FrameTimings,
 }
 
-/// Results of the passes of a frame, kept from one pass to the next.
+/// Results that the passes over a frame keep for later passes.
 #[expect(clippy::large_enum_variant, reason = "an engine has one")]
 enum Buffers {
     /// Every pixel has its own surface.
@@ -146,7 +146,8 @@ enum Buffers {
         pixels: Pixels,
         /// The points of the cells.
         points: PaddedFrame,
-        /// Means of all points of a block, and of its points on the surface, if blocks are averaged.
+        /// Means of all points of each block, and of each block's points on the surface; `None` if blocks are not
+        /// averaged.
         means: Option<[PaddedFrame; 2]>,
         planes: (FirstPlanes, Surfaces),
     },
@@ -331,7 +332,7 @@ impl ImmediateEngine for Cpu {
         Some(self.timings)
     }
 
-    /// Returns the bytes of the padded frames and planes.
+    /// Returns the size of the padded frames and planes in bytes.
     fn buffer_bytes(&self) -> u64 {
         self.buffers.bytes() as u64
     }

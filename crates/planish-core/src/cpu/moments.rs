@@ -13,7 +13,7 @@ const MAX_MOMENTS: usize = 28;
 const MAX_RIGHT_SIDES: usize = 10;
 
 /// Contribution of a candidate: its weight w (0 outside the gate) and its coordinates a, b and f. Between the two
-/// passes, a, b and f hold its offset from p.
+/// passes, a, b and f contain the candidate's offset from p.
 pub(super) struct Term<S: Simd> {
     pub(super) w: S::f32s,
     pub(super) a: S::f32s,
@@ -92,8 +92,8 @@ impl<S: Simd> Moments<S> {
     }
 }
 
-/// Returns true if moments are summed in few groups: AVX-512 and NEON have 32 registers, and fewer groups make a web
-/// page smaller.
+/// Returns true if moments are summed in few groups: AVX-512 and NEON have 32 registers, and fewer groups make web
+/// builds smaller.
 const fn in_few_groups<S: Simd>() -> bool {
     <S::f32s as SimdBase<S>>::LEN > 8 || cfg!(any(target_arch = "aarch64", target_family = "wasm"))
 }

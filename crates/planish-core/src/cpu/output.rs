@@ -1,4 +1,5 @@
-//! The rows of a result: split between tasks, written a vector at a time, straight into the caller's buffers.
+//! The rows of a result. They are split between tasks and written one vector at a time, directly to the caller's
+//! buffers.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
@@ -14,7 +15,7 @@ use crate::status::Status;
 
 /// A band of rows of every requested output.
 pub(super) struct OutputRows<'a> {
-    /// The first row's number in the image.
+    /// Index of the band's first row in the image.
     pub(super) first: usize,
     pub(super) width: usize,
     rows: usize,
@@ -38,7 +39,7 @@ impl SplitRows for OutputRows<'_> {
         let (neighbours, neighbours_rest) = out.neighbours.map(|values| values.split_at_mut(at)).unzip();
         let (raw, raw_rest) = out.depth.map(|values| values.split_at_mut(at)).unzip();
         let (depth_m, depth_m_rest) = out.depth_m.map(|values| values.split_at_mut(at)).unzip();
-        // Engines of single frames neither count frames nor estimate errors.
+        // Engines that smooth single frames neither count frames nor estimate errors.
         let none = SmoothedMut::default();
         let upper = SmoothedMut { points, normals, curvature, status, neighbours, depth: raw, depth_m, ..none };
         let lower = SmoothedMut {
@@ -59,14 +60,14 @@ impl SplitRows for OutputRows<'_> {
 }
 
 impl<'a> OutputRows<'a> {
-    /// Takes all rows of a frame's result.
+    /// Returns all rows of a frame's result.
     pub(super) fn all(admitted: &AdmittedFrame<'a>, out: SmoothedMut<'a>) -> Self {
         let (width, height) = admitted.frame.shape();
         let camera = admitted.frame.camera().filter(|_| out.depth.is_some());
         Self { first: 0, width, rows: height, out, camera }
     }
 
-    /// Takes all rows of a result without a camera.
+    /// Returns all rows of a result without a camera.
     pub(super) fn of_grid((width, height): (usize, usize), out: SmoothedMut<'a>) -> Self {
         Self { first: 0, width, rows: height, out, camera: None }
     }
@@ -140,7 +141,7 @@ impl<'a> OutputRows<'a> {
         self.out.take_from(self.rows, from, |row| place(first + row));
     }
 
-    /// Writes holes for `lanes` pixels from column u on.
+    /// Writes holes to `lanes` pixels, starting at column u of row `row` of this band.
     #[inline(always)]
     pub(super) fn store_holes(&mut self, row: usize, u: usize, lanes: usize) {
         let end = self.width.min(u + lanes);

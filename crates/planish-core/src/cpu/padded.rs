@@ -1,4 +1,4 @@
-//! The frame with a border: the input of every window load.
+//! A frame with a border, from which all windows are loaded.
 //!
 //! Points are copied or deprojected (docs/method.md, section 1), in the cloud's frame. x, y and z are each stored as
 //! rows of `row_len` values, with `border` rows and columns of NaN around the image, whose width is padded with NaN
@@ -16,7 +16,7 @@ use crate::camera::{Rays, RowRays, RowRaysY, depth_m};
 use crate::frame::{DepthSamples, Frame};
 use crate::smoothing_engine::AdmittedFrame;
 
-/// Number of rows that one task fills: enough to be worth a task.
+/// Number of rows that one task fills, enough to outweigh the cost of the task.
 const ROWS_PER_TASK: usize = 32;
 
 pub(super) struct PaddedFrame {
@@ -29,9 +29,9 @@ pub(super) struct PaddedFrame {
     pub(super) border: usize,
 }
 
-/// Rows of the three buffers, image rows only.
+/// A band of image rows of the three channels.
 pub(super) struct PaddedRows<'a> {
-    /// The first row's number in the image.
+    /// Index of the band's first row in the image.
     pub(super) first: usize,
     row_len: usize,
     border: usize,
@@ -44,7 +44,8 @@ impl PaddedRows<'_> {
         row * self.row_len + self.border + u
     }
 
-    /// Stores points from an index on. The tail of a row's last vector falls into the padding and is NaN too.
+    /// Stores a vector of points at an index. The lanes of a row's last vector beyond the image are NaN and fall into
+    /// the padding.
     #[inline(always)]
     pub(super) fn store<S: Simd>(&mut self, at: usize, points: Vec3<S>) {
         let lanes = at..at + S::f32s::LEN;
@@ -92,7 +93,7 @@ impl PaddedFrame {
         (v + self.border) * self.row_len + u + self.border
     }
 
-    /// Returns the points of the pixels from an index on.
+    /// Returns the points of the vector of pixels that starts at an index.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, at: usize) -> Vec3<S> {
         self.xyz.vector(simd, 0, at)
@@ -111,7 +112,7 @@ impl PaddedFrame {
         PaddedRows { first: 0, row_len, border, xyz: self.xyz.range_mut(image) }
     }
 
-    /// Copies a frame of the shape that this buffer was created for; `rays` must belong to the frame's camera.
+    /// Copies a frame, which must have this buffer's shape. `rays` must belong to the frame's camera.
     pub(super) fn fill(&mut self, admitted: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
         let (row_len, width, border) = (self.row_len, self.width, self.border);
         let rows = self.rows();

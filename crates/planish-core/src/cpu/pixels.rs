@@ -1,5 +1,5 @@
 //! The pixels of a frame whose cells of 2x2 pixels share a surface (docs/method.md, section 10). Even and odd columns
-//! are stored separately, so pixels at the same place in neighbouring cells are adjacent in memory and load as one
+//! are stored separately, so pixels at the same position in adjacent cells are adjacent in memory and load as one
 //! vector.
 
 use fearless_simd::{Simd, SimdBase, SimdMask};
@@ -24,7 +24,7 @@ pub(super) const ODD: usize = 3;
 /// Number of points copied at once.
 const CHUNK: usize = 128;
 
-/// Rows of pixels as points: x, y and z of even columns, then of odd ones, with a border of NaN.
+/// Rows of pixels as points: x, y and z of even columns, then of odd columns, with a border of NaN.
 pub(super) struct Pixels {
     columns: Channels<6>,
     /// Number of values from one row to the next.
@@ -35,7 +35,7 @@ pub(super) struct Pixels {
     height: usize,
 }
 
-/// Rows of the image.
+/// A band of rows of the image.
 struct PixelRows<'a> {
     first: usize,
     row_len: usize,
@@ -70,19 +70,19 @@ impl Pixels {
         self.columns.bytes()
     }
 
-    /// Returns the index of the pixels of row v in the cells of column u.
+    /// Returns the index of the pixels in row v of the cells in cell column u.
     #[inline(always)]
     pub(super) fn index(&self, u: usize, v: usize) -> usize {
         (v + self.border) * self.row_len + u + self.border
     }
 
-    /// Returns the points of the [`EVEN`] or [`ODD`] columns of cells, from an index on.
+    /// Returns the vector of points at an index, in the [`EVEN`] or [`ODD`] columns of cells.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, columns: usize, at: usize) -> Vec3<S> {
         self.columns.vector(simd, columns, at)
     }
 
-    /// Copies a frame of the shape that this buffer was created for; `rays` must belong to the frame's camera.
+    /// Copies a frame, which must have this buffer's shape. `rays` must belong to the frame's camera.
     pub(super) fn fill(&mut self, frame: &AdmittedFrame<'_>, rays: &Rays, parallel: bool) {
         let (row_len, border, width) = (self.row_len, self.border, self.width);
         let image = border * row_len..(border + self.height) * row_len;
@@ -107,7 +107,7 @@ impl Pixels {
         });
     }
 
-    /// Copies the first valid point of each cell.
+    /// Copies the first valid point of each cell to `cells`.
     #[inline(always)]
     pub(super) fn represent<S: Simd>(&self, simd: S, cells: &mut PaddedRows<'_>) {
         for row in 0..cells.count() {
@@ -132,8 +132,8 @@ impl BlockPixels for Pixels {
     #[inline(always)]
     fn visit_block<S: Simd>(&self, simd: S, (u, v): (usize, usize), half: usize, mut visit: impl FnMut(Vec3<S>)) {
         let start = self.index(u, CELL_PX * v) - half * self.row_len;
-        // From -half to half + 1, even columns extend `less` values to the left and `more` to the right; odd ones,
-        // `more` to the left and `less` to the right.
+        // From -half to half + 1, even columns extend `less` values to the left and `more` to the right; odd columns
+        // extend `more` to the left and `less` to the right.
         let (less, more) = (half / 2, half.div_ceil(2));
         let last = (2 * half + 1) * self.row_len;
         let part = self.columns.part(start - more, start + last + more);

@@ -1,4 +1,4 @@
-//! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
+//! Fits the plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
 //!
 //! Lengths are in metres, relative to the point p being smoothed.
 
@@ -29,7 +29,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) curvature: S::f32s,
     /// Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
     pub(super) off_line: S::f32s,
-    /// Whether the neighbours lie on a line; the other fields are then meaningless.
+    /// True if the neighbours lie on a line; the other fields are then meaningless.
     pub(super) degenerate: Mask<S>,
 }
 
@@ -61,7 +61,7 @@ pub(super) struct Surface<S: Simd> {
 }
 
 /// Fits planes to the neighbours of points; `ray` leads from the sensor to p.
-// One copy makes a web page smaller.
+// Not inlined in web builds, which makes them smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
@@ -100,7 +100,8 @@ pub(super) fn fit<S: Simd>(simd: S, ray: Vec3<S>, sums: &Sums<S>) -> Plane<S> {
     }
 }
 
-/// Returns the mean of a product minus the product of the means. All scale with the neighbourhood, so little cancels.
+/// Returns the mean of a product minus the product of the means. Both scale with the neighbourhood, so little
+/// precision is lost to cancellation.
 #[inline(always)]
 fn covariance<V: SimdFloat<S>, S: Simd>(product_sum: V, inverse_total: V, mean_a: V, mean_b: V) -> V {
     product_sum.mul_add(inverse_total, -(mean_a * mean_b))

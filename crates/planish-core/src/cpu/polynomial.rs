@@ -19,7 +19,7 @@ use super::vector::{Mask, Vec3, rises, splat};
 use super::window::{Candidates, Sums};
 use crate::constants::{CLOSE, FEWEST_RIDGE, LOW_RIDGE, MAX_OFF_SURFACE, NARROW_WIDTH, SQRT_LOG2_E, coefficient_count};
 
-/// The frame of a fit. a = e·a_axis, b = e·b_axis, f = e·f_axis - f_offset.
+/// The coordinate frame of a fit: a = e·a_axis, b = e·b_axis, f = e·f_axis - f_offset.
 struct Frame<S: Simd> {
     a_axis: Vec3<S>,
     b_axis: Vec3<S>,
@@ -27,7 +27,7 @@ struct Frame<S: Simd> {
     f_offset: S::f32s,
     /// Extra factor of f² in the weight's exponent; 0 without [`edges`](super::edges).
     narrowing: S::f32s,
-    /// Half the bend, in units of a, b and f, whose paraboloid is subtracted from f; 0 without edges.
+    /// Half the bend, in the units of a, b and f. Its paraboloid is subtracted from f. 0 without edges.
     half_bend: Bend<S>,
 }
 
@@ -39,7 +39,8 @@ pub(super) struct Weighting<S: Simd> {
     pub(super) width: Option<S::f32s>,
     /// Bend along the plane's tangents; `None` for a flat surface.
     pub(super) bend: Option<Bend<S>>,
-    /// Degree to which no plane around a point fits, from 0 to 1: L of (10.17). `None` if it is 0 in every lane.
+    /// Degree to which no plane around a point fits, from 0 to 1: L of (10.17) in docs/method.md. `None` if it is 0
+    /// in every lane.
     pub(super) no_plane_fits: Option<S::f32s>,
 }
 
@@ -71,7 +72,7 @@ pub(super) struct Polynomial<S: Simd> {
     pub(super) b_axis: Vec3<S>,
 }
 
-/// The frame of a fit, whose moments are in [`Terms`].
+/// Results of [`sum_moments`] other than the moments, which are in [`Terms`].
 struct Fit<S: Simd> {
     /// Sum of w f² over all neighbours, whose moments are [`Terms::of_all`]; `None` if planes fit everywhere.
     squares_of_all: Option<S::f32s>,
@@ -85,8 +86,8 @@ struct Fit<S: Simd> {
     extent_squared: S::f32s,
 }
 
-/// Fits the polynomial of degree D over the plane, or of the highest degree that n neighbours support. If no plane
-/// fits, the polynomial of all neighbours replaces it, provided that it is close to them.
+/// Fits the polynomial of degree D over the plane, or of the highest degree that n neighbours support. Where no plane
+/// fits, it is replaced by the polynomial of all neighbours, if that is close to them.
 #[inline(always)]
 pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
     simd: S,
@@ -124,7 +125,7 @@ pub(super) fn fit<S: Simd, C: Candidates<S>, const D: usize>(
 pub(super) enum Source<C> {
     /// The number of candidates whose offsets and gate weights the first pass left in the terms.
     Kept(usize),
-    /// Candidates that are gated again.
+    /// Candidates to which the gate is applied again.
     Of(C),
 }
 
@@ -210,7 +211,7 @@ impl<S: Simd> Terms<S> {
 
     /// Computes the terms of the candidates in the given rows.
     ///
-    /// Not inlined: the sums, kept in registers before and after it, would be spilled in its loop.
+    /// Not inlined, because the sums, which are in registers before and after the call, would be spilled in its loop.
     #[inline(never)]
     fn fill<C: Candidates<S>, const NARROW: bool, const BENT: bool>(
         &mut self,
@@ -239,7 +240,7 @@ impl<S: Simd> Terms<S> {
         );
     }
 
-    /// Turns the first `len` candidates that [`keep`](Self::keep) left into terms. Not inlined, for the same reason
+    /// Converts the first `len` candidates stored by [`keep`](Self::keep) to terms. Not inlined, for the same reason
     /// as [`fill`](Self::fill).
     #[inline(never)]
     fn turn(&mut self, simd: S, len: usize, frame: &Frame<S>) {
@@ -313,12 +314,12 @@ impl<S: Simd> Terms<S> {
         radius: S::f32s,
     ) -> (Sums<S>, Source<C>) {
         let len = candidates.rows() * candidates.row_len();
-        // Left out of web pages to make them smaller.
+        // Web builds omit the path that keeps candidates, which makes them smaller.
         if len > CHUNK || cfg!(target_family = "wasm") {
             return (candidates.sums(simd, p, radius), Source::Of(candidates));
         }
         let n = self.gather(simd, candidates, &p, radius);
-        // A second loop: the sums and the gate together need too many registers.
+        // The sums have their own loop, because together with the gate they need too many registers.
         let mut sums = Sums { n, ..Sums::zero(simd) };
         for &Term { w, a, b, f } in &self.terms[..len] {
             sums.add(Vec3::new(a, b, f), w, splat(simd, 0.0));

@@ -1,4 +1,4 @@
-//! The point on the surface, its normal and its status (docs/method.md, section 7).
+//! Computes the point on the surface, its normal and its status (docs/method.md, section 7).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 
@@ -20,19 +20,20 @@ pub(super) struct Projected<S: Simd> {
 /// Settings for moving points onto the surface.
 #[derive(Clone, Copy)]
 pub(super) struct Projection {
-    /// Whether points move along their rays rather than along the plane's normals.
+    /// True if points move along their rays rather than along the plane's normals.
     pub(super) on_ray: bool,
-    /// Whether normals are needed, by the caller or a later stage.
+    /// True if normals are needed, by the caller or a later stage.
     pub(super) needs_normal: bool,
-    /// Whether the depth of the ray's intersection with the surface is needed.
+    /// True if the depth of the ray's intersection with the surface is needed.
     pub(super) needs_depth: bool,
-    /// Whether points with too few neighbours are kept unchanged.
+    /// True if points with too few neighbours are kept unchanged.
     pub(super) keeps_isolated: bool,
     /// Minimum number of neighbours of a smoothed point.
     pub(super) least_neighbours: f32,
 }
 
-/// Moves points onto the polynomial, or onto the plane if D = 1 or `polynomial` does not apply.
+/// Moves points onto the polynomial, or onto the plane if D = 1, the polynomial is farther away than the radius, or
+/// the neighbours are too few for it.
 #[inline(always)]
 pub(super) fn project<S: Simd, const D: usize>(
     simd: S,

@@ -1,8 +1,8 @@
 //! Position and viewing direction of the sensor in the cloud's frame, for the kernels (docs/method.md, section 11).
 //!
-//! Points are not transformed, so offsets between them are exact; turning them into the sensor's frame would round them
-//! once more. A *ray* leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame, these
-//! operations change no bit.
+//! Points are not transformed, so offsets between them are exact; transforming them to the sensor's frame would round
+//! them once more. A *ray* leads from the sensor to a point, in the cloud's frame. For a cloud in the sensor's frame,
+//! these operations do not change any bit.
 
 use fearless_simd::Simd;
 

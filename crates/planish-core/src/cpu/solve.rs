@@ -1,6 +1,6 @@
-//! The normal equations with their ridge, by LDL^T (docs/method.md, section 6).
+//! Solves the normal equations with their ridge, by an LDL^T decomposition (docs/method.md, section 6).
 //!
-//! Lanes with too few neighbours for degree 3 leave out the cubic unknowns. Since unknowns are ordered by degree, the
+//! Lanes with too few neighbours for degree 3 omit the cubic unknowns. Since unknowns are ordered by degree, the
 //! solution of degree 2 remains.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
@@ -14,7 +14,7 @@ use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 pub(super) struct Solution<S: Simd> {
     /// c_00, c_10 and c_01.
     pub(super) c: [S::f32s; 3],
-    /// Reduction of (6.1) by the polynomial, from sum(w f²) to its minimum.
+    /// Reduction of (6.1) in docs/method.md by the polynomial, from sum(w f²) to its minimum.
     pub(super) explained: S::f32s,
 }
 
@@ -22,7 +22,7 @@ pub(super) struct Solution<S: Simd> {
 /// moments.
 // Unrolled copies whose conditions are false assign values that are never read.
 #[allow(unused_assignments)]
-// One copy makes a web page smaller.
+// Not inlined in web builds, which makes them smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn solve<S: Simd, const D: usize>(
@@ -39,10 +39,11 @@ pub(super) fn solve<S: Simd, const D: usize>(
     let ridges = [zero, linear, quadratic, quadratic * extent_squared];
     let count = coefficient_count(D);
     let carries_cubic: Mask<S> = n.simd_ge(splat(simd, coefficient_count(3) as f32));
-    // L below the diagonal, and the inverse pivots; zeros for unknowns that are left out.
+    // L below the diagonal, and the inverse pivots; zeros for omitted unknowns.
     let mut l = [[zero; 10]; 10];
     let mut inverse = [zero; 10];
-    // Row by row, so that most of a row stays in registers. Column by column took 12 % more instructions.
+    // The decomposition runs row by row, so that most of a row stays in registers. Column by column took 12 % more
+    // instructions.
     unroll!(I in 10 {
         if I < count {
             let (a, b) = MONOMIALS[I];

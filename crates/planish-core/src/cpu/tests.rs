@@ -11,7 +11,7 @@ use super::vector::{Vec3, splat};
 use crate::simd_level::SimdLevel;
 use crate::testing::Random;
 
-/// Runs the same test at every level of this machine.
+/// Runs the same test at every SIMD level that this machine supports.
 macro_rules! at_every_level {
     ($test:ident) => {
         for level in SimdLevel::available() {
@@ -179,7 +179,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
             .map(|(a, b)| (a, b, height(a, b)))
             .collect();
 
-        // In a loop, since each call of the solver is inlined at every level.
+        // The cases run in a loop, because each call of the solver is inlined at every level.
         let cases = [(&spread[..], RIDGE), (&line, RIDGE), (&nine, RIDGE), (&spread, 1e4), (&[], RIDGE)];
         let mut found = [[0.0; 3]; 5];
         for (found, (points, ridge)) in found.iter_mut().zip(cases) {

@@ -1,4 +1,5 @@
-//! The neighbours of a vector of pixels: a strided window and a gate on distance (docs/method.md, sections 2 and 3).
+//! Finds the neighbours of a vector of pixels, with a strided window and a gate on distance (docs/method.md, sections
+//! 2 and 3).
 //!
 //! Offsets e = q - p are in metres. Holes and infinite coordinates fail the gate by comparison: neither NaN nor an
 //! infinite distance is within it. A hole has 0 neighbours; it does not count itself.
@@ -20,13 +21,13 @@ pub(super) struct Window<'a> {
     samples: &'a PaddedFrame,
     /// Index of the first lane's pixel or cell.
     centre: usize,
-    /// Distances from the centre to the columns of the window, and likewise to its rows, in pixels or cells.
+    /// Offsets of the window's columns from the centre, in pixels or cells. Its rows have the same offsets.
     offsets: &'a [isize],
 }
 
 /// A gate on distance that fades out around its radius, so that weights change continuously.
 pub(super) struct Gate<S: Simd> {
-    /// Slope of the weight over the squared distance.
+    /// Slope of the weight over the squared distance, in 1/m².
     slope: S::f32s,
 }
 
@@ -136,13 +137,13 @@ impl<S: Simd> Sums<S> {
 }
 
 impl<'a> Window<'a> {
-    /// Returns the window around the pixels or cells from (u, v) on.
+    /// Returns the windows of the vector of pixels or cells that starts at (u, v).
     #[inline(always)]
     pub(super) fn at(samples: &'a PaddedFrame, kernel: &'a Kernel, u: usize, v: usize) -> Self {
         Self { samples, centre: samples.index(u, v), offsets: kernel.offsets.all() }
     }
 
-    /// Returns the middle of the window, half as wide.
+    /// Returns the inner part of the window, which is half as wide.
     #[inline(always)]
     pub(super) fn middle(&self, kernel: &'a Kernel) -> Self {
         Self { offsets: kernel.offsets.middle(), ..*self }
@@ -152,11 +153,12 @@ impl<'a> Window<'a> {
 /// Number of columns of the widest window.
 const MAX_SIDE: usize = 15;
 
-/// Distances from the centre of a window to its columns, in pixels or cells.
+/// Offsets of a window's columns from the centre, in pixels or cells.
 pub(super) struct Offsets {
     values: [isize; MAX_SIDE],
     len: usize,
-    /// Ratio of the mean squared distance in the middle of the window to that in the whole window.
+    /// Ratio of the columns' mean squared distance from the centre in the inner part of the window to that in the
+    /// whole window.
     pub(super) middle_share: f32,
 }
 
@@ -176,7 +178,7 @@ impl Offsets {
         &self.values[..self.len]
     }
 
-    /// Returns the distances of a window half as wide.
+    /// Returns the offsets of a window half as wide.
     #[inline(always)]
     fn middle(&self) -> &[isize] {
         let half = self.len / 2;
@@ -215,7 +217,7 @@ impl<S: Simd> Candidates<S> for Window<'_> {
         for (row, slots) in self.offsets[rows].iter().zip(slots.chunks_exact_mut(self.offsets.len())) {
             let start = self.centre.wrapping_add_signed(row * row_len);
             for (column, slot) in self.offsets.iter().zip(slots) {
-                // SAFETY: no column or row is farther than the last, which bounds the part.
+                // SAFETY: the part extends to the last column and row, and no other is farther from the centre.
                 let q = unsafe { part.vector(simd, 0, start.wrapping_add_signed(*column)) };
                 let (e, weight, near) = gate.apply(simd, q.sub(p));
                 visit(slot, e, weight, near.select(one, zero));

@@ -56,7 +56,7 @@ fn clumps_dissolve_along_the_surface_on_any_number_of_threads() {
     assert!(still_off < 1.05 * off, "{off} {still_off}");
     let moves = plain.iter().zip(&even_points).map(|(from, to)| from.distance(*to));
     let farthest = moves.clone().fold(0.0, f32::max);
-    // 1.5 standard deviations, each estimated from 17 points.
+    // A point may move by 1.5 standard deviations, each estimated from 17 points.
     assert!((0.01..0.06).contains(&farthest), "{farthest}");
     let one = smoothed_by("engine=cpu even=true threads=1");
     assert_eq!(on_sphere(&one), even_points);
@@ -88,7 +88,7 @@ fn the_sides_of_a_thin_plate_stay_where_they_are() {
             [x + jitter(), y + jitter(), z + 4.0 * jitter()]
         })
         .collect();
-    // Smoothed perfectly.
+    // The result of perfect smoothing.
     let mut smoothed = Smoothed::default();
     smoothed.prepare(7200, 1, Outputs::POINTS.with_normals(true));
     for (i, [x, y, _]) in measured.iter().enumerate() {

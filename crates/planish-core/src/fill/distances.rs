@@ -1,13 +1,13 @@
-//! Distances from each pixel of a hole to the first point in each direction.
+//! Measures the distances from each hole pixel to the first point in each direction.
 
 use rayon::prelude::*;
 
 use super::pixel::DIRECTIONS;
 
-/// Number of steps if there is no point in a direction within 254 steps.
+/// Value for a direction without a point within 254 steps.
 pub(super) const NONE: u8 = u8::MAX;
 
-/// Steps from each pixel to the first point in each of the eight directions; 0 for points.
+/// Numbers of steps from each pixel to the first point in each of the eight directions; 0 for points.
 #[derive(Default)]
 pub(super) struct Distances {
     steps: [Vec<u8>; 8],
@@ -44,14 +44,14 @@ impl Distances {
         rayon::join(downwards, upwards);
     }
 
-    /// Returns the steps from a pixel in each of [`DIRECTIONS`].
+    /// Returns the number of steps from a pixel to the first point in each of [`DIRECTIONS`].
     pub(super) fn at(&self, i: usize) -> [u8; DIRECTIONS.len()] {
         std::array::from_fn(|k| self.steps[k][i])
     }
 }
 
-/// Finds the steps in the three directions to the previous row: straight, to the left and to the right. `rows` is the
-/// order of the rows, downwards or upwards.
+/// Finds the numbers of steps in the three directions towards the previous row: straight, to the left and to the
+/// right. `rows` is the order of the rows, downwards or upwards.
 fn sweep(directions: [&mut Vec<u8>; 3], holes: &[u8], width: usize, rows: impl Iterator<Item = usize> + Clone) {
     for (steps, x) in directions.into_iter().zip([0, -1, 1]) {
         // Padded by a pixel on both sides: pixels outside the image count as holes.

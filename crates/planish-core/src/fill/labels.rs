@@ -1,4 +1,4 @@
-//! Connected holes, and which of them have two surfaces at their rim.
+//! Finds connected holes, and determines which of them have two surfaces at their rim.
 
 use std::ops::Range;
 
@@ -6,20 +6,20 @@ use rayon::prelude::*;
 
 use super::image::Image;
 
-/// Distance in pixels from a pixel of a hole within which points show whether the rim is one surface.
+/// Distance in pixels from a hole pixel within which points determine whether the rim is a single surface.
 const RIM_PX: usize = 2;
 
-/// A run of adjacent pixels of a hole in a row.
+/// A run of adjacent hole pixels in a row.
 #[derive(Debug, Clone)]
 struct Run {
     columns: Range<usize>,
     /// An earlier run of the same hole, or the run itself if it is the first.
     parent: usize,
-    /// Whether the hole has two surfaces at its rim; set only in the hole's first run.
+    /// True if the hole has two surfaces at its rim; set only in the hole's first run.
     has_step: bool,
 }
 
-/// The holes of a frame: pixels without points that touch, corners included.
+/// The holes of a frame: connected pixels without points. Pixels that share only a corner are connected too.
 #[derive(Default)]
 pub(super) struct Labels {
     runs: Vec<Run>,
@@ -61,7 +61,7 @@ impl Labels {
         let mut above = before.start;
         for k in before.end..self.runs.len() {
             let columns = self.runs[k].columns.clone();
-            // Corners touch.
+            // Runs that share only a corner touch too.
             while above < before.end && self.runs[above].columns.end < columns.start {
                 above += 1;
             }
@@ -85,7 +85,7 @@ impl Labels {
         })
     }
 
-    /// Returns the first run of the hole of a run.
+    /// Returns the first run of the hole that contains run `k`.
     fn first(&self, k: usize) -> usize {
         let mut at = k;
         while self.runs[at].parent != at {
@@ -115,7 +115,7 @@ impl Labels {
         self.runs[hole].has_step
     }
 
-    /// Returns the columns of all hole pixels of a row.
+    /// Returns the columns of all hole pixels in a row.
     pub(super) fn columns(&self, v: usize) -> impl Iterator<Item = usize> + '_ {
         self.runs[self.rows[v]..self.rows[v + 1]].iter().flat_map(|run| run.columns.clone())
     }

@@ -25,7 +25,7 @@ use solid::{keep_whole_holes, make_solid};
 /// Maximum width of a hole that can be filled, in pixels.
 const MOST_PX: u32 = 64;
 
-/// Fails if a width is out of range.
+/// Returns an error if the maximum width of a hole is out of range.
 pub(crate) fn check_width(width_px: Option<u32>) -> Result<(), ParamError> {
     match width_px {
         Some(width_px) if !(1..=MOST_PX).contains(&width_px) => {
@@ -46,12 +46,12 @@ pub(crate) struct Fill<'a> {
     pub(crate) frame: Frame<'a>,
 }
 
-/// Buffers that are kept from frame to frame.
+/// Buffers that are reused from frame to frame.
 #[derive(Default)]
 pub(crate) struct FillBuffers {
-    /// 1/z of each point in the frame of the camera, 0 for holes.
+    /// 1/z of each point in camera coordinates; 0 for holes.
     inverse: Vec<f32>,
-    /// 1/z of measurements that smoothing has turned into holes, 0 for other pixels.
+    /// 1/z of measurements that smoothing has turned into holes; 0 for other pixels.
     lost: Vec<f32>,
     distances: Distances,
     labels: Labels,
@@ -60,20 +60,20 @@ pub(crate) struct FillBuffers {
 }
 
 impl Fill<'_> {
-    /// Fills the holes of a result that has points and status, in all its outputs. Returns false, without changes, if
-    /// the points are not on the pixels of a camera.
+    /// Fills the holes in all outputs of a result that includes points and status. Returns false, without changes, if
+    /// the points do not match the pixels of a camera.
     pub(crate) fn apply(&self, smoothed: &mut Smoothed, buffers: &mut FillBuffers, threads: &Threads) -> bool {
         threads.install(|| match self.find(smoothed, buffers) {
             Some(camera) => {
                 self.write(&camera, smoothed, buffers);
                 true
             }
-            // A frame without points shows no camera and cannot be filled, which is not a failure.
+            // A frame without points does not determine a camera and cannot be filled, which is not a failure.
             None => smoothed.points.z().iter().all(|z| z.is_nan()),
         })
     }
 
-    /// Finds the pixels to fill, and returns the camera; `None` if it is unknown.
+    /// Finds the pixels to fill, and returns the camera; `None` if the camera is unknown.
     fn find(&self, smoothed: &Smoothed, buffers: &mut FillBuffers) -> Option<Camera> {
         let shape @ (width, height) = (smoothed.width, smoothed.height);
         let FillBuffers { inverse, lost, distances, labels, rays, rows } = buffers;
@@ -148,11 +148,11 @@ impl Fill<'_> {
             let [ray_x, ray_y] = buffers.rays.at(u, v).map(f64::from);
             let z_m = patch.inverse.recip();
             let point = z_m * glam::DVec3::new(ray_x, ray_y, 1.0);
-            // 1/z is linear over the pixels of a plane, whose equation follows from its slopes.
+            // Over the pixels of a plane, 1/z is linear; its slopes determine the plane's equation.
             let [x, y] = [patch.slopes[0] * camera.fx, patch.slopes[1] * camera.fy];
             let normal = -glam::DVec3::new(x, y, patch.inverse - x * ray_x - y * ray_y).normalize_or_zero();
             let transform = self.geometry.cloud_from_sensor;
-            // Outside the range of raw depth.
+            // Skip depths outside the range of raw depth.
             if smoothed.depth.is_some() && camera.raw_depth(z_m as f32) == 0 {
                 continue;
             }
@@ -189,9 +189,9 @@ impl Fill<'_> {
 /// The smallest and the largest 1/z of an empty set of points.
 const NO_EXTENT: [f32; 2] = [f32::INFINITY, 0.0];
 
-/// Returns the least and the largest 1/z of a row.
+/// Returns the smallest and the largest 1/z of a row.
 fn extent_of(row: &[f32]) -> [f32; 2] {
-    // In parts, so that it vectorizes.
+    // Eight separate extents let the loop vectorize.
     let (mut least, mut most) = ([f32::INFINITY; 8], [0.0f32; 8]);
     for part in row.chunks(8) {
         for (k, inverse) in part.iter().enumerate() {

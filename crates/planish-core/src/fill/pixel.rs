@@ -1,4 +1,5 @@
-//! The surface at one pixel of a hole, fitted to the points at its rim in eight directions and to some behind them.
+//! Fits the surface at one pixel of a hole to the points at the hole's rim in eight directions, and to points behind
+//! them.
 
 use rayon::prelude::*;
 
@@ -20,23 +21,23 @@ const SPACING_PX: isize = 2;
 const SHADOW_SAMPLES: usize = 6;
 /// Distance between the samples of a direction in pixels, for surfaces that are extended into a shadow.
 const SHADOW_SPACING_PX: isize = 3;
-/// Ridge of the second-order terms, as a share of the weights.
+/// Ridge of the second-order terms, as a share of the sum of the weights.
 const RIDGE: f64 = 0.3;
-/// Distance from the fit within which a rim belongs to the surface, in standard deviations of the sensor.
+/// Distance from the fit within which a rim point belongs to the surface, in standard deviations of the sensor.
 const RIM_DEVIATIONS: f64 = 4.0;
-/// Distance from the fit within which a rim belongs to the surface, as a share of the range.
+/// Distance from the fit within which a rim point belongs to the surface, as a share of the range.
 const RIM_SHARE: f64 = 0.01;
-/// Minimum and maximum width of a shadow, as shares of the width that the step explains.
+/// Minimum and maximum width of a shadow, as shares of the width that the depth step explains.
 const SHADOW_SHARES: [f32; 2] = [0.7, 1.25];
-/// Pixels that are added to the minimum and the maximum width of a shadow.
+/// Number of pixels added to the minimum and the maximum width of a shadow.
 const SHADOW_PX: [f32; 2] = [-2.0, 3.0];
 /// Width of the strip next to the near surface that stays a hole, since it could belong to that surface, in pixels.
-/// The strip is wider by as many pixels as the run of holes is too wide.
+/// If the hole is wider than the depth step explains, the excess is added to the strip.
 const SHADOW_MARGIN_PX: f32 = 2.0;
 /// Maximum change of 1/z over a surface that is extended into a shadow, as a share of 1/z at its rim.
 const SHADOW_CHANGE: f32 = 0.1;
-/// Ratio of the standard error at the rim to that given by the residuals and standard errors there, and the increase
-/// of this ratio per pixel from the nearest rim. Measured on simulated frames.
+/// Factor from the residuals and standard errors at the rim to the standard error of a filled pixel: its value at the
+/// rim, and its increase per pixel of distance from the nearest rim point. Measured on simulated frames.
 const GROWTH: [f64; 2] = [0.95, 0.03];
 /// Maximum difference between the colours of one object, in the channel that differs most.
 const OTHER_COLOUR: i16 = 50;
@@ -49,21 +50,21 @@ pub(super) struct Holes<'a> {
     pub(super) shadow: Option<Shadow>,
     pub(super) colours: Option<Colours<'a>>,
     pub(super) sigma_m: Option<&'a [f32]>,
-    /// The least and the largest 1/z of the frame.
+    /// The smallest and the largest 1/z in the frame.
     pub(super) extent: [f32; 2],
     /// 1/z of measurements that smoothing has turned into holes, 0 for other pixels.
     pub(super) lost: &'a [f32],
 }
 
-/// The shadows of a sensor with two views.
+/// The shadows that near objects cast for a sensor with two views.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shadow {
-    /// Baseline times focal length: pixels of shadow per difference of 1/z.
+    /// Baseline times focal length: the width of a shadow, in pixels, per difference of 1/z.
     pub(super) shift: f32,
     pub(super) side: Side,
 }
 
-/// The side of near objects on which their shadows are.
+/// The side of near objects on which their shadows fall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
     Left,
@@ -77,7 +78,7 @@ const NO_RIM: u32 = u32::MAX;
 #[derive(Clone)]
 pub(super) struct Patch {
     pub(super) u: usize,
-    /// 1/z.
+    /// Value of 1/z, in 1/m.
     pub(super) inverse: f64,
     /// Differences of 1/z from column to column and from row to row.
     pub(super) slopes: [f64; 2],
@@ -88,13 +89,13 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// Returns the pixels at the rim that the surface was fitted to.
+    /// Returns the indices of the rim pixels that the surface was fitted to.
     pub(super) fn rims(&self) -> impl Iterator<Item = usize> + '_ {
         self.rims.iter().filter(|&&rim| rim != NO_RIM).map(|&rim| rim as usize)
     }
 }
 
-/// The first point in a direction.
+/// The first point in a direction from a pixel of a hole.
 #[derive(Debug, Clone, Copy)]
 struct Rim {
     direction: [isize; 2],
@@ -110,7 +111,7 @@ impl Rim {
     }
 }
 
-/// Weighted sums of a fit of 1/z by a polynomial of degree 2 around a pixel, in units of `scale_px`.
+/// Weighted sums for fitting a polynomial of degree 2 to 1/z around a pixel, with coordinates in units of `scale_px`.
 struct Fit {
     scale_px: f64,
     a: [[f64; 6]; 6],
@@ -136,7 +137,7 @@ impl Fit {
         self.samples += 1;
     }
 
-    /// Returns the matrix of the normal equations, with their ridge.
+    /// Returns the matrix of the normal equations, with the ridge added.
     fn matrix(&self) -> [[f64; 6]; 6] {
         let ridge = [0.0, 1e-3, 1e-3, RIDGE, RIDGE, RIDGE];
         let of_ridge = |i: usize, j: usize| if i == j { ridge[i] * self.a[0][0] } else { 0.0 };
@@ -168,7 +169,7 @@ impl Surface {
 }
 
 impl Holes<'_> {
-    /// Returns the first point in a direction, which is `steps` steps away; `None` if that is too far.
+    /// Returns the first point in a direction, `steps` steps away; `None` if it does not exist or is too far away.
     fn rim(&self, (u, v): (usize, usize), direction: [isize; 2], steps: u8) -> Option<Rim> {
         let (steps, [x, y]) = (usize::from(steps), direction);
         if steps > REACH * self.most_px || steps == usize::from(NONE) {
@@ -179,7 +180,7 @@ impl Holes<'_> {
         Some(Rim { direction, steps, pixel, inverse: self.image.inverse[pixel] })
     }
 
-    /// Adds a point at the rim to the fit, and points behind it on the same surface.
+    /// Adds a rim point to the fit, and points behind it on the same surface.
     fn add(&self, fit: &mut Fit, (u, v): (usize, usize), rim: &Rim, samples: usize, spacing_px: isize) {
         let [x, y] = rim.direction;
         let (mut last, limit) = (rim.inverse, self.image.step_limit(rim.inverse));
@@ -198,7 +199,7 @@ impl Holes<'_> {
         }
     }
 
-    /// Returns the surface of a pixel of a hole, if the hole is to be filled there.
+    /// Returns the surface at a pixel of a hole; `None` if the pixel stays a hole.
     pub(super) fn fill(&self, at @ (u, v): (usize, usize), labels: &Labels) -> Option<Patch> {
         let steps = self.distances.at(v * self.image.shape.0 + u);
         let width_px = |axis: usize| match [steps[2 * axis], steps[2 * axis + 1]] {
@@ -219,10 +220,10 @@ impl Holes<'_> {
         spanned.or_else(|| if is_narrow(0) { self.shadowed(at, &rims) } else { None })
     }
 
-    /// Returns the surface through all points at the rim, if they are on one surface.
+    /// Returns the surface through all rim points; `None` if they are not on one surface.
     fn spanned(&self, at: (usize, usize), rims: &[Option<Rim>; 8]) -> Option<Patch> {
-        // On a plane, lines between opposite points meet at the pixel. This test rejects most rims of two surfaces
-        // without a fit.
+        // On a plane, lines between opposite points meet at the pixel. This test rejects, without a fit, most rims
+        // that span two surfaces.
         let (mut least, mut most) = (f32::INFINITY, 0.0f32);
         for axis in rims.chunks_exact(2) {
             if let [Some(one), Some(other)] = axis {
@@ -248,7 +249,7 @@ impl Holes<'_> {
         self.patch(at, &surface, rims, fit.samples)
     }
 
-    /// Returns the far surface, if the pixel is in the shadow of a near one.
+    /// Returns the far surface; `None` if the pixel is not in the shadow of a near surface.
     fn shadowed(&self, at: (usize, usize), rims: &[Option<Rim>; 8]) -> Option<Patch> {
         let (shadow, right, left) = (self.shadow?, rims[0]?, rims[1]?);
         let (near, far) = match shadow.side {
@@ -263,11 +264,11 @@ impl Holes<'_> {
         if near.steps as f32 <= SHADOW_MARGIN_PX + excess_px {
             return None;
         }
-        // Rims towards the near surface may belong to any surface.
+        // Rim points on the side of the near surface may belong to any surface.
         let towards_near = near.direction[0];
         let is_other = |rim: &Rim| self.image.is_step(rim.inverse, far.inverse);
         let rims = rims.map(|rim| rim.filter(|rim| rim.direction[0] != towards_near));
-        // With a third surface farther away, either could continue behind the near one.
+        // If a third surface is farther away, either it or the far surface could continue behind the near one.
         if rims.iter().flatten().any(|rim| rim.inverse < far.inverse && is_other(rim)) {
             return None;
         }
@@ -341,7 +342,8 @@ impl Holes<'_> {
         self.colours.map(|colours| colours.at(i))
     }
 
-    /// Returns the side of near objects on which the shadows of this frame are; `None` if it has no shadows.
+    /// Returns the shadows of this frame, with the side of near objects on which they fall; `None` if it has no
+    /// shadows.
     pub(super) fn find_shadow(&self, shift: f64) -> Option<Shadow> {
         let (width, height) = self.image.shape;
         let shift = shift as f32;

@@ -1,4 +1,4 @@
-//! Makes the filled parts of holes solid, since each pixel is filled or left independently of its neighbours.
+//! Makes the filled parts of holes solid, because pixels are filled independently of their neighbours.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ const ROUNDS: usize = 2;
 const LEAST_NEIGHBOURS: usize = 4;
 /// Minimum number of neighbours of a gap that were filled, for the gap to be closed.
 const LEAST_FILLED: usize = 3;
-/// Minimum width in pixels of a filled stripe between holes; narrower ones are removed.
+/// Minimum width in pixels of a filled stripe between holes; narrower stripes are removed.
 const LEAST_PX: usize = 4;
 
 /// Discards the patches of holes that could be filled only in part although their rim is one surface.
@@ -88,7 +88,8 @@ fn closed_gaps(holes: &Holes<'_>, rows: &[Vec<Patch>], v: usize) -> Vec<Patch> {
     candidates.into_iter().filter(is_gap).filter_map(|u| close(holes, rows, (u, v))).collect()
 }
 
-/// Fills a pixel with the mean of its filled neighbours, if all of its neighbours are on one surface.
+/// Returns a patch that fills a pixel with the mean of its filled neighbours' surfaces; `None` unless enough
+/// neighbours are on one surface.
 fn close(holes: &Holes<'_>, rows: &[Vec<Patch>], at: (usize, usize)) -> Option<Patch> {
     let (mut neighbours, mut filled) = (0, Vec::with_capacity(8));
     let (mut least, mut most) = (f32::INFINITY, 0.0f32);

@@ -1,4 +1,4 @@
-//! Chooses the device of a frame: the one that is expected to finish it first.
+//! Chooses the device for each frame: the one that is expected to finish the frame first.
 
 use std::time::{Duration, Instant};
 
@@ -10,13 +10,14 @@ const NEWEST_SHARE: f64 = 0.2;
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
 /// Maximum time per frame of a device, as a share of the time in which the fastest device computes all frames in
-/// flight. Since results are in order, others would wait for a slower device, so it is only tried now and then.
+/// flight. Since results are in order, other devices would wait for a slower one, which is therefore tried only
+/// occasionally.
 const SLOWEST_SHARE: f64 = 0.5;
 
 /// The pace of a device, estimated from its last frames.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pace {
-    /// Seconds between results while it is busy.
+    /// Number of seconds between results while the device is busy.
     seconds_a_frame: Option<f64>,
     last_result: Option<Instant>,
 }
@@ -39,8 +40,8 @@ impl Pace {
     }
 }
 
-/// Chooses the device for the next frame among the working ones, given the pace and the number of frames of each;
-/// `window` is the maximum number of frames in flight.
+/// Chooses the device for the next frame among the working devices, given the index, the pace and the number of
+/// frames of each device. `window` is the maximum number of frames in flight.
 pub(super) fn choose(
     devices: impl Iterator<Item = (usize, Pace, usize)> + Clone,
     window: usize,
@@ -48,7 +49,7 @@ pub(super) fn choose(
 ) -> Option<usize> {
     let fastest = devices.clone().filter_map(|(_, pace, _)| pace.known(now)).fold(f64::INFINITY, f64::min);
     let slowest = SLOWEST_SHARE * window as f64 * fastest;
-    // A device of unknown pace gets one frame, and no more until it is done if other paces are known.
+    // A device of unknown pace gets one frame. If other paces are known, it gets no more until that frame is done.
     let expected = |(device, pace, frames): (usize, Pace, usize)| {
         let seconds = match (pace.known(now), frames) {
             (Some(seconds), _) if seconds > fastest.max(slowest) => f64::INFINITY,

@@ -8,15 +8,15 @@ use crate::error::EngineError;
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum FleetDevice {
-    /// A GPU, by its index or any part of its name ([`GpuOptions::adapter`]).
+    /// A GPU, given by its index or any part of its name ([`GpuOptions::adapter`]).
     Gpu(String),
-    /// The CPU engine, with the threads of the options.
+    /// The CPU engine, with the number of threads in the options.
     Cpu,
 }
 
 impl FleetDevice {
-    /// Parses a list of devices separated by commas: indices or parts of names of GPUs, `all` for every real GPU, and
-    /// `cpu` for the CPU.
+    /// Parses a list of devices separated by commas: GPU indices or parts of GPU names, `all` for every discrete,
+    /// integrated or virtual GPU, and `cpu` for the CPU.
     ///
     /// # Errors
     /// If the list is empty, names an unknown device, or names one twice.
@@ -66,7 +66,7 @@ impl FleetDevice {
         }
     }
 
-    /// Returns the options for its smoother: `options` with engine and adapter replaced.
+    /// Returns the options for the device's smoother: `options` with engine and adapter replaced.
     pub fn options(&self, options: &SmootherOptions) -> SmootherOptions {
         match self {
             Self::Cpu => options.clone().with_engine(Engine::Cpu),

@@ -29,10 +29,10 @@ where
 pub struct FleetMember {
     /// Name of the GPU, or of the engine.
     pub name: String,
-    /// Its engine.
+    /// The engine of the device.
     pub engine: Engine,
-    /// Number of frames it has computed.
+    /// Number of frames that the device has computed.
     pub frames: u64,
-    /// The error that removed it from the fleet; `None` while it works.
+    /// The error that removed the device from the fleet; `None` while the device works.
     pub lost: Option<EngineError>,
 }

@@ -1,7 +1,7 @@
-//! Fleets: frames dealt to several devices, results in the order of submission.
+//! Fleets, which distribute frames over several devices and return the results in the order of submission.
 //!
 //! Each device has a [`Smoother`](crate::Smoother) and a thread ([`worker`]). A frame goes to the device that is
-//! expected to finish it first ([`dealing`]). A device that fails for good passes its frames to the others.
+//! expected to finish it first ([`dealing`]). If a device is lost, the others smooth its frames.
 
 mod dealing;
 mod devices;
@@ -23,23 +23,25 @@ pub use devices::FleetDevice;
 pub use member::{FleetMember, SharedFrame};
 use worker::{Job, Shared, Worker};
 
-/// Number of frames queued per slot of a device, in addition to the frame in the slot, so that the device's thread
-/// never waits for the caller's.
+/// Number of frames queued per device slot, in addition to the frame in the slot, so that the device's thread never
+/// has to wait for the caller's.
 const WAITING_PER_SLOT: usize = 1;
 
 /// Number of CPU threads that a GPU occupies: one for submission, the others for copying results.
 const THREADS_OF_A_GPU: usize = 4;
 
-/// Returns the number of threads for the CPU engine if GPUs work too; `None`, which means one per core, without GPUs.
+/// Returns the number of CPU engine threads that leaves enough cores for the GPUs' threads. Returns `None`, which
+/// means one thread per core, if there are no GPUs.
 fn threads_beside(devices: &[FleetDevice]) -> Option<usize> {
     let gpus = devices.iter().filter(|device| matches!(device, FleetDevice::Gpu(_))).count();
     let cores = thread::available_parallelism().map_or(1, usize::from);
     (gpus > 0).then(|| cores.saturating_sub(gpus * THREADS_OF_A_GPU).max(1))
 }
 
-/// Smoothers on several devices, for frames of one grid, or for unorganized clouds.
+/// Smoothers on several devices, for frames with the same grid or for unorganized clouds.
 ///
-/// Used like a [`Smoother`] with frames in flight: submit while there is room, and receive in the same order.
+/// Use it like a [`Smoother`] with frames in flight: submit frames while there is room, and receive the results in
+/// the same order.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -71,11 +73,11 @@ pub struct Fleet {
     shared: Arc<Shared>,
     workers: Vec<Worker>,
     grid: Option<(usize, usize)>,
-    /// Maximum number of frames in flight while a device works.
+    /// Maximum number of frames in flight while at least one device works.
     room: usize,
-    /// The window, if its size depends on the resolution and no frame has shown it yet.
+    /// The window, if its size depends on the resolution and the resolution is not known yet.
     undecided: Option<Window>,
-    /// The size of the window, once a frame has shown its resolution.
+    /// The window size, if it depends on the resolution and a frame has determined it.
     size: Option<WindowSize>,
     scratch: GeometryScratch,
     /// Number of the next frame to be submitted.
@@ -85,11 +87,11 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Opens a smoother on each device, as [`Smoother::open_with`] does. Each device replaces the engine and adapter
-    /// of the options.
+    /// Opens a smoother on each device, as [`Smoother::open_with`] does. Each device overrides the engine and adapter
+    /// in the options.
     ///
     /// # Errors
-    /// If there are no devices, one does not open, or the parameters are invalid.
+    /// If there are no devices, a device cannot be opened, or the parameters are invalid.
     pub fn open(
         params: FrameParams,
         options: &SmootherOptions,
@@ -157,17 +159,17 @@ impl Fleet {
         let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
         let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
-        // Threads that have started would wait forever.
+        // If a worker fails to start, stop the threads that have started, which would wait forever.
         let workers = workers.inspect_err(|_| shared.close())?;
         let scratch = GeometryScratch::default();
         Ok(Self { shared, workers, grid, room: window, undecided: None, size: None, scratch, next_in: 0, next_out: 0 })
     }
 
-    /// Submits a frame, and a buffer for its result. Returns at once: other threads compute it.
+    /// Submits a frame, and a buffer for its result. Returns at once; another thread smooths the frame.
     ///
     /// # Errors
-    /// If the maximum number of frames is in flight, the grid differs, or every device is lost. Other errors of a frame
-    /// are returned by `receive` in its place.
+    /// If the maximum number of frames is in flight, the frame is invalid or has another grid, or every device is
+    /// lost. If smoothing the frame fails, `receive` returns the error instead of the result.
     pub fn submit<F: SharedFrame>(&mut self, frame: Arc<F>, buffer: Smoothed) -> Result<(), Error> {
         self.deal(frame, Some(buffer))
     }
@@ -193,7 +195,7 @@ impl Fleet {
         Ok(())
     }
 
-    /// Decides the size of the window for all devices, by the first frame that shows its resolution.
+    /// Derives the window size for all devices from the first frame whose resolution is known.
     fn decide_window(&mut self, frame: Frame<'_>) {
         let Some(window) = self.undecided else { return };
         let geometry = FrameGeometry::of(frame, true, &mut self.scratch);
@@ -202,7 +204,7 @@ impl Fleet {
         }
     }
 
-    /// Waits for the oldest frame in flight; `None` if no frame is in flight.
+    /// Waits for the oldest frame in flight and returns its result; `None` if no frame is in flight.
     ///
     /// # Errors
     /// If that frame cannot be smoothed, or every device is lost.
@@ -223,16 +225,16 @@ impl Fleet {
     /// Returns the maximum number of frames in flight; submitting more fails with [`EngineError::Full`]. 0 once every
     /// device is lost.
     pub fn max_in_flight(&self) -> usize {
-        // The room of all devices while one of them works: it must not shrink while the caller uses it.
+        // Lost devices still count while another works: the maximum must not shrink while the caller relies on it.
         if self.shared.works() { self.room } else { 0 }
     }
 
-    /// Returns its devices, in the given order.
+    /// Returns the fleet's devices, in the order in which they were given.
     pub fn members(&self) -> Vec<FleetMember> {
         self.shared.members()
     }
 
-    /// Returns the engine: the GPU's while a GPU works, otherwise that of the first working device.
+    /// Returns [`Engine::Gpu`] while a GPU works, otherwise the engine of the first working device.
     pub fn engine(&self) -> Engine {
         let members = self.members();
         let mut working = members.iter().filter(|member| member.lost.is_none()).map(|member| member.engine);
@@ -259,7 +261,7 @@ impl Drop for Fleet {
     }
 }
 
-/// Takes a device out of a fleet, as if it were lost.
+/// Marks a device of a fleet as lost.
 pub fn lose_device(fleet: &Fleet, device: usize, error: &EngineError) {
     fleet.shared.lose(device, error);
 }

@@ -1,4 +1,4 @@
-//! The thread of each device, and the state that the threads of a fleet share.
+//! Worker threads, one per device, and the state that the threads of a fleet share.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -14,14 +14,14 @@ use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::view::SmoothedView;
 
-/// A frame that was submitted.
+/// A submitted frame.
 pub(super) struct Job {
     number: u64,
     frame: Arc<dyn SharedFrame>,
-    /// Whether the result is copied out. Stored separately, since a lost device takes the buffer with it.
+    /// True if the result is copied out. Stored separately, because a lost device takes the buffer with it.
     is_copied: bool,
     buffer: Option<Smoothed>,
-    /// The size of the window, once it is decided.
+    /// The window size, if it depends on the resolution and a frame has determined it.
     size: Option<WindowSize>,
     since: Instant,
 }
@@ -39,11 +39,11 @@ impl Job {
 
 pub(super) struct Shared {
     state: Mutex<State>,
-    /// For each device, signals a frame to take.
+    /// One for each device. Signals that a frame is waiting for the device, or that its thread must end.
     given: Vec<Condvar>,
-    /// Signals a result, or the loss of a device.
+    /// Signals that a result is available.
     done: Condvar,
-    /// Maximum number of frames in flight while all devices work.
+    /// Maximum number of frames in flight.
     window: usize,
 }
 
@@ -87,11 +87,11 @@ impl Shared {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // The state is consistent at any time.
+        // Poisoning is ignored, because the state is always consistent.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives a frame to a device.
+    /// Assigns a frame to a device.
     pub(super) fn deal(&self, job: Job) -> Result<(), EngineError> {
         self.give(&mut self.lock(), job)
     }
@@ -104,14 +104,14 @@ impl Shared {
             return Err(state.last_loss().unwrap_or_else(unknown));
         };
         let waiting = &mut state.devices[chosen].waiting;
-        // A frame from another device is older than the frames waiting here.
+        // A frame of a lost device may be older than the frames waiting here.
         let at = waiting.partition_point(|other| other.number < job.number);
         waiting.insert(at, job);
         self.given[chosen].notify_one();
         Ok(())
     }
 
-    /// Waits for the result of a frame given to a device.
+    /// Waits for the result of a submitted frame.
     pub(super) fn wait_for(&self, number: u64) -> Result<SmoothedView, Error> {
         let mut state = self.lock();
         loop {
@@ -122,7 +122,8 @@ impl Shared {
         }
     }
 
-    /// Removes a device and passes its frames to the others; without others, each frame gets this error.
+    /// Removes a device and passes its frames to other devices. If no device is left, each of these frames gets an
+    /// error.
     pub(super) fn lose(&self, device: usize, error: &EngineError) {
         let mut state = self.lock();
         let lost = &mut state.devices[device];
@@ -138,11 +139,11 @@ impl Shared {
             }
         }
         self.done.notify_all();
-        // Its thread may be waiting for frames.
+        // The device's thread may be waiting for frames.
         self.given[device].notify_one();
     }
 
-    /// Returns true if a device works.
+    /// Returns true if at least one device works.
     pub(super) fn works(&self) -> bool {
         self.lock().devices.iter().any(|device| device.lost.is_none())
     }
@@ -165,7 +166,8 @@ impl Shared {
         self.given.iter().for_each(Condvar::notify_all);
     }
 
-    /// Takes the next frame of a device, to be submitted to it. If `may_wait` is set, waits until there is one.
+    /// Takes the next frame waiting for a device, to submit it. If no frame is waiting and `may_wait` is set, waits
+    /// for one.
     fn take(&self, device: usize, may_wait: bool) -> Next {
         let mut state = self.lock();
         loop {
@@ -187,20 +189,20 @@ impl Shared {
         }
     }
 
-    /// Stores the result of a frame taken by a device: of the newest if `is_newest` is set, as after a failed
-    /// submission, otherwise of the oldest.
+    /// Stores the result of a frame that a device has taken: the newest frame if `is_newest` is set, as after a
+    /// failed submission, otherwise the oldest.
     fn put(&self, device: usize, result: Result<SmoothedView, Error>, is_newest: bool) {
         let mut state = self.lock();
         let Device { taken, pace, frames, .. } = &mut state.devices[device];
         let job = if is_newest { taken.pop_back() } else { taken.pop_front() };
-        // If the device was removed meanwhile, another one has the frame.
+        // If the device was removed in the meantime, another device has the frame.
         let Some(job) = job else { return };
         if result.is_ok() {
             *frames += 1;
             pace.add(job.since, Instant::now());
         }
         let number = job.number;
-        // Dropped first, so that the receiver of the result may be the only owner of the frame.
+        // The job is dropped first, so that the receiver of the result can be the only owner of the frame.
         drop(job);
         state.results.insert(number, result);
         self.done.notify_all();
@@ -265,7 +267,7 @@ impl Drop for EndOf<'_> {
 
 /// Smooths the frames of a device until the fleet is closed or the device fails.
 fn work(shared: &Shared, device: usize, mut smoother: Smoother) -> Result<(), Error> {
-    // Other engines compute during submission: the result is available at once.
+    // Engines that are not pipelined compute during submission, so their result is available immediately.
     let most = if smoother.capabilities().pipelined { smoother.max_in_flight() } else { 1 };
     loop {
         while smoother.in_flight() < most {

@@ -10,7 +10,7 @@ use crate::cloud::OrganizedCloud;
 use crate::error::FrameError;
 use crate::xyz::Xyz;
 
-/// Number of rows that one task deprojects.
+/// Minimum number of rows that one task deprojects.
 const ROWS_OF_A_TASK: usize = 16;
 
 /// A borrowed depth image with its camera: raw 16-bit values or metres, row by row, optionally with a row stride.
@@ -43,19 +43,19 @@ pub(crate) enum DepthSamples<'a> {
 }
 
 impl<'a> DepthView<'a> {
-    /// Takes raw values in the camera's units, row by row; 0 and 65535 are holes.
+    /// Borrows raw values in the camera's units, row by row; 0 and 65535 are holes.
     pub fn new(raw: &'a [u16], camera: &'a Camera) -> Result<Self, FrameError> {
         let view = Self { camera, samples: DepthSamples::U16(raw), row_stride: camera.width, colours: None };
         view.check_exact(raw.len())
     }
 
-    /// Takes depth in metres, row by row; values that are not finite or not positive are holes.
+    /// Borrows depth in metres, row by row; values that are not finite or not positive are holes.
     pub fn from_metres(depth_m: &'a [f32], camera: &'a Camera) -> Result<Self, FrameError> {
         let view = Self { camera, samples: DepthSamples::F32(depth_m), row_stride: camera.width, colours: None };
         view.check_exact(depth_m.len())
     }
 
-    /// Takes raw values whose rows begin `row_stride` values apart; the first `width` values of each row are used.
+    /// Borrows raw values whose rows begin `row_stride` values apart; the first `width` values of each row are used.
     pub fn with_row_stride(raw: &'a [u16], row_stride: usize, camera: &'a Camera) -> Result<Self, FrameError> {
         Self { camera, samples: DepthSamples::U16(raw), row_stride, colours: None }.check(raw.len())
     }
@@ -75,7 +75,7 @@ impl<'a> DepthView<'a> {
         Ok(self)
     }
 
-    /// Checks the view, and that the buffer ends with the image.
+    /// Checks the view, and that the buffer has no values after the image.
     fn check_exact(self, len: usize) -> Result<Self, FrameError> {
         let (width, height) = self.shape();
         let view = self.check(len)?;
@@ -85,8 +85,8 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// Sets the colours registered to the depth, 3 bytes (red, green, blue) per pixel, row by row. They guide the
-    /// filling of holes.
+    /// Sets the colours registered to the depth, 3 bytes (red, green, blue) per pixel, row by row. The colours guide
+    /// the filling of holes.
     pub fn with_rgb(self, rgb: &'a [u8]) -> Result<Self, FrameError> {
         match 3 * self.camera.width * self.camera.height {
             expected if expected == rgb.len() => Ok(Self { colours: Some(Colours::Bytes(rgb)), ..self }),
@@ -94,7 +94,7 @@ impl<'a> DepthView<'a> {
         }
     }
 
-    /// Returns the colours that were set.
+    /// Returns the colours set by [`with_rgb`](Self::with_rgb).
     pub fn rgb(&self) -> Option<&'a [u8]> {
         match self.colours {
             Some(Colours::Bytes(rgb)) => Some(rgb),
@@ -191,7 +191,7 @@ impl<'a> DepthView<'a> {
         })
     }
 
-    /// Returns true for depth in metres, false for raw units.
+    /// Returns true if the samples are in metres, false if they are in raw units.
     pub fn is_metres(&self) -> bool {
         matches!(self.samples, DepthSamples::F32(_))
     }

@@ -12,22 +12,23 @@ use super::{Frame, PointsView};
 use crate::cloud::OrganizedCloud;
 use crate::pose::RigidTransform;
 
-/// Spread below which the angles between neighbours count as equal: those of lenses and scanners vary by a factor of
-/// 1.6.
+/// Spread below which the angles between neighbours count as equal: the angles of lenses and scanners vary by a
+/// factor of 1.6.
 const SMALL_SPREAD: f64 = 0.5;
 /// Maximum distance from a cloud's centre at which the origin of coordinates may be its sensor, in extents of the
 /// cloud.
 const MAX_EXTENTS: f64 = 1000.0;
-/// Maximum sensor distance assumed for an unorganized cloud; larger coordinates are taken to be map coordinates.
+/// Maximum distance in metres of an unorganized cloud's centre from the origin at which the origin may be its sensor.
+/// Larger coordinates are taken to be map coordinates.
 const MAX_ORIGIN_M: f64 = 20_000.0;
 /// Maximum distance from a cloud's centre at which an origin that is not clearly on one side of the cloud's plane may
 /// be its sensor, in extents of the cloud.
 const BESIDE_EXTENTS: f64 = 5.0;
-/// Range of the distance ratios that places the origin on the surface. There, the 60th nearest of the sampled points
-/// is about 3.2 times as far away as the 6th, and likewise for the other [`NEAR_NEIGHBOURS`].
+/// Range of the distance ratios that show that the origin is on the surface. On a surface, the 60th nearest of the
+/// sampled points is about 3.2 times as far away as the 6th, and likewise for the other [`NEAR_NEIGHBOURS`].
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
-/// Ranks n of nearest points: the distance of the 10n-th is compared with that of the n-th, up to a quarter of the
-/// sample.
+/// Ranks n of the nearest points for which the distance of the 10n-th is compared with that of the n-th. Ranks are
+/// limited so that 10n is at most a quarter of the sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
 /// Maximum number of sampled points of an unorganized cloud.
 const GENERAL_SAMPLE: usize = 4096;
@@ -47,7 +48,7 @@ impl FrameGeometry {
 
     /// Finds the geometry of points without a grid.
     fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
-        // A part of a cloud has the sensor that was assumed for the whole cloud.
+        // For a part of a cloud, the pose is that assumed for the whole cloud.
         let assumed = points.extent_m().is_none().then(|| assumed_transform(points, scratch)).flatten();
         let transform = assumed.unwrap_or_else(|| points.transform());
         Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
@@ -141,8 +142,9 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Returns true if a place is on the surface of the sampled points: the number of points within a distance of the
-/// place grows with the square of that distance. Around a sensor, the nearest points are some distance away.
+/// Returns true if a position is on the surface of the sampled points: the number of points within a distance of the
+/// position grows with the square of that distance. Around a sensor, by contrast, even the nearest points are some
+/// distance away.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     // Zeros encode missing data.
     let squares = sample.iter().map(|point| point.distance_squared(place)).filter(|square| *square > 0.0);
@@ -161,14 +163,15 @@ pub fn sampling_step(points: usize) -> usize {
     points.div_ceil(GENERAL_SAMPLE).max(1)
 }
 
-/// Computes [`PointsView::assumed_sensor_m`] from a sample of a file's points.
+/// Same as [`PointsView::assumed_sensor_m`], for a sample of a file's points.
 pub fn assumed_sensor_of_sample(sample: &[[f64; 3]]) -> Option<[f64; 3]> {
     let mut sample: Vec<DVec3> = sample.iter().copied().map(DVec3::from_array).collect();
     assumed_sensor(&mut sample, DVec3::ZERO).map(|transform| transform.translation.to_array())
 }
 
 impl PointsView<'_> {
-    /// Returns how ranges are measured in this frame, and the pitch of its pixels (docs/method.md, section 11).
+    /// Returns the rule by which ranges are measured in this frame, with the pitch of its pixels (docs/method.md,
+    /// section 11).
     pub fn range_rule(&self) -> RangeRule {
         self.geometry(&mut GeometryScratch::default()).rule
     }
@@ -211,8 +214,8 @@ impl PointsView<'_> {
 }
 
 impl OrganizedCloud {
-    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres (1/fx of a camera). It comes
-    /// from the camera if known, otherwise from the points. `None` if unknown.
+    /// Returns the distance between neighbouring pixels at a range of 1 m, in metres (1/fx of a camera). It is
+    /// computed from the camera if known, otherwise from the points. `None` if unknown.
     pub fn pixel_pitch_at_1m(&self) -> Option<f64> {
         PointsView::from_organized(self).ok()?.range_rule().known_pitch_at_1m()
     }

@@ -13,25 +13,26 @@ use crate::xyz::Xyz;
 const SAMPLE: usize = 4096;
 /// Fractional part of the golden ratio, whose multiples modulo 1 are spread evenly over the unit interval.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
-/// Minimum number of columns, and of rows, of a lattice.
+/// Minimum number of columns and of rows in a lattice.
 const LEAST_LINES: usize = 16;
-/// Maximum number of columns, and of rows, of a lattice.
+/// Maximum number of columns and of rows in a lattice.
 const MOST_LINES: usize = 8192;
 /// Minimum ratio of the gaps between lines to the gaps within a line.
 const LEAST_CONTRAST: f64 = 8.0;
 /// Maximum RMS distance of values from their lines, in line spacings.
 const CLOSE: f64 = 0.05;
-/// Maximum distance of a value from its line, and of a line from a multiple of the spacing, in line spacings.
+/// Maximum distance in line spacings of a value from its line, and maximum deviation of the distance between lines
+/// from a multiple of the spacing.
 const NEAR: f64 = 0.3;
 /// Minimum share of the pixels that have a point.
 const LEAST_FILLED: f64 = 0.1;
 /// Minimum mean share of the pixels around a point that have a point. With fewer, windows have too few samples.
 const LEAST_FILLED_AROUND: f64 = 0.6;
-/// Distance in pixels, to either side, up to which pixels are around a point.
+/// Distance in rows and in columns up to which a pixel counts as being around a point.
 const AROUND: usize = 2;
-/// Minimum median depth of a frame in metres; with a smaller one, the unit is not the metre.
+/// Minimum median depth of a frame in metres; for a smaller value, the unit of the cloud is probably not the metre.
 const NEAREST_M: f64 = 0.1;
-/// Maximum median depth of a frame in metres; with a larger one, the unit is not the metre.
+/// Maximum median depth of a frame in metres; for a larger value, the unit of the cloud is probably not the metre.
 const FARTHEST_M: f64 = 20.0;
 
 /// A reconstructed grid: the points of a cloud on the pixels of a frame.
@@ -59,12 +60,12 @@ struct Lines {
 }
 
 impl Lattice {
-    /// Finds the pixel grid of an unorganized cloud in which every point is on the ray of a different pixel. The
+    /// Finds a pixel grid for an unorganized cloud such that every point is on the ray of a different pixel. The
     /// camera has no distortion and looks along z or, as in OpenGL, along -z. `None` if the cloud has no such grid.
     pub(crate) fn of(points: &PointsView<'_>) -> Option<Self> {
         let transform = points.transform();
         let seen = |i: usize| Some(transform.to_sensor(points.point(i))).filter(|p| p.is_finite());
-        // Steps of the golden ratio do not align with rows.
+        // Unlike a constant step, multiples of the golden ratio do not align with rows.
         let sampled = |k: usize| ((k as f64 * GOLDEN).fract() * points.len() as f64) as usize;
         let sample: Vec<DVec3> = (0..SAMPLE.min(points.len())).map(sampled).filter_map(seen).collect();
         let is_in_front = sample.iter().all(|p| p.z > 0.0);
@@ -144,18 +145,18 @@ impl Lattice {
         is_same_camera && self.pixels.len() == points.len() && (0..points.len()).all(is_same)
     }
 
-    /// Returns true if the median depth is plausible for a frame in metres.
+    /// Returns true if the median depth is plausible for a frame whose unit is the metre.
     pub(crate) fn may_be_in_metres(&self) -> bool {
         (NEAREST_M..=FARTHEST_M).contains(&self.middle_m)
     }
 
-    /// Returns the points on their pixels.
+    /// Returns a view of the points on the grid.
     pub(crate) fn view<'a>(&'a self, of: &PointsView<'_>) -> PointsView<'a> {
         of.regridded(&self.positions, self.shape(), self.pose)
     }
 }
 
-/// Returns the numbers of the lines around `line`.
+/// Returns the numbers of the lines that are at most [`AROUND`] away from `line`.
 fn near(line: usize, lines: usize) -> Range<usize> {
     line.saturating_sub(AROUND)..(line + AROUND + 1).min(lines)
 }
@@ -167,7 +168,7 @@ fn half_turn() -> SensorPose {
 }
 
 impl Lines {
-    /// Finds evenly spaced lines that all values lie on.
+    /// Finds evenly spaced lines near which all values lie; `None` if there are no such lines.
     fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_unstable_by(f64::total_cmp);
         let gaps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -181,7 +182,7 @@ impl Lines {
         }
         let mut apart: Vec<f64> = lines.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let unit = spacing_of(&apart);
-        // Lines without a point have numbers too.
+        // Numbers also count the lines without a point.
         let mut numbers = vec![0.0];
         for apart in &mut apart {
             let steps = (*apart / unit).round();
@@ -214,15 +215,15 @@ impl Lines {
         is_even.then_some(Self { first: mean_place - mean_number * spacing, spacing, count })
     }
 
-    /// Returns the number of the line at a value; `None` if it is outside.
+    /// Returns the number of the line nearest to a value; `None` if the value is outside the lines.
     fn nearest(&self, value: f64) -> Option<usize> {
         let number = ((value - self.first) / self.spacing).round();
         (number >= 0.0 && number < self.count as f64).then_some(number as usize)
     }
 }
 
-/// Returns the threshold between the gaps from line to line and the narrower gaps within lines. It is at the first
-/// sudden drop of the gaps in decreasing order.
+/// Returns the threshold between the gaps from line to line and the narrower gaps within lines: the first sudden drop
+/// when the gaps are sorted in descending order.
 fn between_lines(mut gaps: Vec<f64>) -> Option<f64> {
     gaps.sort_unstable_by(|a, b| f64::total_cmp(b, a));
     let most = gaps.len().min(MOST_LINES);

@@ -41,13 +41,13 @@ pub struct DepthImage {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct DepthFrame {
-    /// The camera; its width and height are the image's.
+    /// The camera, whose width and height are those of the image.
     pub camera: Camera,
     /// Raw depth values, row by row. 0 and 65535 are holes.
     pub raw: Vec<u16>,
     /// Colour registered to the depth image, 3 bytes (red, green, blue) per pixel.
     pub rgb: Option<Vec<u8>>,
-    /// Time of capture in seconds of the source's clock.
+    /// Time of capture in seconds, on the clock of the source.
     pub timestamp_s: Option<f64>,
 }
 
@@ -59,24 +59,24 @@ impl DepthFrame {
         Ok(frame)
     }
 
-    /// Combines depth values with a camera without a check; see [`validate`](Self::validate).
+    /// Combines raw depth values with their camera without checking them; see [`validate`](Self::validate).
     #[doc(hidden)]
     pub fn unchecked(camera: Camera, raw: Vec<u16>) -> Self {
         Self { camera, raw, rgb: None, timestamp_s: None }
     }
 
-    /// Creates a frame from a depth image.
+    /// Creates a frame from a depth image and its camera.
     pub fn from_image(camera: Camera, image: DepthImage) -> Result<Self, FrameError> {
         camera.check_shape((image.width, image.height))?;
         Self::new(camera, image.raw)
     }
 
-    /// Sets the registered colour, 3 bytes per pixel.
+    /// Sets the colour registered to the depth image, 3 bytes (red, green, blue) per pixel.
     pub fn with_rgb(self, rgb: Vec<u8>) -> Self {
         Self { rgb: Some(rgb), ..self }
     }
 
-    /// Sets the timestamp in seconds of the source's clock.
+    /// Sets the time of capture in seconds, on the clock of the source.
     pub fn with_timestamp_s(self, timestamp_s: f64) -> Self {
         Self { timestamp_s: Some(timestamp_s), ..self }
     }
@@ -110,7 +110,7 @@ impl DepthFrame {
     }
 }
 
-/// A frame of either kind, borrowed and well formed.
+/// A borrowed, well-formed frame: a depth image or points.
 #[derive(Debug, Clone, Copy)]
 pub enum Frame<'a> {
     /// A depth image with its camera.

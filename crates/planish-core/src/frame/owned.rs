@@ -1,10 +1,10 @@
-//! A frame of either kind that owns its data.
+//! A frame that owns its data: a depth image or an organized cloud.
 
 use super::{DepthFrame, Frame, IntoFrame};
 use crate::cloud::OrganizedCloud;
 use crate::error::FrameError;
 
-/// A frame that owns its data.
+/// A depth image or an organized cloud that owns its data.
 #[derive(Debug, Clone, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a few hundred bytes beside the megabytes of a frame")]
 pub enum OwnedFrame {
@@ -14,7 +14,7 @@ pub enum OwnedFrame {
     Cloud {
         /// The points.
         cloud: OrganizedCloud,
-        /// Time of capture in seconds of the source's clock.
+        /// Time of capture in seconds, on the clock of the source.
         timestamp_s: Option<f64>,
     },
 }
@@ -28,7 +28,7 @@ impl OwnedFrame {
         }
     }
 
-    /// Returns the time of capture in seconds of the source's clock.
+    /// Returns the time of capture in seconds, on the clock of the source.
     pub fn timestamp_s(&self) -> Option<f64> {
         match self {
             Self::Depth(depth) => depth.timestamp_s,

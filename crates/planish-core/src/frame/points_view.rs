@@ -21,20 +21,21 @@ pub enum Scalar {
     F64,
 }
 
-/// The layout of interleaved points, as in ROS' PointCloud2 and PCL's structs.
+/// The layout of interleaved points, as in ROS's PointCloud2 and PCL's structs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PointLayout {
     /// The type of x, y and z, in the byte order of this machine.
     pub scalar: Scalar,
-    /// Bytes from the beginning of a point to its x, y and z.
+    /// Offsets in bytes of x, y and z from the beginning of a point.
     pub offsets: [usize; 3],
-    /// Bytes from one point to the next in a row.
+    /// Distance in bytes from one point to the next in a row.
     pub point_stride: usize,
-    /// Bytes from one row to the next.
+    /// Distance in bytes from one row to the next.
     pub row_stride: usize,
 }
 
-/// Borrowed points in their layout: three planes or interleaved rows, f32 or f64, organized or unorganized.
+/// Borrowed points in the memory layout of their owner: three planes or interleaved rows, f32 or f64, organized or
+/// unorganized.
 ///
 /// ```
 /// use planish::{PointsView, SensorPose};
@@ -46,32 +47,33 @@ pub struct PointLayout {
 /// # Ok::<(), planish::FrameError>(())
 /// ```
 ///
-/// Results are in the frame of the points. f32 cannot hold georeferenced coordinates: [`PointsView::with_origin`] makes
-/// results relative to an origin near the data.
+/// Results are in the frame of the points. f32 is too coarse for georeferenced coordinates:
+/// [`PointsView::with_origin`] makes results relative to an origin near the data.
 #[derive(Debug, Clone, Copy)]
 pub struct PointsView<'a> {
     positions: Positions<'a>,
     len: usize,
     grid: Option<(usize, usize)>,
-    /// In the frame of the file: not relative to the origin.
+    /// The sensor's pose in the frame of the file, not relative to `origin_m`.
     pose: SensorPose,
-    /// Added to a result to return to that frame.
+    /// The offset that is added to a result to return to the frame of the file.
     origin_m: DVec3,
-    /// Subtracted from the positions; positions of a [`PointCloud`] are already relative to its origin.
+    /// The offset that is subtracted from the positions. The origin of a [`PointCloud`] is not subtracted, because
+    /// its positions are already relative to it.
     subtracted_m: DVec3,
     camera: Option<&'a Camera>,
-    /// The cloud that the points are a part of: how far it spans, and how many points it has.
+    /// Extent in metres and number of points of the whole cloud, if these points are a part of one.
     whole: Option<(f64, usize)>,
-    /// The cloud whose positions these are.
+    /// The cloud that the positions belong to; `None` for other buffers.
     cloud: Option<&'a PointCloud>,
 }
 
-/// Coordinates as they lie in memory.
+/// The coordinates in their memory layout.
 #[derive(Debug, Clone, Copy)]
 enum Positions<'a> {
     Planes([&'a [f32]; 3]),
     PlanesF64([&'a [f64]; 3]),
-    /// With points in a row of the layout.
+    /// Interleaved points, `row_points` in each row of the layout.
     Interleaved {
         bytes: &'a [u8],
         layout: PointLayout,
@@ -80,41 +82,42 @@ enum Positions<'a> {
 }
 
 impl<'a> PointsView<'a> {
-    /// x, y and z in three slices of the same length, in metres.
+    /// Borrows x, y and z in metres from three slices of the same length.
     pub fn from_planes(x: &'a [f32], y: &'a [f32], z: &'a [f32]) -> Result<Self, FrameError> {
         check_planes([x.len(), y.len(), z.len()])?;
         Ok(Self::of(Positions::Planes([x, y, z]), x.len()))
     }
 
-    /// Borrows planes of f64.
+    /// Same as [`from_planes`](Self::from_planes), for f64.
     pub fn from_planes_f64(x: &'a [f64], y: &'a [f64], z: &'a [f64]) -> Result<Self, FrameError> {
         check_planes([x.len(), y.len(), z.len()])?;
         Ok(Self::of(Positions::PlanesF64([x, y, z]), x.len()))
     }
 
-    /// Interleaved points: x, y and z of each in metres.
+    /// Borrows interleaved points: x, y and z of each point in metres.
     pub fn from_rows(points: &'a [[f32; 3]]) -> Result<Self, FrameError> {
         let layout =
             PointLayout { scalar: Scalar::F32, offsets: [0, 4, 8], point_stride: 12, row_stride: 12 * points.len() };
         Self::from_bytes(bytemuck::cast_slice(points), layout, (points.len(), 1))
     }
 
-    /// Interleaved points of four values, as PCL's PointXYZ and GPU buffers have them; the fourth is ignored.
+    /// Borrows interleaved points of four values each, as in PCL's PointXYZ and GPU buffers; the fourth value is
+    /// ignored.
     pub fn from_rows4(points: &'a [[f32; 4]]) -> Result<Self, FrameError> {
         let layout =
             PointLayout { scalar: Scalar::F32, offsets: [0, 4, 8], point_stride: 16, row_stride: 16 * points.len() };
         Self::from_bytes(bytemuck::cast_slice(points), layout, (points.len(), 1))
     }
 
-    /// Interleaved points in f64, as Open3D and NumPy have them.
+    /// Borrows interleaved points in f64, as in Open3D and NumPy.
     pub fn from_rows_f64(points: &'a [[f64; 3]]) -> Result<Self, FrameError> {
         let layout =
             PointLayout { scalar: Scalar::F64, offsets: [0, 8, 16], point_stride: 24, row_stride: 24 * points.len() };
         Self::from_bytes(bytemuck::cast_slice(points), layout, (points.len(), 1))
     }
 
-    /// Points in bytes of any layout, unaligned too. (width, height) is the grid; a height of 1 means none, as in ROS
-    /// and PCL.
+    /// Borrows points from bytes in any layout, which may be unaligned. (width, height) is the grid; a height of 1
+    /// means that there is no grid, as in ROS and PCL.
     pub fn from_bytes(
         bytes: &'a [u8],
         layout: PointLayout,
@@ -174,7 +177,7 @@ impl<'a> PointsView<'a> {
         }
     }
 
-    /// Returns the points row by row on a grid of pixels.
+    /// Arranges the points row by row on a grid of pixels; refuses a grid that they do not fill exactly.
     pub fn with_grid(self, width: usize, height: usize) -> Result<Self, FrameError> {
         validate_shape(width, height)?;
         if width * height != self.len {
@@ -184,8 +187,8 @@ impl<'a> PointsView<'a> {
         Ok(Self { grid: Some((width, height)), ..self })
     }
 
-    /// Sets the position and orientation of the sensor in the frame of the points; otherwise they are estimated
-    /// (docs/method.md, section 11).
+    /// Sets the position and orientation of the sensor in the frame of the points. Without this call, they are
+    /// estimated (docs/method.md, section 11).
     pub fn with_pose(self, pose: SensorPose) -> Result<Self, FrameError> {
         pose.validate()?;
         Ok(Self { pose, ..self })
@@ -198,37 +201,37 @@ impl<'a> PointsView<'a> {
         Ok(Self { camera: Some(camera), ..self })
     }
 
-    /// Subtracts an origin near the data from the points and the pose: results are relative to it, and rounded to f32
-    /// there.
+    /// Subtracts an origin near the data from the points and the pose. Results are then relative to this origin, and
+    /// lose less precision when they are rounded to f32.
     pub fn with_origin(self, origin_m: [f64; 3]) -> Result<Self, FrameError> {
         check_origin(origin_m)?;
         let origin_m = DVec3::from_array(origin_m);
-        // Positions may be relative to another origin already.
+        // The positions may already be relative to another origin.
         Ok(Self { origin_m, subtracted_m: self.subtracted_m + (origin_m - self.origin_m), ..self })
     }
 
-    /// Marks the view as part of a cloud with this number of points and extent.
+    /// Marks the view as part of a cloud that has `points` points and an extent of `extent_m` metres.
     pub fn as_part_of(self, points: usize, extent_m: f64) -> Self {
         Self { whole: Some((extent_m, points)), ..self }
     }
 
-    /// Returns the extent of the whole cloud, if these points are a part of one.
+    /// Returns the extent of the whole cloud in metres; `None` if these points are not a part of one.
     pub fn extent_m(&self) -> Option<f64> {
         self.whole.map(|(extent_m, _)| extent_m)
     }
 
-    /// Returns the number of points of the whole cloud, without holes.
+    /// Returns the number of points in the whole cloud, excluding holes.
     pub fn points_of_whole(&self) -> usize {
         self.whole.map_or_else(|| self.valid_points(), |(_, points)| points)
     }
 
-    /// Returns other points on a grid, relative to the same origin.
+    /// Returns a view of other positions on a grid, relative to the same origin.
     pub(super) fn regridded<'b>(&self, positions: &'b Xyz, grid: (usize, usize), pose: SensorPose) -> PointsView<'b> {
         let planes = Positions::Planes([positions.x(), positions.y(), positions.z()]);
         PointsView { grid: Some(grid), pose, origin_m: self.origin_m, ..PointsView::of(planes, positions.len()) }
     }
 
-    /// Returns the points at other positions, relative to the same origin.
+    /// Returns a view of the same points at other positions, relative to the same origin.
     pub(crate) fn moved_to<'b>(&self, positions: &'b Xyz) -> PointsView<'b>
     where
         'a: 'b,
@@ -247,12 +250,12 @@ impl<'a> PointsView<'a> {
         self.len
     }
 
-    /// Returns true if there are none.
+    /// Returns true if there are no points.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Width and height; `None` for an unorganized cloud.
+    /// Returns the width and height in pixels; `None` for an unorganized cloud.
     pub fn grid(&self) -> Option<(usize, usize)> {
         self.grid
     }
@@ -262,7 +265,7 @@ impl<'a> PointsView<'a> {
         self.pose
     }
 
-    /// Returns the origin of positions.
+    /// Returns the origin that positions and results are relative to, in metres.
     pub fn origin_m(&self) -> [f64; 3] {
         self.origin_m.to_array()
     }
@@ -272,12 +275,12 @@ impl<'a> PointsView<'a> {
         self.camera
     }
 
-    /// Point `i` in metres, relative to the origin. Not finite for a hole.
+    /// Returns point `i` in metres, relative to the origin. A hole is not finite.
     pub fn get(&self, i: usize) -> [f64; 3] {
         self.point(i).to_array()
     }
 
-    /// Point `i` in metres, relative to the origin, with the digits of its file.
+    /// Returns point `i` in metres, relative to the origin; with the f64 digits of its file if it has not moved.
     pub(crate) fn get_exact(&self, i: usize) -> [f64; 3] {
         let rounded = self.get(i);
         std::array::from_fn(|axis| match self.cloud.filter(|cloud| cloud.is_unmoved(axis, i)) {
@@ -296,7 +299,7 @@ impl<'a> PointsView<'a> {
         (0..self.len).filter(|&i| self.point(i).is_finite()).count()
     }
 
-    /// cloud_from_sensor, relative to the origin.
+    /// Returns the transform from the sensor's frame to the cloud's, relative to the origin.
     pub fn transform(&self) -> RigidTransform {
         // A view's pose is always valid.
         let transform = self.pose.transform().unwrap_or(RigidTransform::IDENTITY);
@@ -308,7 +311,7 @@ impl<'a> PointsView<'a> {
         RigidTransform { translation: -self.origin_m, ..RigidTransform::IDENTITY }
     }
 
-    /// Point `i` relative to the origin.
+    /// Returns point `i` in metres, relative to the origin.
     #[inline]
     pub fn point(&self, i: usize) -> DVec3 {
         let point = match self.positions {
@@ -325,7 +328,8 @@ impl<'a> PointsView<'a> {
         point - self.subtracted_m
     }
 
-    /// Returns the planes as they are, where nothing is to be done to them.
+    /// Returns the borrowed f32 planes; `None` if points need a conversion from another layout, or the subtraction of
+    /// an origin.
     pub fn plain_planes(&self) -> Option<[&'a [f32]; 3]> {
         match self.positions {
             Positions::Planes(planes) if self.subtracted_m == DVec3::ZERO => Some(planes),
@@ -333,7 +337,7 @@ impl<'a> PointsView<'a> {
         }
     }
 
-    /// Copies points relative to the origin, rounded to f32.
+    /// Copies a range of points, relative to the origin and rounded to f32.
     pub fn copy_to(&self, points: Range<usize>, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
         if let Some([from_x, from_y, from_z]) = self.plain_planes() {
             x.copy_from_slice(&from_x[points.clone()]);
@@ -367,7 +371,7 @@ fn check_planes([len, y, z]: [usize; 3]) -> Result<(), FrameError> {
     Ok(())
 }
 
-/// NaN beyond the end, which no view reaches.
+/// Reads a value; NaN beyond the end of the buffer, which no valid view reaches.
 fn read_f32(bytes: &[u8], at: usize) -> f32 {
     bytes.get(at..at + 4).and_then(|value| value.try_into().ok()).map_or(f32::NAN, f32::from_ne_bytes)
 }

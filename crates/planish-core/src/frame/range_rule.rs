@@ -79,7 +79,7 @@ impl FrameGeometry {
         project == Project::Ray && !matches!(self.rule, RangeRule::Constant { .. })
     }
 
-    /// Returns the range of a point in the sensor's frame.
+    /// Returns the range in metres of a point, which is given in the sensor's frame.
     pub(crate) fn range_m(&self, point_in_sensor: DVec3) -> f64 {
         match self.rule {
             RangeRule::Depth { .. } => point_in_sensor.z.abs(),
@@ -90,7 +90,7 @@ impl FrameGeometry {
     }
 }
 
-/// Returns the range in metres that sensor models use for points of unknown range with this spacing.
+/// Returns the range in metres that sensor models assume for points with this spacing whose range is unknown.
 pub(crate) fn assumed_range_m(spacing_m: f64) -> f64 {
     (KINECT_FOCAL_LENGTH_PX * spacing_m).min(MAX_ASSUMED_RANGE_M)
 }

@@ -13,15 +13,15 @@ const SAMPLED_ROWS: usize = 16;
 const SAMPLED_COLUMNS: usize = 24;
 /// Maximum number of sampled rows in the test for a camera's grid.
 const LAW_ROWS: usize = 12;
-/// Distance in pixels between the points whose spacing is measured. Distant points have a larger spacing with the
-/// same noise.
+/// Distance in pixels between the points whose spacing is measured. Points farther apart have a larger spacing, but
+/// the same noise.
 pub(super) const LAG_PX: usize = 4;
 /// Maximum variation of X/z along a column, or of Y/z along a row, relative to its extent over the image. Lenses
 /// distort by less, rotated cameras by more.
 const RAY_LAW_TOLERANCE: f64 = 0.1;
 /// Maximum share of points behind the sensor in a camera's grid.
 const MAX_BEHIND: f64 = 0.01;
-/// Maximum share of pixel corners with the opposite orientation in the grid of a sensor.
+/// Maximum share of pixel corners that have the opposite orientation in a sensor's grid.
 pub(super) const MAX_TURNED: f64 = 0.1;
 /// Ratio of two spreads below which the first is clearly smaller.
 pub(super) const CLEARLY_LESS: f64 = 0.7;
@@ -43,7 +43,8 @@ pub(crate) struct GeometryScratch {
 pub(super) struct NeighbourPair {
     /// Distance between the points in metres, divided by their distance on the grid in pixels.
     pub(super) spacing_m: f64,
-    /// Sine of the angle between their directions from the sensor, divided by their distance on the grid in pixels.
+    /// Sine of the angle between the points' directions from the sensor, divided by their distance on the grid in
+    /// pixels.
     pub(super) angle: f64,
 }
 
@@ -63,9 +64,9 @@ impl Sample<'_, '_> {
         (point.is_finite() && self.points.point(i) != DVec3::ZERO).then_some(point)
     }
 
-    /// Returns true if the camera was at the origin of coordinates (`self`) rather than at the stated pose
-    /// (`stated`). PCL's grabbers state the camera's rotation but write points in the camera's frame; other programs
-    /// do the same with its position.
+    /// Returns true if the camera was more likely at the origin of coordinates (`self`) than at the stated pose
+    /// (`stated`). PCL's grabbers state the camera's rotation, and other programs its position, but both write points
+    /// in the camera's frame.
     pub(super) fn is_likelier_than(&self, stated: &Self, scratch: &mut GeometryScratch) -> bool {
         if stated.points.pose().position_m == [0.0; 3] {
             return true;
@@ -140,7 +141,7 @@ impl Sample<'_, '_> {
                 self.point(row * self.width + column).map(tangent).filter(|tangent| tangent.is_finite())
             }));
             tangents.sort_by(f64::total_cmp);
-            // The extremes may be stray values.
+            // The extremes are ignored, since they may be stray values.
             let cut = if tangents.len() >= 5 { 1 } else { 0 };
             if let [first, .., last] = tangents[cut..tangents.len() - cut] {
                 spreads.push(last - first);
@@ -211,14 +212,14 @@ fn add_pitches(tangents: impl Iterator<Item = f64>, pitches: &mut Vec<f64>) {
 /// Size and orientation of a cloud, without stray points.
 pub(super) struct Extent {
     pub(super) centre: DVec3,
-    /// Root mean square of the distance from the centre.
+    /// Root mean square distance of the points from the centre in metres.
     pub(super) radius_m: f64,
     /// Normal of the plane through the sampled points, pointing upwards (+z).
     normal: DVec3,
 }
 
-/// Maximum distance of a point from the middle of the cloud, in median distances. Points farther away are strays, or
-/// encode missing data.
+/// Maximum distance of a point from the middle of the cloud, as a multiple of the median distance. Points farther
+/// away are strays, or encode missing data.
 const MAX_MEDIAN_DISTANCES: f64 = 5.0;
 /// Ratio of the origin's distance from a cloud's plane to its distance from the cloud's centre above which the origin
 /// is clearly on one side of the cloud.
@@ -259,7 +260,7 @@ impl Extent {
         (radius_m > 0.0).then_some(Self { centre, radius_m, normal })
     }
 
-    /// Returns true if a place is clearly on one side of the cloud's plane.
+    /// Returns true if a position is clearly on one side of the cloud's plane.
     pub(super) fn is_clearly_off(&self, place: DVec3) -> bool {
         let to_place = place - self.centre;
         to_place.dot(self.normal).abs() > CLEARLY_BESIDE * to_place.length()
@@ -276,7 +277,7 @@ impl Extent {
     }
 }
 
-/// Returns ln of the ratio of the 80 % and 20 % quantiles; 0 without values.
+/// Returns the natural logarithm of the ratio of the 80 % quantile to the 20 % quantile; 0 without values.
 pub(super) fn spread(values: impl Iterator<Item = f64>, scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values);

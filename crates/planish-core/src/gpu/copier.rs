@@ -36,8 +36,8 @@ pub(super) struct Copied(Receiver<CopyResult>);
 impl Copier {
     pub(super) fn start() -> Result<Self, EngineError> {
         let (jobs, queue) = channel::<Box<Job>>();
-        // A separate pool: a worker of rayon's global pool may be blocked waiting for the copy, and no other may be
-        // free.
+        // The thread has its own pool: all workers of rayon's global pool may be blocked, one of them waiting for
+        // this copy.
         let pool = Threads::open(Some(COPY_THREADS))?;
         let work = move || {
             for job in queue {

@@ -1,9 +1,9 @@
-//! Devices: listing and opening adapters, compiled kernels, device loss.
+//! Lists and opens adapters, caches compiled kernels, and detects device loss.
 //!
 //! An adapter is opened once for frames smoothed one at a time, which is fast, and a second time for overlapping
-//! frames, with one wgpu device per queue. All smoothers of the process on that adapter share these devices; they are
-//! closed with the last smoother. After a device is lost, every call returns that error, and the next smoother opens
-//! a new device.
+//! frames, with one wgpu device per queue. All of the process's smoothers on that adapter share these devices, which
+//! are closed with the last smoother. After a device is lost, every call returns the loss as an error, and the next
+//! smoother opens a new device.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -20,17 +20,17 @@ use crate::error::EngineError;
 /// Time without a response after which a device is considered hung.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Maximum time for which a waiter polls before it releases the lock to other threads.
+/// Maximum time for which a waiting thread polls before it releases the lock to other threads.
 const STEP: Duration = Duration::from_millis(1);
 
 /// Time for which a failing device is polled to find out whether it is lost.
 const LOSS_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Time for which a waiter spins before it blocks: most frames finish before, and waking up costs 30 to 60 µs. Not used
-/// on software adapters, which need the CPU.
+/// Time for which a waiting thread spins before it blocks. Most frames finish sooner, and waking up takes 30 to 60
+/// µs. Threads do not spin on software adapters, which need the CPU.
 const SPIN: Duration = Duration::from_millis(1);
 
-/// Locks, ignoring poisoning: the state behind the locks here is consistent at any time.
+/// Locks a mutex, ignoring poisoning: the state behind this engine's locks is always consistent.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -40,13 +40,13 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(super) enum Purpose {
     /// One submission at a time, on one queue.
     OneAtATime,
-    /// Frames in flight, on several queues. Not every adapter has them.
+    /// Frames in flight, on several queues, which not every adapter has.
     InFlight,
 }
 
 /// An open adapter.
 pub(super) struct OpenAdapter {
-    /// The devices: one per queue, at least one. They share one fault.
+    /// The devices: at least one, one per queue. They share one fault record.
     pub(super) devices: Vec<Arc<GpuDevice>>,
 }
 
@@ -65,7 +65,7 @@ pub(super) struct GpuDevice {
     /// Serializes polling. If two threads poll at once, wgpu 30 may panic: one thread can see an empty queue before
     /// the other records the last submission as done.
     turn: Mutex<()>,
-    /// Number of threads waiting to submit; polling threads let them go first.
+    /// Number of threads waiting to submit; polling threads yield to them.
     submitting: AtomicUsize,
     spin: Duration,
 }
@@ -115,7 +115,7 @@ pub(super) fn lose_open() {
     }
 }
 
-/// Opens an adapter with unshared devices, for tests that lose them, as if it had this many queues.
+/// Opens an adapter as if it had `queues` queues, with unshared devices, for tests that lose devices.
 #[cfg(test)]
 pub(super) fn open_alone(chosen: &GpuAdapter, queues: usize) -> OpenAdapter {
     let adapter = &adapters()[chosen.index];
@@ -124,7 +124,7 @@ pub(super) fn open_alone(chosen: &GpuAdapter, queues: usize) -> OpenAdapter {
 }
 
 impl OpenAdapter {
-    /// Opens the adapter with this index, or shares it if it is open for this purpose.
+    /// Opens an adapter, or shares it if it is already open for this purpose and has no fault.
     pub(super) fn open(chosen: &GpuAdapter, purpose: Purpose) -> Result<Arc<Self>, EngineError> {
         let mut open = lock(&OPEN);
         open.retain(|(.., adapter)| adapter.strong_count() > 0);
@@ -151,7 +151,7 @@ impl OpenAdapter {
         Ok(opened)
     }
 
-    /// Wraps opened devices, which record their faults in one place.
+    /// Wraps opened devices, which share one fault record.
     pub(super) fn new(adapter: &wgpu::Adapter, name: &str, opened: Vec<(wgpu::Device, wgpu::Queue)>) -> Self {
         let is_software = adapter.get_info().device_type == wgpu::DeviceType::Cpu;
         let spin = if is_software { Duration::ZERO } else { SPIN };
@@ -179,7 +179,7 @@ impl OpenAdapter {
 }
 
 impl GpuDevice {
-    /// Wraps a device of the host program, without setting callbacks: loss and errors are seen when waiting.
+    /// Wraps a device of the host program without setting callbacks; loss and errors are detected when waiting.
     #[cfg(feature = "wgpu-interop")]
     pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = device.adapter_info();
@@ -265,8 +265,8 @@ impl GpuDevice {
         self.loss().or_else(|| self.check().err()).unwrap_or_else(failure)
     }
 
-    /// Returns the loss of the device; `None` if it is not lost. wgpu reports a loss only when polled on an idle
-    /// queue, and later still if another thread polls at the same time.
+    /// Returns an error if the device is lost, otherwise `None`. wgpu reports a loss only when polled on an idle
+    /// queue, and even later if another thread polls at the same time.
     fn loss(&self) -> Option<EngineError> {
         let until = Instant::now() + LOSS_TIMEOUT;
         loop {
@@ -279,7 +279,7 @@ impl GpuDevice {
         }
     }
 
-    /// Polls the device; `Ok(false)` means not finished.
+    /// Polls the device. Returns `Ok(false)` if the work is not finished.
     ///
     /// Never polls a lost device: wgpu would free its buffers, including those still being read, and panic on the
     /// driver's error.
@@ -300,7 +300,7 @@ impl GpuDevice {
         }
     }
 
-    /// Records the loss of the device, unless a loss is already recorded, and returns the recorded one.
+    /// Records the loss of the device, unless a loss is already recorded. Returns the recorded loss.
     fn lose(&self, reason: impl ToString) -> EngineError {
         let mut fault = lock(&self.fault);
         match &*fault {
@@ -312,7 +312,7 @@ impl GpuDevice {
         }
     }
 
-    /// Runs an allocation of `bytes` on the device; errors are returned rather than recorded.
+    /// Runs `work`, which allocates `bytes` on the device. Its errors are returned rather than recorded.
     pub(super) fn allocate<T>(&self, bytes: u64, work: impl FnOnce() -> T) -> Result<T, EngineError> {
         self.check()?;
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
@@ -340,7 +340,7 @@ impl GpuDevice {
         })
     }
 
-    /// Same as [`kernel`](Self::kernel), for standard errors.
+    /// Same as [`kernel`](Self::kernel), for the kernels that compute standard errors.
     pub(super) fn sigma_kernel(&self, pass: SigmaPass, checks: bool) -> Result<wgpu::ComputePipeline, EngineError> {
         cached(&self.sigma_kernels, (pass, checks), || {
             self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, checks)
@@ -368,7 +368,7 @@ impl GpuDevice {
         uniform
     }
 
-    /// Creates the bind group of a frame's kernel: uniform, input, and three buffers that it may write.
+    /// Creates the bind group of a frame's kernel: the uniform, the input, and three writable buffers.
     pub(super) fn bind(&self, buffers: [&wgpu::Buffer; 5]) -> wgpu::BindGroup {
         let entries: Vec<_> = buffers
             .into_iter()
@@ -397,13 +397,13 @@ impl GpuDevice {
             } else {
                 wgpu::ShaderRuntimeChecks::unchecked()
             };
-            // SAFETY: every index into a buffer is in range, for one of two reasons. It is derived from the layout that
-            // determines the buffer sizes and compared with the frame's width and height, or with the number of points.
-            // Or an earlier pass over the same cloud computed it, and it is below the number of points: positions in
-            // its sort, which are a permutation, and indices of positions, nodes and leaves. Loops end after a constant
-            // number of rounds; walks, because the node index only increases; searches for a radius, because trial
-            // radii grow up to a limit. No divisor is zero. The tests run every kernel with bounds checks too and
-            // compare results.
+            // SAFETY: every index into a buffer is in range, for one of two reasons. Either it is derived from the
+            // layout, which also determines the buffer sizes, and compared with the frame's width and height or with
+            // the number of points. Or an earlier pass over the same cloud computed it, and it is below the number of
+            // points: positions in the sorted cloud are a permutation, and the others are indices of positions, nodes
+            // and leaves. Loops end after a constant number of rounds, tree walks because the node index only
+            // increases, and radius searches because trial radii grow up to a limit. No divisor is zero. The tests
+            // also run every kernel with bounds checks and compare the results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
@@ -420,7 +420,7 @@ impl GpuDevice {
         })
     }
 
-    /// Submits commands, with the lock for polling held, since wgpu polls while submitting.
+    /// Submits commands while holding the polling lock, since wgpu polls while submitting.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer) -> wgpu::SubmissionIndex {
         self.submitting.fetch_add(1, Ordering::Relaxed);
         let _alone = lock(&self.turn);
@@ -428,7 +428,7 @@ impl GpuDevice {
         self.queue.submit([commands])
     }
 
-    /// Waits until a submission is done. Its buffers may be mapped a little later.
+    /// Waits until a submission is done. Its buffers may become mapped slightly later.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), EngineError> {
         let spin_until = Instant::now() + self.spin;
         let look =
@@ -443,7 +443,7 @@ impl GpuDevice {
             }
             std::hint::spin_loop();
         }
-        // In small steps, since submitters wait for the lock.
+        // Poll in small steps, since submitting threads wait for the lock.
         let until = Instant::now() + TIMEOUT;
         while Instant::now() < until {
             if self.submitting.load(Ordering::Relaxed) > 0 {
@@ -465,7 +465,8 @@ fn cached<K: Eq + std::hash::Hash>(
     key: K,
     compile: impl FnOnce() -> Result<wgpu::ComputePipeline, EngineError>,
 ) -> Result<wgpu::ComputePipeline, EngineError> {
-    // Not locked while compiling, so that other smoothers continue; two may then compile the same kernel.
+    // The cache is not locked while compiling, so that other smoothers continue; two may then compile the same
+    // kernel.
     let known = lock(cache).get(&key).cloned();
     if let Some(kernel) = known {
         return Ok(kernel);

@@ -1,4 +1,4 @@
-//! The engine: slots, frames in flight, batches.
+//! The GPU engine, which manages slots, frames in flight and batches.
 
 use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ pub fn lose_devices() {
     device::lose_open();
 }
 
-/// A submitted frame, by how its result is delivered.
+/// A submitted frame, whose result is either read in place or copied.
 enum Pending {
     InPlace(Box<Flight>),
     Copied(Copied),
@@ -52,9 +52,9 @@ const MAX_BATCH_FRAMES: u64 = 64;
 
 /// The GPU engine with its buffers.
 pub(crate) struct Gpu {
-    /// The devices of the slots: one until frames overlap, then one per queue.
+    /// The adapter, with the slots' devices: one until frames overlap, then one per queue.
     pub(super) adapter: Arc<OpenAdapter>,
-    /// Opens the adapter with all its queues; `None` once tried, and for a device of the host program.
+    /// Opens the adapter with all its queues; `None` once it has been called, and for a device of the host program.
     pub(super) several: Option<OpenSeveral>,
     params: EngineParams,
     outputs: Outputs,
@@ -64,18 +64,18 @@ pub(crate) struct Gpu {
     /// Number of slots allocated so far; they alternate between the queues.
     allocated: usize,
     uploader: Uploader,
-    /// The filter over time, if frames are a video.
+    /// The temporal filter, if the frames are a video.
     over_time: Option<OverTime>,
     pending: VecDeque<Pending>,
     /// The copying threads: at least one, and one per device if the system allows it.
     copiers: Vec<Copier>,
     timings: Option<FrameTimings>,
-    /// Size of all slots in bytes, both free and in use.
+    /// Total size of all slots in bytes, whether free or in use.
     bytes: Arc<AtomicU64>,
 }
 
 impl Gpu {
-    /// Opens the adapter that the options select.
+    /// Opens the engine on the adapter that the options select.
     pub(crate) fn open(
         params: EngineParams,
         outputs: Outputs,
@@ -141,7 +141,7 @@ impl Gpu {
             timings: None,
             bytes: Arc::default(),
         };
-        // Errors and slow work happen here rather than with the first frame.
+        // Check limits, compile and warm up here, so that errors and delays do not occur with the first frame.
         for kind in InputKind::ALL {
             engine.check_limits(engine.layout(kind), 1)?;
         }
@@ -168,7 +168,7 @@ impl Gpu {
         &self.adapter.devices[0]
     }
 
-    /// Compiles the kernels of all kinds of input, in parallel: drivers compile on the calling thread.
+    /// Compiles the kernels of all kinds of input in parallel, because drivers compile on the calling thread.
     fn compile(&self, adapter: &OpenAdapter) -> Result<(), EngineError> {
         let keys: HashSet<KernelKey> = InputKind::ALL.into_iter().flat_map(|kind| self.kernel_keys(kind)).collect();
         let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
@@ -211,7 +211,7 @@ impl Gpu {
         Pass::of(&self.params).iter().map(key)
     }
 
-    /// Returns the compiled kernels of a frame's passes, in order, with their workgroups.
+    /// Returns the compiled kernels of a frame's passes, in order, with their numbers of workgroups.
     pub(super) fn kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
@@ -224,7 +224,7 @@ impl Gpu {
         passes.map(|pass| Ok((gpu.sigma_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
     }
 
-    /// Returns the maximum number of workgroups of a frame's kernels, across or down.
+    /// Returns the largest number of workgroups, across or down, among a frame's kernels.
     fn most_workgroups(&self, kind: InputKind) -> usize {
         self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
     }
@@ -242,14 +242,14 @@ impl Gpu {
         4 * layout.input_words().max(layout.output_words()).max(points).max(planes).max(scratch) as u64
     }
 
-    /// Returns the maximum number of frames of a batch per submission: within the device's limits, and short enough
-    /// not to block other users of the device or trigger a desktop watchdog.
+    /// Returns the maximum number of a batch's frames per submission. It keeps submissions within the device's
+    /// limits, and short enough not to block other users of the device or trigger a desktop watchdog.
     fn frames_at_once(&self, layout: Layout) -> usize {
         let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
         (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
     }
 
-    /// Returns an error if this many frames of a layout exceed the device's limits.
+    /// Returns an error if `frames` frames of a layout exceed the device's limits.
     fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
         let limits = [
             ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
@@ -267,7 +267,7 @@ impl Gpu {
         }
     }
 
-    /// Returns a slot for this many frames of a layout: the matching one that has been free longest, or a new one.
+    /// Returns a slot for `frames` frames of a layout: the matching slot that has been free longest, or a new slot.
     fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
         {
             let mut free = lock(&self.free);
@@ -300,7 +300,7 @@ impl Gpu {
         Ok(self.submit_slot(slot, &first.step)?)
     }
 
-    /// Submits a slot whose frames are written.
+    /// Submits a slot whose frames have been written.
     fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
         let kind = slot.layout.kind;
         let kernels = self.kernels(&slot.gpu, kind)?;
@@ -327,7 +327,7 @@ impl SmoothingEngine for Gpu {
             let kind = InputKind::of(&first.frame);
             let most = self.frames_at_once(self.layout(kind));
             let alike = frames[done..].iter().take_while(|frame| InputKind::of(&frame.frame) == kind).count();
-            // Submissions of one size use one slot.
+            // Divide the frames evenly, because submissions of the same size use the same slot.
             let count = alike.div_ceil(alike.div_ceil(most));
             let view = MappedView::of(self.launch(&frames[done..done + count])?)?;
             out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_frame_to(i, out));
@@ -340,7 +340,8 @@ impl SmoothingEngine for Gpu {
         Ok(())
     }
 
-    /// With a buffer, the result is copied there by another thread once ready; without one it stays in mapped memory.
+    /// Submits a frame. If `buffer` is given, another thread copies the result to it once ready; otherwise the result
+    /// stays in mapped memory.
     fn submit(&mut self, frame: &AdmittedFrame<'_>, buffer: Option<Smoothed>) -> Result<(), Error> {
         let in_flight = self.pending.len();
         if in_flight >= self.options.slots {
@@ -366,14 +367,14 @@ impl SmoothingEngine for Gpu {
         self.open_several();
     }
 
-    /// Returns false for videos whose holes are bridged, and if the state does not fit the device; the session then
-    /// filters the results.
+    /// Sets up the temporal filter on the device. Returns false if the filter would keep the last values of holes, or
+    /// if its state does not fit on the device; the session then filters the results.
     fn smooth_over_time(&mut self, video: &Video) -> Result<bool, Error> {
         let layout = self.layout(InputKind::Depth);
         if video.params.hold_frames > 0 || OverTime::largest_buffer(video, layout) > self.buffer_limit() {
             return Ok(false);
         }
-        // States are not shared between queues.
+        // The temporal state is not shared between queues, so only one queue is used.
         let several = self.several.take();
         let gpu = Arc::clone(&self.adapter.devices[0]);
         let opened = OverTime::new(&gpu, *video, layout, self.options.bounds_checks).and_then(|over_time| {
@@ -394,7 +395,7 @@ impl SmoothingEngine for Gpu {
     }
 
     /// Returns false if points, status or neighbours are not among the outputs, if frames are smoothed over time, or
-    /// if the device lacks workgroups or memory.
+    /// if the device has too few workgroups or too little memory.
     fn enable_sigma(&mut self) -> Result<bool, Error> {
         let Outputs { points, status, neighbours, .. } = self.outputs;
         let workgroups = SigmaPass::CorrelateRows.workgroups(self.shape)[0];
@@ -446,7 +447,7 @@ impl SmoothingEngine for Gpu {
         self.timings
     }
 
-    /// Returns the size in bytes of all slots and of the state over time.
+    /// Returns the size in bytes of all slots and of the temporal state.
     fn buffer_bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed) + self.over_time.as_ref().map_or(0, OverTime::bytes)
     }

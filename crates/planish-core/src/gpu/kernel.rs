@@ -1,4 +1,5 @@
-//! Generates a kernel's WGSL: the shader files with their constants, and the sums and the solve unrolled for a degree.
+//! Generates a kernel's WGSL: the shader files with their constants, and the sums and the solver, unrolled for a
+//! degree.
 //!
 //! Compilers would keep an indexed array of moments in memory instead of registers. Each moment is therefore a
 //! variable, and the statements over them are generated here (docs/method.md, sections 5 and 6), as `unroll!` does for
@@ -23,7 +24,7 @@ pub(super) enum Pass {
     Surfaces,
     /// Computes the results, each on its own surface.
     Smooth,
-    /// Finds the results of pixels from the results of the cells around them, if pixels share cells.
+    /// Derives the results of pixels from the results of the cells around them, if pixels share cells.
     Pixels,
 }
 
@@ -38,7 +39,7 @@ impl Pass {
         }
     }
 
-    /// Returns the entry point of its kernel.
+    /// Returns the entry point of the pass's kernel.
     pub(super) fn entry_point(self) -> &'static str {
         match self {
             Self::Blocks => "average_blocks",
@@ -50,7 +51,7 @@ impl Pass {
     }
 }
 
-/// Everything that is compiled into a kernel; anything else may vary from frame to frame.
+/// The parameters that are compiled into a kernel; all others may vary from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct KernelKey {
     pub(super) window: u32,
@@ -58,35 +59,35 @@ pub(super) struct KernelKey {
     pub(super) degree: u32,
     /// Width in pixels of the cells that share a surface.
     cell: u32,
-    /// Distance in cells to the planes that are considered.
+    /// Distance to the surrounding planes that are considered, in cells.
     edge_shift: u32,
     pub(super) pass: Pass,
-    /// Whether it moves points to surfaces found by earlier passes.
+    /// True if the kernel moves points to surfaces found by earlier passes.
     keeps_edges: bool,
     averages_blocks: bool,
-    /// Whether it keeps results for [`Pass::Pixels`].
+    /// True if the kernel keeps results for [`Pass::Pixels`].
     keeps_results: bool,
-    /// Whether its windows read samples kept by an earlier pass: block means or points of cells.
+    /// True if the kernel's windows read samples kept by an earlier pass: block means or points of cells.
     reads_means: bool,
-    /// Whether it reads the input, not only data kept by earlier passes.
+    /// True if the kernel reads the input, not only data kept by earlier passes.
     reads_input: bool,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    /// Whether the bounds of every memory access are checked.
+    /// True if every memory access is bounds-checked.
     pub(super) bounds_checks: bool,
-    /// Whether the candidates of a tile fit in workgroup memory.
+    /// True if the candidates of a tile fit in workgroup memory.
     pub(super) tiled: bool,
 }
 
-/// Returns the columns and rows of pixels per workgroup, one pixel per thread. With 32 columns, a store is a whole
-/// line of 128 bytes; narrower stores over the bus cost a tenth of the throughput. Degree 3, whose moments fill the
-/// registers, gets half as many threads.
+/// Returns the numbers of columns and rows of pixels per workgroup; each thread computes one pixel. With 32 columns,
+/// each store fills a line of 128 bytes; narrower stores over the bus lower the throughput by a tenth. Degree 3,
+/// whose moments fill the registers, gets half as many threads.
 const fn tile_of(degree: u32) -> [usize; 2] {
     if degree == 3 { [32, 4] } else { [32, 8] }
 }
 
 impl KernelKey {
-    /// Returns the key of the kernel of a pass, for these parameters and this much workgroup memory.
+    /// Returns the key of a pass's kernel for the given parameters and amount of workgroup memory.
     pub(super) fn new(
         params: &EngineParams,
         pass: Pass,
@@ -110,7 +111,8 @@ impl KernelKey {
         let keeps_results = pass == Pass::Smooth && cell > 1;
         let of_pixels = pass == Pass::Pixels || (cell > 1 && of_blocks);
         let reads_input = pass == Pass::of(params)[0] || of_pixels;
-        // Fields that the kernel does not depend on are normalized, so that settings share it.
+        // Fields that the kernel does not depend on are normalized, so that settings that differ only in them share
+        // it.
         let kind = match kind {
             InputKind::DepthMetres if !reads_input => InputKind::Depth,
             kind => kind,
@@ -129,9 +131,9 @@ impl KernelKey {
             (_, true) => (tile_width * cell as usize + block) * (tile_height * cell as usize + block),
             (_, false) => (tile_width + 2 * params.reach()) * (tile_height + 2 * params.reach()),
         };
-        // Workgroup memory in which results are packed.
+        // Size of the workgroup memory in which results are packed.
         let codes_bytes = if of_blocks || pass == Pass::FirstPlanes { 0 } else { 4 * tile_width * tile_height };
-        // The pass of pixels reads no samples.
+        // [`Pass::Pixels`] reads no samples.
         let tiled = pass != Pass::Pixels && 12 * tile_area + codes_bytes <= workgroup_bytes;
         Self {
             window,
@@ -158,8 +160,8 @@ impl KernelKey {
         if self.cell > 1 { 1 } else { self.stride }
     }
 
-    /// Returns the number of workgroups for a frame of this many pixels, across and down; each handles the rows of a
-    /// tile.
+    /// Returns the number of workgroups for a frame of the given shape, across and down. Each workgroup handles the
+    /// rows of a tile.
     pub(super) fn workgroups(&self, (width, height): (usize, usize)) -> [usize; 2] {
         let [tile_width, tile_height] = tile_of(self.degree);
         let cell = if self.pass == Pass::Pixels { 1 } else { self.cell as usize };
@@ -176,7 +178,7 @@ impl KernelKey {
         let _ = writeln!(text, "const TILE_WIDTH: u32 = {tile_width}u;");
         let _ = writeln!(text, "const TILE_HEIGHT: u32 = {tile_height}u;");
         let _ = writeln!(text, "const WINDOW: u32 = {window}u;");
-        // Blocks are as wide as their cell and the window on both sides.
+        // A block is as wide as its cell plus the window on both sides.
         let of_blocks = matches!(self.pass, Pass::Blocks | Pass::Surfaces);
         let side = 2 * window + if of_blocks { self.cell } else { 1 };
         let _ = writeln!(text, "const SIDE: u32 = {side}u;");
@@ -254,8 +256,8 @@ impl KernelKey {
 }
 
 impl KernelKey {
-    /// Returns the mean squared distance to the columns in the middle of a window, divided by that to all columns of
-    /// the window.
+    /// Returns the mean squared distance from the centre of a window to the columns in its inner half, divided by
+    /// that to all its columns.
     fn middle_share(&self) -> f32 {
         let mean_square = |half: u32| {
             let squares = (1..=half).map(|i| 2 * (i * self.stride).div_ceil(self.cell).pow(2)).sum::<u32>();
@@ -326,10 +328,10 @@ fn moment_sums(degree: usize) -> String {
     text
 }
 
-/// Generates `fn solve`. It returns c_00, c_10 and c_01, found by LDL^T of the normal equations with their ridge, and
-/// the amount by which the polynomial lowers (6.1), from sum(w f²) to its minimum.
+/// Generates `fn solve`. It returns c_00, c_10 and c_01, computed from an LDL^T decomposition of the normal equations
+/// with the ridge, and the amount by which the polynomial lowers the objective (6.1), from sum(w f²) to its minimum.
 ///
-/// With too few neighbours for degree 3, the cubic unknowns are left out; since unknowns are ordered by degree, the
+/// With too few neighbours for degree 3, the cubic unknowns are omitted. Since unknowns are ordered by degree, the
 /// solution of degree 2 remains.
 pub(super) fn solve(degree: usize) -> String {
     let count = coefficient_count(degree);
@@ -345,7 +347,7 @@ pub(super) fn solve(degree: usize) -> String {
             let _ = writeln!(text, "pivot{j} = fma(-l{j}_{k}, d{j}_{k}, pivot{j});");
             let _ = writeln!(text, "y{j} = fma(-l{j}_{k}, y{k}, y{j});");
         }
-        // Without any weight there is nothing to solve.
+        // If all weights are 0, so are the pivots, and the solution is 0.
         let carried = if j >= coefficient_count(2) { " && n >= 10.0" } else { "" };
         let _ = writeln!(text, "let inverse{j} = select(0.0, 1.0 / pivot{j}, pivot{j} > 0.0{carried});");
         // Column j of L, and of L times its pivots.

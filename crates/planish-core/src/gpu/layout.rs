@@ -1,11 +1,11 @@
 //! The memory layout of uploads and results: the single description from which the shader's constants and the host's
 //! reads and writes derive.
 //!
-//! Units are 32-bit words. A frame of the input consists of its [`FrameHeader`], the rays of its columns and rows, and
-//! its samples: raw depth, two pixels per word; depth in metres; or x, y and z, one channel each. A frame of the output
-//! consists of its requested f32 channels (points, normals, curvature and so on), then rows of packed codes: status and
-//! neighbours, four pixels per word, and depth, two. A packed row starts at a whole word. Frames of a batch are
-//! contiguous. Intermediate data of passes remain on the device.
+//! Units are 32-bit words. A frame of the input consists of its [`FrameHeader`], the rays of its columns and rows,
+//! and its samples: raw depth, two pixels per word; depth in metres; or x, y and z, one channel each. A frame of the
+//! output consists of its requested f32 channels (points, normals, curvature and so on), then rows of packed codes:
+//! status and neighbours, four pixels per word, and depth, two pixels per word. Each packed row starts at a word
+//! boundary. Frames of a batch are contiguous. The intermediate data of the passes stays on the device.
 
 use std::fmt::{Display, Write};
 use std::ops::Range;
@@ -28,7 +28,7 @@ pub(super) struct FrameHeader {
     /// Linear coefficient of the radius: at range z, r = max(linear z, radius polynomial).
     pub(super) radius_linear: f32,
     pub(super) radius: [f32; 3],
-    /// Linear coefficient of the gate of a block: at range z, the gate is max(linear z, block polynomial).
+    /// Linear coefficient of the block gate: at range z, the gate is max(linear z, block polynomial).
     pub(super) block_linear: f32,
     pub(super) block: [f32; 3],
     /// Coefficients of the standard deviation of depth, if edges are kept.
@@ -61,7 +61,7 @@ const fn point_channels(cell: usize) -> usize {
 pub(super) const HEADER_WORDS: usize = size_of::<FrameHeader>() / 4;
 const _: () = assert!(size_of::<FrameHeader>() == 88);
 
-/// The uniform of a dispatch.
+/// Contents of the uniform buffer of a dispatch.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub(super) struct Batch {
@@ -87,7 +87,7 @@ impl InputKind {
     #[cfg(feature = "gpu")]
     pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
 
-    /// Returns the kind of samples that a frame is uploaded as. The host deprojects depth from a distorted lens,
+    /// Returns the kind of samples as which a frame is uploaded. The host deprojects depth from a distorted lens,
     /// which has one ray per pixel.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
@@ -99,16 +99,16 @@ impl InputKind {
     }
 }
 
-/// Offsets within one frame, in words.
+/// The shape and contents of one frame, from which its offsets in words are derived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct Layout {
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) kind: InputKind,
     pub(super) outputs: Outputs,
-    /// Whether passes keep points for later passes.
+    /// True if passes keep points for later passes.
     pub(super) keeps_points: bool,
-    /// Whether passes keep planes for later passes.
+    /// True if passes keep planes for later passes.
     pub(super) keeps_planes: bool,
     /// Width in pixels of the cells that the kept points and planes belong to.
     pub(super) cell: usize,
@@ -119,12 +119,12 @@ impl Layout {
         self.width * self.height
     }
 
-    /// Returns the range of the rays: of the columns, then of the rows.
+    /// Returns the range of the rays: those of the columns, then those of the rows.
     pub(super) fn rays(&self) -> Range<usize> {
         HEADER_WORDS..HEADER_WORDS + self.width + self.height
     }
 
-    /// Returns the number of words per frame of the input.
+    /// Returns the number of input words per frame.
     pub(super) fn input_words(&self) -> usize {
         let samples = match self.kind {
             InputKind::Depth => self.pixels().div_ceil(2),
@@ -171,13 +171,13 @@ impl Layout {
         self.packed()[2].clone()
     }
 
-    /// Returns the number of words per frame of the output.
+    /// Returns the number of output words per frame.
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
         packed.unwrap_or(channels(self.outputs).count * self.pixels())
     }
 
-    /// Returns the number of words per frame of the points and of the planes that passes keep for later passes.
+    /// Returns the numbers of words per frame for the points and for the planes that passes keep for later passes.
     pub(super) fn kept_words(&self) -> [usize; 2] {
         let cells = self.width.div_ceil(self.cell) * self.height.div_ceil(self.cell);
         let [points, planes] = [(self.keeps_points, point_channels(self.cell)), (self.keeps_planes, PLANE_CHANNELS)]

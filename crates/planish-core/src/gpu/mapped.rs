@@ -1,4 +1,4 @@
-//! Buffers mapped for the host.
+//! Tracks the mapping of buffers for the host.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 

@@ -1,9 +1,10 @@
 //! The GPU engine: docs/method.md in f32, with one thread per pixel, on Vulkan, Metal or DirectX 12 through wgpu.
 //!
-//! For each setting, a kernel ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes the requested
-//! outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute points and planes for
-//! it. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These modules are independent of wgpu:
-//! [`plan`] exports them to other WebGPU hosts, and [`cuda`] runs them in the memory of CUDA programs.
+//! For each combination of settings, a kernel ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes
+//! the requested outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute its
+//! points and planes. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These modules are
+//! independent of wgpu: [`plan`] exports them to other WebGPU hosts, and [`cuda`] runs them in the memory of CUDA
+//! programs.
 //!
 //! The other modules are the host side on wgpu: the engine, slots with the buffers of one frame or batch in flight, and
 //! results, which are read in mapped memory or, for frames in flight, copied out by a separate thread.

@@ -1,8 +1,8 @@
-//! Smoothing over time on the device (docs/method.md, section 16): three passes that run after the passes of a frame,
-//! or four if the camera moves.
+//! Smooths over time on the device (docs/method.md, section 16), in three passes after the passes of a frame, or in
+//! four if the camera moves.
 //!
-//! The state of the video stays in one buffer of the device, the result in space stays in the slot, and only the
-//! result over time is read back. Frames update the state in the order of submission, so all of them use one queue.
+//! The video's state stays in one device buffer and the spatial result in the slot; only the temporal result is read
+//! back. Frames update the state in the order of submission, so all of them use one queue.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
 
@@ -15,14 +15,14 @@ use crate::smoothing_engine::{Video, VideoStep};
 use crate::status::Status;
 use crate::temporal::{CameraMotion, Domain, constants};
 
-/// Words per pixel of the state.
+/// Number of words per pixel in the state.
 const STATE_WORDS: usize = 3;
-/// Words per pixel of the changes.
+/// Number of words per pixel in the changes.
 const CHANGE_WORDS: usize = 2;
-/// Words per tile.
+/// Number of words per tile.
 const TILE_WORDS: usize = 5;
 
-/// The uniform of a frame, as declared in `over_time/buffers.wgsl`.
+/// A frame's uniform, as declared in `over_time/buffers.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 struct Step {
@@ -73,7 +73,7 @@ impl Pass {
         }
     }
 
-    /// Returns the WGSL of its kernel, for these outputs in space and over time.
+    /// Returns the WGSL of the pass's kernel, for the given spatial and temporal outputs.
     fn wgsl(self, in_space: Outputs, over_time: Outputs) -> String {
         let mut text = temporal_constants(in_space);
         text += shader!("shaders/over_time/buffers.wgsl");
@@ -103,7 +103,7 @@ impl Pass {
     }
 }
 
-/// Returns the WGSL constants of the filter and of the channels of the spatial result.
+/// Returns the WGSL constants of the temporal filter and of the channels of the spatial result.
 fn temporal_constants(in_space: Outputs) -> String {
     let mut text = String::new();
     let channels = channels(in_space);
@@ -164,7 +164,7 @@ fn temporal_constants(in_space: Outputs) -> String {
     text
 }
 
-/// The filter of a video on a device.
+/// The temporal filter of a video, on a device.
 pub(super) struct OverTime {
     video: Video,
     shape: (usize, usize),
@@ -175,16 +175,16 @@ pub(super) struct OverTime {
     bytes: u64,
 }
 
-/// The buffers of a slot for the passes over time.
+/// A slot's buffers for the temporal passes.
 pub(super) struct SlotOverTime {
     step: wgpu::Buffer,
-    /// The result in space.
+    /// The spatial result.
     pub(super) in_space: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
 }
 
 impl OverTime {
-    /// Compiles the passes and allocates the state, for frames whose results in space have this layout.
+    /// Compiles the passes and allocates the state, for frames whose spatial results have the given layout.
     pub(super) fn new(gpu: &GpuDevice, video: Video, layout: Layout, bounds_checks: bool) -> Result<Self, EngineError> {
         let shape = (layout.width, layout.height);
         let size = [layout.width.div_ceil(constants::TILE), layout.height.div_ceil(constants::TILE)];
@@ -201,14 +201,14 @@ impl OverTime {
         Ok(Self { video, shape, memory, kernels, state_at: 0, bytes })
     }
 
-    /// Returns the number of words of the state (two copies if the camera moves), of the changes, and of the tiles.
+    /// Returns the total number of words of the state (two copies if the camera moves), the changes and the tiles.
     fn words(video: &Video, (width, height): (usize, usize)) -> usize {
         let tiles = width.div_ceil(constants::TILE) * height.div_ceil(constants::TILE);
         let states = if video.moves { 2 } else { 1 };
         (STATE_WORDS * states + CHANGE_WORDS) * width * height + TILE_WORDS * tiles
     }
 
-    /// Returns the size in bytes of the largest buffer needed for frames whose results in space have this layout.
+    /// Returns the size in bytes of the largest buffer needed for frames whose spatial results have the given layout.
     pub(super) fn largest_buffer(video: &Video, layout: Layout) -> u64 {
         let results = Layout { outputs: video.outputs, ..layout };
         let words = Self::words(video, (layout.width, layout.height)).max(results.output_words());
@@ -220,12 +220,12 @@ impl OverTime {
         self.bytes
     }
 
-    /// Returns the layout of the temporal results for this layout of spatial results.
+    /// Returns the layout of the temporal results, given that of the spatial results.
     pub(super) fn results(&self, in_space: Layout) -> Layout {
         Layout { outputs: self.video.outputs, ..in_space }
     }
 
-    /// Creates the buffers of a slot for the passes. `bound` are the slot's input and result.
+    /// Creates a slot's buffers for the temporal passes. `bound` contains the slot's input and result.
     pub(super) fn slot(&self, gpu: &GpuDevice, layout: &Layout, bound: [&wgpu::Buffer; 2]) -> SlotOverTime {
         use wgpu::BufferUsages as Usage;
         let step = gpu.buffer("step", size_of::<Step>() as u64, Usage::UNIFORM | Usage::COPY_DST);
@@ -235,7 +235,7 @@ impl OverTime {
         SlotOverTime { step, in_space, bind_group }
     }
 
-    /// Writes the uniform of the next frame. Returns true if the state must be moved for it.
+    /// Writes the uniform of the next frame. Returns true if the state must first be moved into the frame's view.
     pub(super) fn begin(&mut self, gpu: &GpuDevice, slot: &SlotOverTime, layout: &Layout, next: &VideoStep) -> bool {
         let pixels = self.shape.0 * self.shape.1;
         let transform = next.motion.as_ref().and_then(|motion| motion.previous_from_current.transform().ok());

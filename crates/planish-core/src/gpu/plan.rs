@@ -1,4 +1,4 @@
-//! The GPU engine for hosts of WebGPU that are not wgpu: a browser, or another program's own device.
+//! The GPU engine for WebGPU hosts other than wgpu: a browser, or another program's own device.
 //!
 //! A [`Plan`] describes the host's work for one frame: which kernels to compile and dispatch in which order, the sizes
 //! of buffers and the data to write. It also reads the results. The host needs no knowledge of the method. Every kernel
@@ -9,7 +9,7 @@
 //! | 0 | uniform: [`Plan::uniform`] | 16 |
 //! | 1 | storage, read only: [`Plan::upload`] | its length |
 //! | 2 | storage: the result, given to [`Plan::read`] | [`Plan::output_bytes`] |
-//! | 3, 4 | storage, which passes leave for one another | [`Plan::kept_bytes`] |
+//! | 3, 4 | storage, for data passed between passes | [`Plan::kept_bytes`] |
 //!
 //! The passes are dispatched in order, in one compute pass, since WebGPU puts barriers between dispatches.
 
@@ -40,14 +40,14 @@ pub struct WebGpuLimits {
 }
 
 impl Default for WebGpuLimits {
-    /// Limits that every WebGPU device supports.
+    /// Returns limits that every WebGPU device supports.
     fn default() -> Self {
         Self { workgroup_bytes: 16 << 10, buffer_bytes: 128 << 20, workgroups: 65_535 }
     }
 }
 
 impl WebGpuLimits {
-    /// Returns the limits of a device.
+    /// Creates the limits of a device.
     pub const fn new(workgroup_bytes: u64, buffer_bytes: u64, workgroups: u64) -> Self {
         Self { workgroup_bytes, buffer_bytes, workgroups }
     }
@@ -57,15 +57,15 @@ impl WebGpuLimits {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PlannedPass {
-    /// The name of its entry point.
+    /// The name of the kernel's entry point.
     pub entry_point: &'static str,
-    /// Its source. Equal sources are the same kernel, in every plan.
+    /// The kernel's source. Passes with equal sources can share a compiled kernel, even across plans.
     pub wgsl: String,
-    /// Workgroups to dispatch, across and down.
+    /// Number of workgroups to dispatch, across and down.
     pub workgroups: [u32; 2],
 }
 
-/// Instructions for a WebGPU host to smooth frames of one grid and kind.
+/// Instructions for a WebGPU host to smooth frames with one grid and one kind of samples.
 pub struct Plan {
     params: EngineParams,
     outputs: Outputs,
@@ -76,7 +76,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Plans frames that are like this one: of its grid and resolution, and depth or points as it is.
+    /// Plans how to smooth frames with the same grid, resolution and kind of samples as the given frame.
     ///
     /// # Errors
     /// If the parameters are invalid, or the frame is an unorganized cloud or exceeds the device's limits.
@@ -87,7 +87,7 @@ impl Plan {
         limits: &WebGpuLimits,
     ) -> Result<Self, Error> {
         let frame = frame.into_frame()?;
-        // The kernels for one window.
+        // The kernels are compiled for one window, so its size is decided here.
         let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
             let reason = "WebGPU smooths only frames on a grid; use the CPU engine for unorganized clouds".to_owned();
@@ -124,7 +124,7 @@ impl Plan {
         }
     }
 
-    /// Returns its kernels in the order of dispatch.
+    /// Returns the plan's kernels in the order of dispatch.
     pub fn passes(&self) -> Vec<PlannedPass> {
         let shape = (self.layout.width, self.layout.height);
         let pass = |key: &KernelKey| PlannedPass {
@@ -140,27 +140,27 @@ impl Plan {
         bytemuck::cast(self.layout.batch())
     }
 
-    /// Bytes of the result.
+    /// Returns the size of the result in bytes.
     pub fn output_bytes(&self) -> usize {
         4 * self.layout.output_words()
     }
 
-    /// Bytes of an upload before its samples, which depend on the camera alone.
+    /// Returns the number of bytes of an upload before its samples. These bytes depend only on the camera.
     #[cfg(feature = "cuda")]
     pub(super) fn head_bytes(&self) -> usize {
         4 * self.layout.rays().end
     }
 
-    /// Bytes of the two buffers that passes leave for one another.
+    /// Returns the sizes, in bytes, of the two buffers for data passed between passes.
     pub fn kept_bytes(&self) -> [usize; 2] {
-        // Every kernel binds them, whether it uses them or not.
+        // Every kernel binds both buffers, whether it uses them or not, so neither may be empty.
         self.layout.kept_words().map(|words| 4 * words.max(4))
     }
 
-    /// Returns the bytes that a frame is uploaded as.
+    /// Returns the bytes to upload for a frame.
     ///
     /// # Errors
-    /// If the frame has another grid or is of another kind than planned for.
+    /// If the frame's grid or kind of samples differs from that of the planned frames.
     pub fn upload<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<Vec<u8>, Error> {
         let frame = self.expected(frame.into_frame()?)?;
         let grid = Some((self.layout.width, self.layout.height));
@@ -183,10 +183,10 @@ impl Plan {
         Err(EngineError::Unavailable { engine: "webgpu", reason }.into())
     }
 
-    /// Reads a result.
+    /// Reads a result into `out`.
     ///
     /// # Errors
-    /// If it is not [`output_bytes`](Self::output_bytes) long.
+    /// If the result is not [`output_bytes`](Self::output_bytes) long.
     pub fn read(&self, result: &[u8], out: &mut Smoothed) -> Result<(), FrameError> {
         let expected = self.output_bytes();
         if result.len() != expected {

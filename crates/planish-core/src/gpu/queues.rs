@@ -1,4 +1,4 @@
-//! Devices of wgpu's with their queues: one, or several on which frames in flight overlap.
+//! Opens wgpu devices with their queues: one queue, or several on which frames in flight overlap.
 //!
 //! A queue runs submissions in order, and wgpu puts barriers between the passes of a frame. Each pass then waits for
 //! all passes of the previous frame, the last of which waits for the bus. On separate queues frames overlap: on an
@@ -11,8 +11,8 @@ pub(super) fn open_one(adapter: &wgpu::Adapter) -> Result<(wgpu::Device, wgpu::Q
     pollster::block_on(adapter.request_device(&descriptor(adapter)))
 }
 
-/// Opens the adapter with several queues. Returns `None` without queues that are known to run concurrently, or if the
-/// driver refuses.
+/// Opens the adapter with several queues. Returns `None` if it has no queues that are known to run concurrently, or
+/// the driver rejects the request.
 #[cfg(target_vendor = "apple")]
 pub(super) fn open_several(_: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
     None
@@ -46,10 +46,10 @@ mod vulkan {
     /// Queue priorities; all are equal.
     static PRIORITIES: [f32; QUEUES] = [1.0; QUEUES];
 
-    /// Opens the adapter with several queues. Returns `None` without queues that are known to run concurrently, or if
-    /// the driver refuses.
+    /// Opens the adapter with several queues. Returns `None` if it has no queues that are known to run concurrently,
+    /// or the driver rejects the request.
     pub(crate) fn open_several(adapter: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
-        // SAFETY: nothing of the adapter is destroyed.
+        // SAFETY: no part of the adapter is destroyed.
         let raw_adapter = unsafe { adapter.as_hal::<api::Vulkan>() }?;
         let (family, available) = compute_family(&raw_adapter)?;
         let queues = available.min(QUEUES);
@@ -62,11 +62,12 @@ mod vulkan {
             let added = vk::DeviceQueueCreateInfo::default().queue_family_index(family);
             device.queue_create_infos.push(added.queue_priorities(&PRIORITIES[..queues]));
         });
-        // SAFETY: features and limits are the adapter's. The callback adds existing queues, of another family than
-        // wgpu's graphics queue.
+        // SAFETY: features and limits are the adapter's. The callback adds existing queues, of a different family
+        // from wgpu's graphics queue.
         let owner =
             unsafe { raw_adapter.open_with_callback(features, limits, &descriptor.memory_hints, Some(add_queues)) };
-        // Destroys the Vulkan device with the last wgpu device. Its own queue is not used.
+        // Owns the Vulkan device, which is destroyed with the last wgpu device. The queue that `owner` has is not
+        // used.
         let owner = Arc::new(owner.ok()?);
         let extensions = raw_adapter.required_device_extensions(features);
         let open = |index: u32| {
@@ -86,14 +87,14 @@ mod vulkan {
                     index,
                 )
             };
-            // SAFETY: created from this adapter with the features of the descriptor.
+            // SAFETY: the device was created from this adapter with the features of the descriptor.
             unsafe { adapter.create_device_from_hal(opened.ok()?, &descriptor) }.ok()
         };
         (0..queues as u32).map(open).collect()
     }
 
-    /// Returns a family of queues that compute but do not draw, and how many it has: on GPUs that have several they run
-    /// side by side.
+    /// Returns a queue family that supports compute but not graphics, and its number of queues. On GPUs with several
+    /// such queues, they run concurrently.
     fn compute_family(adapter: &vulkan::Adapter) -> Option<(u32, usize)> {
         let instance = adapter.shared_instance().raw_instance();
         // SAFETY: the physical device is one of this instance's.

@@ -1,4 +1,4 @@
-//! The words of a result (layout.rs) as typed values.
+//! Reads the words of a result (layout.rs) as typed values.
 
 use std::ops::Range;
 
@@ -71,7 +71,7 @@ impl<'a> Results<'a> {
         Rows::new(values, self.layout.width, values.len() / self.layout.height)
     }
 
-    /// Decodes rows of codes.
+    /// Decodes rows of codes into `to`.
     fn copy_rows<T>(self, rows: impl Iterator<Item = &'a [u8]>, to: &mut [T], value: impl Fn(u8) -> T) {
         for (to, row) in to.chunks_exact_mut(self.layout.width).zip(rows) {
             for (to, &code) in to.iter_mut().zip(row) {
@@ -86,7 +86,7 @@ impl<'a> Results<'a> {
         self.copy_into(out.as_mut());
     }
 
-    /// Copies the result into the given buffers, channels in parallel.
+    /// Copies the result into the given buffers, with the channels in parallel.
     pub(super) fn copy_into(self, out: SmoothedMut<'_>) {
         rayon::scope(|scope| {
             for (from, to) in [(self.points(), out.points), (self.normals(), out.normals)] {
@@ -120,7 +120,7 @@ impl<'a> Results<'a> {
 /// Number of vectors copied per task.
 const VECTORS_PER_TASK: usize = 1 << 16;
 
-/// Copies vectors, channels in parallel.
+/// Spawns tasks that copy vectors.
 pub(super) fn spawn_copying<'s>(scope: &rayon::Scope<'s>, from: [&'s [f32]; 3], to: VectorsMut<'s>) {
     match to {
         VectorsMut::Planes(to) => {

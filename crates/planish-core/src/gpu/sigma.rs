@@ -1,4 +1,4 @@
-//! Standard errors on the device (docs/method.md, section 17): four passes that run after the passes of a frame. They
+//! Estimates standard errors on the device (docs/method.md, section 17), in four passes after those of a frame. They
 //! read the frame's input and result, and add a channel to the result.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
@@ -9,7 +9,7 @@ use super::sigma_kernels::scratch_words;
 use crate::params::EngineParams;
 use crate::sigma::ErrorScale;
 
-/// The uniform of a slot, as declared in `sigma/buffers.wgsl`.
+/// A slot's uniform, as declared in `sigma/buffers.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 struct Uniform {
@@ -30,14 +30,14 @@ struct Uniform {
 
 const _: () = assert!(size_of::<Uniform>() == 64);
 
-/// The buffers of a slot for the passes.
+/// A slot's buffers for the passes that estimate standard errors.
 pub(super) struct SlotSigma {
     pub(super) bind_group: wgpu::BindGroup,
     _scratch: wgpu::Buffer,
 }
 
 impl SlotSigma {
-    /// Creates the buffers for this many frames; `None` if the layout has no `sigma`. `bound` are the input, the
+    /// Creates the buffers for `frames` frames; `None` if the layout has no `sigma`. `bound` contains the input, the
     /// result, and a placeholder for the unused fifth binding.
     pub(super) fn new(
         gpu: &GpuDevice,

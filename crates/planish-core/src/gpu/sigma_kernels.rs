@@ -1,15 +1,16 @@
-//! The kernels that estimate standard errors on the device (docs/method.md, section 17). Independent of wgpu.
+//! The kernels that estimate standard errors on the device (docs/method.md, section 17). They are independent of
+//! wgpu.
 
 use super::layout::{InputKind, Layout, constants as layout_constants, write_numbers, write_words};
 use super::shader::shader;
 use crate::outputs::Outputs;
 use crate::sigma::constants;
 
-/// Columns and rows of pixels per workgroup.
+/// Numbers of columns and rows of pixels per workgroup.
 const TILE: [usize; 2] = [32, 8];
-/// Scratch words per pixel: residual, smoothed range, step.
+/// Number of scratch words per pixel: residual, smoothed range, step.
 const PIXEL_WORDS: usize = 3;
-/// Scratch words per sampled row: product and mean square for each lag, along rows and columns.
+/// Number of scratch words per sampled row: product and mean square for each lag, along rows and columns.
 const ROW_WORDS: usize = 4 * constants::MOST_LAG_PX;
 
 /// A pass over pixels, rows or frames. Its kernel depends on the kind of input only if it reads the input.
@@ -36,7 +37,7 @@ impl SigmaPass {
         }
     }
 
-    /// Returns the number of workgroups for a frame of this many pixels, across and down.
+    /// Returns the number of workgroups for a frame of the given shape, across and down.
     pub(super) fn workgroups(self, (width, height): (usize, usize)) -> [usize; 2] {
         match self {
             Self::SetResiduals(_) | Self::EstimateSigma => [width.div_ceil(TILE[0]), height.div_ceil(TILE[1])],
@@ -45,7 +46,7 @@ impl SigmaPass {
         }
     }
 
-    /// Returns the WGSL of its kernel.
+    /// Returns the WGSL of the pass's kernel.
     pub(super) fn wgsl(self) -> String {
         let kind = if let Self::SetResiduals(kind) = self { kind } else { InputKind::Depth };
         let mut text = layout_constants(kind, Outputs::POINTS, 1);
@@ -105,8 +106,8 @@ pub(super) fn sampled_rows(height: usize) -> usize {
     height.div_ceil(constants::ROW_STRIDE_PX)
 }
 
-/// Returns the number of scratch words per frame of a layout: for pixels, for sampled rows, and one for the area of
-/// correlation.
+/// Returns the number of scratch words per frame of a layout: for pixels, for sampled rows, and one for the
+/// correlation area.
 pub(super) fn scratch_words(layout: &Layout) -> usize {
     PIXEL_WORDS * layout.pixels() + ROW_WORDS * sampled_rows(layout.height) + 1
 }

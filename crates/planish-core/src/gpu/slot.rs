@@ -24,7 +24,7 @@ use crate::params::EngineParams;
 use crate::smoothing_engine::{AdmittedFrame, VideoStep};
 use crate::timings::FrameTimings;
 
-/// Bytes in a word.
+/// Number of bytes in a word.
 const WORD: u64 = 4;
 
 /// A kernel and its number of workgroups for a frame, across and down.
@@ -37,13 +37,13 @@ pub(super) struct Slot {
     /// The layout of the results to read back.
     pub(super) results: Layout,
     pub(super) frames: usize,
-    /// Written by the host; mapped whenever the slot is free.
+    /// Buffer that the host writes. It is mapped whenever the slot is free.
     upload: wgpu::Buffer,
     /// Input buffer of the kernel; `None` if the kernel reads `upload`.
     input: Option<wgpu::Buffer>,
     /// Output buffer of the kernel; `None` if the kernel writes `readback`.
     output: Option<wgpu::Buffer>,
-    /// Read by the host; mapped once its submission has run.
+    /// Buffer that the host reads. It is mapped once the slot's submission has run.
     pub(super) readback: wgpu::Buffer,
     /// Points and planes that passes keep for later passes.
     _kept: [wgpu::Buffer; 2],
@@ -55,7 +55,7 @@ pub(super) struct Slot {
     _counted: Counted,
 }
 
-/// Counts the bytes of buffers during their lifetime.
+/// Counts the bytes of buffers in a shared total for as long as the buffers live.
 pub(super) struct Counted {
     bytes: u64,
     all: Arc<AtomicU64>,
@@ -91,7 +91,7 @@ impl Slot {
         let output_bytes = (results.output_words() * frames) as u64 * WORD;
         let in_space_bytes = over_time.map_or(0, |_| layout.output_words() as u64 * WORD);
         let direct = options.transfer == Transfer::Direct;
-        // Every kernel binds them, even if it does not use them.
+        // Every kernel binds both buffers, even if it uses neither, so they must not be empty.
         let kept_bytes = layout.kept_words().map(|words| (words * frames).max(4) as u64 * WORD);
         let scratch_bytes = layout.sigma().map_or(0, |_| (scratch_words(&layout) * frames) as u64 * WORD);
         let total = kept_bytes.iter().sum::<u64>()
@@ -151,8 +151,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the kernels of the frames, then the kernels for standard errors or for the filter over time. Requests
-    /// the mapping of the buffers once these have run.
+    /// Submits the kernels of the frames, then the kernels for standard errors or for the temporal filter. Requests
+    /// that the buffers be mapped once the kernels have run.
     pub(super) fn submit(
         &self,
         kernels: &[Dispatch],
@@ -212,7 +212,7 @@ impl Slot {
         self.mapped.wait(&self.gpu)
     }
 
-    /// Returns the times of the last submission, whose timestamps must be mapped, and unmaps them. `None` unless
+    /// Returns the times of the last submission and unmaps its timestamps, which must be mapped. `None` unless
     /// timestamps were requested.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         self.stamps.as_ref()?.timings()

@@ -57,7 +57,7 @@ impl Stamps {
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readback, 0, None);
     }
 
-    /// Returns the times of the last submission, whose timestamps must be mapped, and unmaps them.
+    /// Returns the times of the last submission and unmaps its timestamps, which must be mapped.
     pub(super) fn timings(&self) -> Option<FrameTimings> {
         let ticks: [u64; STAMPS as usize] = {
             let range = self.readback.get_mapped_range(..).ok()?;

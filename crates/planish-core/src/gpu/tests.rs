@@ -206,7 +206,7 @@ fn admit(frame: &DepthFrame) -> AdmittedFrame<'_> {
 #[test]
 fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
     let Some((_, adapter)) = device("a lost device") else { return };
-    // An unshared device: other tests of this process keep theirs.
+    // The devices are not shared, so other tests in this process keep theirs.
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let frame = frame();
     let frame = admit(&frame);
@@ -225,7 +225,7 @@ fn a_lost_device_is_an_error_and_the_next_smoother_has_another() {
         other => panic!("{other}"),
     };
     is_lost(lost.smooth(&frame, smoothed.as_mut()).unwrap_err());
-    // Frames in flight either finished before or are lost; nothing hangs, nothing panics.
+    // Frames in flight have either finished before the loss or are lost; receiving neither hangs nor panics.
     for _ in 0..2 {
         if let Err(error) = lost.receive() {
             is_lost(error);
@@ -301,7 +301,7 @@ fn a_lack_of_memory_is_an_error_that_says_how_much() {
         Ok(()) => assert_eq!(adapter.kind, crate::AdapterKind::Software),
     }
     drop(taken);
-    // The error was returned, not kept: the device still works.
+    // The error was returned, not recorded: the device still works.
     gpu.check().unwrap();
     let usual = gpu.allocate(1024, || {
         gpu.device.create_buffer(&wgpu::BufferDescriptor { label: None, size: 1024, usage, mapped_at_creation: false })

@@ -1,4 +1,4 @@
-//! Conversion of frames to words of the upload buffer (layout.rs).
+//! Converts frames to words of the upload buffer (layout.rs).
 
 use bytemuck::{bytes_of, cast_slice};
 
@@ -22,7 +22,7 @@ impl Uploader {
         Self { params, rays: Rays::default(), raw: Vec::new(), row: Default::default() }
     }
 
-    /// Writes a frame through `put`, which takes a word index and bytes.
+    /// Writes a frame by calling `put` with word indices and bytes.
     pub(super) fn write(&mut self, layout: &Layout, admitted: &AdmittedFrame<'_>, put: &mut dyn FnMut(usize, &[u8])) {
         let camera = admitted.frame.camera();
         if let Some(camera) = camera.filter(|_| layout.kind != InputKind::Points) {

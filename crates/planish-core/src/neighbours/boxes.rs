@@ -10,7 +10,7 @@ pub(super) const CHILDREN: usize = 8;
 /// Maximum number of levels: enough for 2^32 points in 2^28 leaves.
 const MAX_LEVELS: usize = 10;
 
-/// A box: the least and the largest coordinates.
+/// A box, given by its smallest and largest coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bounds {
     pub(crate) low: [f32; 3],
@@ -44,7 +44,7 @@ impl Bounds {
     }
 }
 
-/// The boxes of the children of a node, by coordinate, so that one comparison tests all of them.
+/// The boxes of a node's children, stored by coordinate, so that one comparison tests all children.
 #[derive(Debug, Clone, Copy)]
 struct Boxes {
     low: [[f32; CHILDREN]; 3],
@@ -115,14 +115,14 @@ impl BoxTree {
         self.levels.len()
     }
 
-    /// Returns the box of a node; level 0 has the leaves.
+    /// Returns the box of a node; level 0 contains the leaves.
     #[inline(always)]
     pub(super) fn get(&self, level: usize, node: usize) -> Bounds {
         self.levels[level][node / CHILDREN].get(node % CHILDREN)
     }
 
-    /// Returns the nodes of a level that are children of a node in the level above; for the highest level and node 0,
-    /// all of its nodes.
+    /// Returns the nodes of a level that are children of a node in the level above. For the highest level and node 0,
+    /// returns all nodes of the level.
     pub(super) fn children(&self, level: usize, node: usize) -> Range<usize> {
         let nodes = if level == 0 { self.leaves } else { self.levels[level - 1].len() };
         CHILDREN * node..(CHILDREN * (node + 1)).min(nodes)
@@ -132,7 +132,7 @@ impl BoxTree {
     #[inline(always)]
     pub(super) fn for_each_leaf<S: Simd>(&self, simd: S, bounds: &Bounds, mut visit: impl FnMut(usize, &Bounds)) {
         let Some(top) = self.levels.len().checked_sub(1) else { return };
-        // The children of one node in each level, and bits of those to visit.
+        // For each level, the node whose children are being visited, and a bit mask of the children still to visit.
         let mut parents = [0; MAX_LEVELS];
         let mut waiting = [0; MAX_LEVELS];
         waiting[top] = self.levels[top][0].touching(simd, bounds);

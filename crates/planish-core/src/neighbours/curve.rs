@@ -1,24 +1,24 @@
-//! The Hilbert curve that a cloud is sorted along.
+//! The Hilbert curve along which a cloud is sorted.
 
 use fearless_simd::{Level, Simd, SimdBase, SimdCvtTruncate, dispatch};
 
 use super::middle;
 
-/// Bits of a cell's number along each axis: the curve visits 2^16 cells along each.
+/// Number of bits of a cell's index along each axis; the curve visits 2^16 cells per axis.
 const BITS: u32 = 16;
 /// Number of points whose keys are computed together: the lanes of the widest vector.
 pub(super) const KEYS_AT_ONCE: usize = 16;
 
-/// A Hilbert curve through the box of most points.
+/// A Hilbert curve through a box that contains most points.
 pub(super) struct Curve {
     low: [f32; 3],
     cells_per_metre: f32,
 }
 
 impl Curve {
-    /// Creates a curve over the box of a sample without strays, extended by half the box's width on either side.
-    /// Points outside are moved to the border, which affects only the order. Also returns the box's diagonal before
-    /// the extension, in metres.
+    /// Creates a curve over the box of a sample of the points, without stray points, extended on each side by half
+    /// the box's width. Points outside are moved to the border, which affects only the order. Also returns the box's
+    /// diagonal before the extension, in metres.
     pub(super) fn of(raw: &[Vec<f32>; 3]) -> (Self, f64) {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();
@@ -33,14 +33,14 @@ impl Curve {
         Self { low, cells_per_metre: ((1u32 << BITS) as f32 / extent_m).min(f32::MAX) }
     }
 
-    /// Returns the positions along the curve of the cells that contain the points.
+    /// Returns, for each point, the position along the curve of the cell that contains it.
     #[inline(never)]
     pub(super) fn keys(&self, level: Level, points: &[[f32; KEYS_AT_ONCE]; 3]) -> [u64; KEYS_AT_ONCE] {
         dispatch!(level, simd => self.keys_of(simd, points))
     }
 
-    /// Computes keys by Skilling's transposition ("Programming the Hilbert curve", 2004), without branches, since
-    /// half of them would be mispredicted.
+    /// Computes keys by Skilling's transposition ("Programming the Hilbert curve", 2004). It uses no branches,
+    /// because half of them would be mispredicted.
     #[inline(always)]
     fn keys_of<S: Simd>(&self, simd: S, [x, y, z]: &[[f32; KEYS_AT_ONCE]; 3]) -> [u64; KEYS_AT_ONCE] {
         let mut keys = [0; KEYS_AT_ONCE];
@@ -73,7 +73,7 @@ impl Curve {
         keys
     }
 
-    /// Returns the numbers of the cells of coordinates along an axis.
+    /// Returns, for each coordinate along an axis, the index of its cell.
     #[inline(always)]
     fn cells<S: Simd>(&self, simd: S, axis: usize, values: &[f32]) -> S::u32s {
         let from_low = S::f32s::from_slice(simd, values) - S::f32s::splat(simd, self.low[axis]);
@@ -90,7 +90,7 @@ fn inverts<S: Simd>(simd: S, cell: S::u32s, bit: u32) -> S::u32s {
 }
 
 /// Returns the cells along two axes after one step of the transposition. If `bit` is set in `other`, the lower bits
-/// of `first` are inverted; otherwise the two swap their lower bits.
+/// of `first` are inverted; otherwise `first` and `other` swap their lower bits.
 #[inline(always)]
 fn turned<S: Simd>(simd: S, first: S::u32s, other: S::u32s, bit: u32) -> (S::u32s, S::u32s) {
     let below = S::u32s::splat(simd, (1 << bit) - 1);

@@ -1,16 +1,16 @@
-//! The halo of a part of a cloud: the surrounding points with which its points get the same results as in the whole
-//! cloud.
+//! Halos of the parts of a cloud. Together with the surrounding points in its halo, the points of a part get the same
+//! results as in the whole cloud.
 //!
 //! A fixed radius determines the width of the halo. Radii by density are known only after they have been computed,
-//! and come out too large if neighbours are missing. If too many points of a part reach beyond its halo, the part is
-//! computed again with a wider one.
+//! and are too large if neighbours are missing. If too many points of a part reach beyond its halo, the part is
+//! computed again with a wider halo.
 
 use rayon::prelude::*;
 
 use crate::constants::PLANE_REACH;
 use crate::params::{CloudParams, Edges, EngineParams, Radius};
 
-/// Assumed ratio of a part's points to its points with the halo, for planning parts.
+/// Assumed share of a part's own points among all of its points, including the halo, for planning parts.
 pub const OWN_SHARE: f64 = 0.6;
 /// Reach of the gate, in radii.
 const GATE_REACH: f64 = 1.02;
@@ -18,11 +18,11 @@ const GATE_REACH: f64 = 1.02;
 /// The required width of a halo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeededHalo {
-    /// Width in metres that suffices for all points but the few that reach farthest.
+    /// Width in metres that suffices for all points except the few that reach farthest.
     pub halo_m: f64,
-    /// Number of points that reach beyond the present halo.
+    /// Number of points that reach beyond the current halo.
     pub beyond: usize,
-    /// Whether too many points reach beyond the present halo, so that it must be wider.
+    /// True if too many points reach beyond the current halo, so that it must be widened.
     pub is_wider: bool,
 }
 
@@ -36,7 +36,7 @@ pub(crate) fn reach(params: &EngineParams) -> f64 {
     GATE_REACH * (growth + of_planes)
 }
 
-/// Returns the initial width in metres of the halo of a part with `points` points on an area: exact for a fixed
+/// Returns the initial halo width, in metres, of a part with `points` points spread over an area: exact for a fixed
 /// radius, otherwise about twice the reach at that density.
 pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
@@ -50,12 +50,12 @@ pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> 
     }
 }
 
-/// Returns the reach for the parameters of a cloud.
+/// Returns the distance, in radii, within which other points influence a result, for the parameters of a cloud.
 pub fn cloud_reach(params: &CloudParams) -> f64 {
     reach(&(*params).into())
 }
 
-/// Returns the first halo for the parameters of a cloud.
+/// Returns the initial halo width, in metres, of a part of a cloud with the given parameters.
 pub fn first_cloud_halo_m(params: &CloudParams, points: u64, area_m2: f64) -> f64 {
     first_halo_m(&(*params).into(), points, area_m2)
 }
@@ -67,7 +67,7 @@ pub fn needed_halo(halo_m: f64, needed_m: &[f64], may_reach_beyond: f64) -> Need
     let above = |least_m: f64| -> Vec<f64> {
         needed_m.par_iter().copied().filter(|needed_m| needed_m.is_finite() && *needed_m > least_m).collect()
     };
-    // Points far from the border, the majority, are not counted.
+    // Most points are far from the border and need no halo; they are not counted.
     let may_be_farther = (may_reach_beyond / 2.0) as usize;
     let mut farthest_m = above(0.0);
     if farthest_m.len() <= may_be_farther {

@@ -1,8 +1,10 @@
-//! The points of an unorganized cloud in an order that keeps neighbours together, and a tree of boxes over them.
+//! Stores the points of an unorganized cloud in an order that keeps neighbours together, with a tree of boxes over
+//! them.
 //!
 //! Distinct positions are sorted along a Hilbert curve; each run of 16 is a leaf, each run of 8 nodes a node of the
-//! next level. Boxes are the bounds of their points, so a stray point or an uneven density is not costly elsewhere.
-//! Points at the same position become one with a count, and their result is computed once.
+//! next level. Each box is the bounds of its points, so a stray point or an uneven density does not slow down
+//! searches elsewhere. Points at the same position are merged into one with a count, and their result is computed
+//! once.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -18,13 +20,13 @@ use crate::threads::ONE_THREAD;
 
 /// Number of points in a leaf: the lanes of the widest vector.
 pub(crate) const LEAF: usize = 16;
-/// Number of points in a cell of the curve above which they are sorted along a finer curve.
+/// Maximum number of points in a cell of the curve; the points of fuller cells are sorted along a finer curve.
 const CROWDED: usize = 4 * LEAF;
-/// Number of points per task.
+/// Number of points copied per task.
 const TASK: usize = 1 << 14;
-/// The key of a point that is a hole: beyond the end of the curve.
+/// The key of a hole: beyond the end of the curve.
 const NO_KEY: u64 = u64::MAX;
-/// The place of a point that is a hole.
+/// The place of a hole.
 const HOLE: u32 = u32::MAX;
 
 /// The moments of a leaf's points.
@@ -33,7 +35,7 @@ pub(crate) struct LeafMoments {
     /// Number of points.
     pub(crate) count: f32,
     pub(crate) mean: [f32; 3],
-    /// Sums of the products xx, xy, xz, yy, yz, zz of their offsets from the mean.
+    /// Sums of the products xx, xy, xz, yy, yz and zz of the points' offsets from the mean.
     pub(crate) products: [f32; 6],
 }
 
@@ -44,7 +46,7 @@ pub(crate) struct PointIndex {
     pub(crate) positions: [Vec<f32>; 3],
     /// Number of points of the cloud at each position.
     pub(crate) counts: Vec<f32>,
-    /// Place among the positions of each point of the cloud.
+    /// Place of each point of the cloud among the positions; [`HOLE`] for a hole.
     places: Vec<AtomicU32>,
     /// The boxes of leaves and of nodes over them.
     boxes: BoxTree,
@@ -56,7 +58,7 @@ pub(crate) struct PointIndex {
 }
 
 impl PointIndex {
-    /// Sorts the finite points of a cloud, as f32 relative to its origin; buffers are reused.
+    /// Sorts the finite points of a cloud, as f32 relative to its origin. Reuses the buffers.
     pub(crate) fn fill(&mut self, view: &PointsView<'_>) {
         let mut raw = [(); 3].map(|()| vec![0.0; view.len()]);
         copy(view, &mut raw);
@@ -77,7 +79,7 @@ impl PointIndex {
             }
         });
         self.keys.retain(|&(key, _)| key != NO_KEY);
-        // -0 and 0 are one place.
+        // -0 and 0 are the same coordinate.
         let bits = |i: u32| {
             let [x, y, z] = at(i);
             [(x + 0.0).to_bits(), (y + 0.0).to_bits(), (z + 0.0).to_bits()]
@@ -136,7 +138,7 @@ impl PointIndex {
         );
     }
 
-    /// Keeps the first `len` places and appends points without weight.
+    /// Keeps the first `len` positions and appends points with a count of 0.
     pub(crate) fn append(&mut self, len: usize, points: &[[f32; 3]]) {
         self.len = len + points.len();
         let padded = self.len.next_multiple_of(LEAF);
@@ -150,7 +152,7 @@ impl PointIndex {
         self.build_boxes();
     }
 
-    /// Returns the diagonal of the box around all points but stray ones, in metres.
+    /// Returns the diagonal of the box around all points except stray ones, in metres.
     pub(crate) fn extent_m(&self) -> f32 {
         self.extent_m as f32
     }
@@ -194,8 +196,8 @@ impl PointIndex {
         self.boxes.for_each_leaf(simd, bounds, visit);
     }
 
-    /// Returns an iterator over the positions, nearest to a point first: squared distances and places, computed on
-    /// demand.
+    /// Returns an iterator over the positions, nearest to a point first. It yields squared distances and places,
+    /// which are computed on demand.
     pub(crate) fn nearest(&self, point: [f32; 3]) -> Nearest<'_> {
         let mut nearest = Nearest { index: self, point, queue: Default::default() };
         if let Some(top) = self.boxes.levels().checked_sub(1) {
@@ -223,7 +225,7 @@ impl LeafMoments {
         let mean = (sum / count.max(f64::MIN_POSITIVE)).as_vec3();
         let mut products = [0.0; 6];
         for (count, p) in weighted() {
-            // Relative to the mean as rounded to f32.
+            // Offsets are relative to the mean as rounded to f32.
             let d = p - mean.as_dvec3();
             let terms = [d.x * d.x, d.x * d.y, d.x * d.z, d.y * d.y, d.y * d.z, d.z * d.z];
             products.iter_mut().zip(terms).for_each(|(product, term)| *product += count * term);
@@ -232,13 +234,13 @@ impl LeafMoments {
     }
 }
 
-/// Iterator over positions, nearest first. Nodes and positions share a queue, ordered by their least possible
+/// Iterator over positions, nearest first. Nodes and positions share a queue, ordered by their smallest possible
 /// distance.
 pub(crate) struct Nearest<'a> {
     index: &'a PointIndex,
     point: [f32; 3],
-    /// Bits of the squared distance (which sort as its value does), level + 1 of a node or 0 for a position, and its
-    /// number.
+    /// Bits of the squared distance, which sort like its value; level + 1 of a node, or 0 for a position; and the
+    /// number of the node or the place of the position.
     queue: std::collections::BinaryHeap<std::cmp::Reverse<(u32, u32, u32)>>,
 }
 
@@ -276,7 +278,8 @@ impl Iterator for Nearest<'_> {
     }
 }
 
-/// Returns a point of three channels. Written out, since `array::map` is not inlined in kernels; see cpu/vector.rs.
+/// Returns point `i` of three channels. Written out, because `array::map` is not inlined in kernels; see
+/// cpu/vector.rs.
 #[inline]
 fn point_of([x, y, z]: &[Vec<f32>; 3], i: usize) -> [f32; 3] {
     [x[i], y[i], z[i]]

@@ -1,5 +1,5 @@
-//! Neighbours in unorganized clouds: a sorted index for the fast engines ([`PointIndex`]), and a k-d tree for the
-//! reference.
+//! Finds neighbours in unorganized clouds, with a sorted index for the fast engines ([`PointIndex`]) and a k-d tree
+//! for the reference.
 
 mod boxes;
 mod curve;
@@ -17,11 +17,11 @@ pub(crate) use index::{LEAF, LeafMoments, PointIndex};
 #[cfg(feature = "kd-tree")]
 pub use search::NeighbourSearch;
 
-/// Maximum number of points sampled for an extent.
+/// Maximum number of points sampled to measure an extent.
 const SAMPLE: usize = 10_000;
 
-/// Returns the smallest and largest of a sample of values, without one percent of strays at either end. `None` if no
-/// sampled value is finite.
+/// Returns the smallest and the largest of a sample of values, excluding one percent of the values at either end as
+/// stray. Returns `None` if no sampled value is finite.
 pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     let step = len.div_ceil(SAMPLE).max(1);
     let mut sample: Vec<f64> = (0..len).step_by(step).map(value).filter(|value| value.is_finite()).collect();
@@ -31,7 +31,7 @@ pub fn middle(len: usize, value: impl Fn(usize) -> f64) -> Option<[f64; 2]> {
     Some([sample[margin], sample[last - margin]])
 }
 
-/// Returns the diagonal of the box around all points but stray ones, in metres.
+/// Returns the diagonal of the box around all points except stray ones, in metres.
 #[cfg(feature = "reference")]
 pub(crate) fn extent_m(points: &[DVec3]) -> f64 {
     let span = |axis: usize| middle(points.len(), |i| points[i][axis]).map_or(0.0, |[low, high]| high - low);

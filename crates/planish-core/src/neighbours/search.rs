@@ -1,4 +1,4 @@
-//! Neighbour search by a k-d tree, for the reference and for metrics.
+//! Neighbour search with a k-d tree, for the reference and for metrics.
 
 use std::num::NonZero;
 
@@ -30,8 +30,8 @@ impl NeighbourSearch {
         Ok(Self { tree, index })
     }
 
-    /// Finds the indices of all points within `radius_m` of p, in ascending order, so that sums do not depend on the
-    /// tree.
+    /// Sets `found` to the indices of all points within `radius_m` of p. They are in ascending order, so that sums do
+    /// not depend on the tree.
     #[cfg(feature = "reference")]
     pub fn within(&self, p: DVec3, radius_m: f64, found: &mut Vec<usize>) {
         found.clear();

@@ -3,15 +3,15 @@
 use super::fit::{Edges, Fit, check, fit_setters};
 use crate::error::ParamError;
 
-/// Default number of neighbours of a point in an unorganized cloud.
+/// Default number of neighbours per point in an unorganized cloud.
 const NEIGHBOURS: u32 = 40;
 
 /// The radius of a neighbourhood in unorganized clouds (docs/method.md, sections 3 and 8).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum CloudRadius {
-    /// The radius within which evenly spread points would have this number of neighbours, by the density around each
-    /// point; at most one and a half times the mean radius of the point's neighbours.
+    /// A radius for each point, chosen from the density around the point so that evenly spread points would have this
+    /// number of neighbours. It is at most 1.5 times the mean radius of the point's neighbours.
     Neighbours {
         /// The number of neighbours, 6 to 1000.
         count: u32,
@@ -32,12 +32,12 @@ pub struct CloudParams {
     /// The gate: points farther away than this are not neighbours.
     pub radius: CloudRadius,
     /// Whether isolated points become holes instead of staying unchanged. A point is isolated if it has fewer than
-    /// three neighbours, or fewer than a quarter of [`CloudRadius::Neighbours`].
+    /// three neighbours, or fewer than about a quarter of the number in [`CloudRadius::Neighbours`].
     pub remove_isolated: bool,
 }
 
 impl Default for CloudParams {
-    /// Returns degree 2, rounded edges, and about 40 neighbours by the density around each point.
+    /// Returns parameters with degree 2, rounded edges, and a radius by density for 40 neighbours.
     fn default() -> Self {
         Self {
             fit: Fit { degree: 2, ..Fit::PAPER },
@@ -48,7 +48,7 @@ impl Default for CloudParams {
 }
 
 impl CloudParams {
-    /// Returns the parameters of the 2011 report: 3 cm, degree 3.
+    /// Returns the parameters of the 2011 report: a radius of 3 cm, degree 3.
     pub fn paper() -> Self {
         Self { fit: Fit::PAPER, radius: CloudRadius::Fixed { radius_m: 0.03 }, remove_isolated: false }
     }

@@ -1,4 +1,5 @@
-//! The parameters in the form that engines use: with a resolved window, and of one type for both kinds of input.
+//! The parameters in the form that engines use: the window size is resolved, and frames and unorganized clouds share
+//! one type.
 
 use super::cloud::{CloudParams, CloudRadius};
 use super::fit::{Edges, Fit, Project};
@@ -7,7 +8,7 @@ use super::window::WindowSize;
 use crate::frame::PointsView;
 use crate::sensor::SensorModel;
 
-/// The radius rules of both kinds of input.
+/// The rules for the radius, for frames and unorganized clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Radius {
     Fixed { radius_m: f32 },
@@ -97,7 +98,7 @@ impl EngineParams {
         if self.edges == Edges::Robust && self.stride > 1 { 2 } else { 1 }
     }
 
-    /// Returns the shape in cells of a frame of this many pixels.
+    /// Returns the width and height in cells of a frame with this width and height in pixels.
     pub(crate) fn cells_of(&self, (width, height): (usize, usize)) -> (usize, usize) {
         (width.div_ceil(self.cell_px()), height.div_ceil(self.cell_px()))
     }
@@ -113,7 +114,7 @@ impl EngineParams {
     }
 
     /// Returns the distance in cells to the planes that distinguish surfaces. It slightly exceeds the reach of a
-    /// window, so that one of the planes is clear of an edge close to the point.
+    /// window, so that next to an edge, the window of at least one of the planes does not cross the edge.
     pub(crate) fn edge_shift(&self) -> usize {
         (13 * self.reach() + 6 * self.cell_px()) / 12
     }

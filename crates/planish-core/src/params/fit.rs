@@ -2,9 +2,9 @@
 
 use crate::error::ParamError;
 
-/// The ridge of [`FrameParams::for_sensor`](super::FrameParams::for_sensor).
+/// The ridge of [`Strength::DEFAULT`](super::Strength::DEFAULT) and all higher strengths, for sensors with noise.
 pub(super) const RIDGE: f32 = 2.5e-2;
-/// The ridge of [`Strength::LIGHT`](super::Strength::LIGHT).
+/// The ridge of [`Strength::LIGHT`](super::Strength::LIGHT), for sensors with noise.
 pub(super) const LIGHT_RIDGE: f32 = 1e-2;
 /// The ridge of [`FrameParams::paper`](super::FrameParams::paper) and of sensors without noise: small enough to leave
 /// the plain polynomial unchanged.
@@ -18,8 +18,8 @@ pub struct Fit {
     pub degree: u32,
     /// Bandwidth B of the Gaussian weight exp(-d²/B²) in metres; `None` for the radius.
     pub bandwidth_m: Option<f32>,
-    /// Ridge lambda of the polynomial fit (docs/method.md, section 6), 1e-3 to 100: damps slopes, curvatures and third
-    /// derivatives. Small values keep the whole polynomial, large ones leave the plane.
+    /// Ridge lambda of the polynomial fit (docs/method.md, section 6), 1e-3 to 100: damps slopes, curvatures and
+    /// third derivatives. Small values keep the whole polynomial, large values reduce it to the plane.
     pub ridge: f32,
     /// Handling of creases and steps.
     pub edges: Edges,
@@ -76,9 +76,9 @@ pub(super) use fit_setters;
 pub enum Edges {
     /// Every neighbour counts: the surface is rounded off within a window's reach of an edge.
     Off,
-    /// The surface of each point is found from the planes around it, and neighbours off that surface by more than the
-    /// sensor's noise are ignored. Edges stay sharp, and flat surfaces become smoother too. In unorganized clouds, the
-    /// planes around a point determine its noise.
+    /// The surface of each point is found from the planes around it, and neighbours that are farther from that
+    /// surface than the sensor's noise are ignored. Edges stay sharp, and flat surfaces become smoother too. In
+    /// unorganized clouds, the planes around a point determine its noise.
     Robust,
 }
 

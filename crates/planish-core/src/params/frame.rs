@@ -7,17 +7,19 @@ use crate::error::ParamError;
 use crate::frame::{Frame, FrameGeometry, GeometryScratch, IntoFrame};
 use crate::sensor::SensorModel;
 
-/// Range at which the noise of sensors is compared, in metres.
+/// Range in metres at which the noise of sensors is compared.
 const TUNED_RANGE_M: f64 = 1.5;
-/// Noise at 1 m below which a sensor needs no wide windows, in metres: rounding to millimetres is as large.
+/// Noise at a range of 1 m, in metres, below which a sensor needs no wide windows, because it is no larger than the
+/// rounding of depth to millimetres.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 
 /// The radius of a neighbourhood in frames (docs/method.md, section 3).
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum FrameRadius {
-    /// r(z) = max(2 k s pitch z, 4 step(z)): wide enough for the window at this range, and for the sensor's depth
-    /// steps.
+    /// A radius that grows with the range z: r(z) = max(2 k s pitch z, 4 step(z)), with the half-width k and the
+    /// stride s of the window, the pixel pitch at 1 m, and the sensor's depth step. It covers the window at this
+    /// range, and the depth steps.
     Sensor,
     /// One radius for every point, in metres.
     Fixed {
@@ -46,7 +48,7 @@ pub struct FrameParams {
     /// Whether every sample is the mean of a block of pixels, so that every pixel of the window contributes. Blocks
     /// are as wide as the stride, or one pixel wider if the stride is even.
     pub average_blocks: bool,
-    /// The gate: samples farther away than this from the point are not neighbours.
+    /// The gate: samples whose distance from the point exceeds this radius are not neighbours.
     pub radius: FrameRadius,
     /// Direction in which points move: along their rays or along normals.
     pub project: Project,
@@ -55,19 +57,19 @@ pub struct FrameParams {
 }
 
 impl Default for FrameParams {
-    /// Returns [`FrameParams::for_sensor`] for a Kinect v1 and [`Strength::DEFAULT`]. On correlated Kinect noise, a
-    /// fifth of the error remains, less than half of what [`FrameParams::paper`] leaves.
+    /// Returns [`FrameParams::for_sensor`] for a Kinect v1 and [`Strength::DEFAULT`]. With correlated Kinect noise, a
+    /// fifth of the error remains: less than half of the error that remains with [`FrameParams::paper`].
     fn default() -> Self {
         Self::for_sensor(SensorModel::KINECT_V1, Strength::default())
     }
 }
 
 impl FrameParams {
-    /// Returns the parameters for a sensor: degree 2, edges kept, the radius and the noise of the sensor.
+    /// Returns the parameters for a sensor: degree 2, edges kept, and the radius and noise of the sensor's model.
     ///
-    /// The width of windows grows with the cube root of the noise at 1.5 m, which balances remaining noise and
-    /// flattening of curved surfaces: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for an Azure
-    /// Kinect. A sensor with little noise (under 0.3 mm at 1 m) gets 11x11, to preserve small objects.
+    /// The width of windows grows with the cube root of the noise at 1.5 m, which balances the remaining noise
+    /// against the flattening of curved surfaces: 25x25 pixels for a Kinect v1, 31x31 for a RealSense D435, 15x15 for
+    /// an Azure Kinect. A sensor with little noise (under 0.3 mm at 1 m) gets 11x11, to preserve small objects.
     pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
         let has_noise = sensor.sigma_m(1.0) >= LITTLE_SIGMA_M;
         let noise = sensor.sigma_m(TUNED_RANGE_M) / SensorModel::KINECT_V1.sigma_m(TUNED_RANGE_M);
@@ -83,7 +85,7 @@ impl FrameParams {
         }
     }
 
-    /// Returns the parameters of the 2011 report: 49 adjacent pixels, 3 cm, degree 3.
+    /// Returns the parameters of the 2011 report: windows of 49 adjacent pixels, a radius of 3 cm, degree 3.
     pub fn paper() -> Self {
         Self {
             fit: Fit::PAPER,
@@ -97,13 +99,13 @@ impl FrameParams {
 
     fit_setters!();
 
-    /// Fixes the half width of the window, 1 to 7, at the nominal stride.
+    /// Fixes the half-width of the window in samples, 1 to 7, and keeps the nominal stride.
     pub const fn with_window(mut self, half_width: u32) -> Self {
         self.window = Window::Fixed(WindowSize { half_width, ..self.window.nominal() });
         self
     }
 
-    /// Fixes the distance between samples in pixels, 1 to 8, at the nominal half width.
+    /// Fixes the distance between samples in pixels, 1 to 8, and keeps the nominal half-width.
     pub const fn with_stride(mut self, stride: u32) -> Self {
         self.window = Window::Fixed(WindowSize { stride, ..self.window.nominal() });
         self
@@ -129,13 +131,13 @@ impl FrameParams {
         Self { project, ..self }
     }
 
-    /// Sets the sensor noise model without the values that [`for_sensor`](Self::for_sensor) derives from it.
+    /// Sets the sensor noise model, but not the values that [`for_sensor`](Self::for_sensor) derives from it.
     pub const fn with_sensor(self, sensor: SensorModel) -> Self {
         Self { sensor, ..self }
     }
 
-    /// Returns these parameters with the window fixed for the resolution of a frame. Fixed windows are kept, and so is
-    /// the nominal size if the resolution is unknown. Smoothers do this themselves.
+    /// Returns these parameters with the window fixed for the resolution of a frame. A window that is already fixed
+    /// is unchanged. If the resolution is unknown, the nominal size is used. Smoothers fix the window automatically.
     ///
     /// ```
     /// use planish::{Camera, DepthFrame, FrameParams};

@@ -19,11 +19,12 @@ use crate::error::ParamError;
 pub struct Strength(f32);
 
 impl Strength {
-    /// 0: windows of 15x15 pixels for a Kinect v1, for small objects.
+    /// Strength 0: windows of 15x15 pixels for a Kinect v1, for small objects.
     pub const LIGHT: Self = Self(0.0);
-    /// 0.5: windows of 25x25 pixels.
+    /// Strength 0.5: windows of 25x25 pixels for a Kinect v1.
     pub const DEFAULT: Self = Self(0.5);
-    /// 1: windows of 29x29 pixels, with 49 samples instead of 25: for walls, floors and far ranges.
+    /// Strength 1: windows of 29x29 pixels for a Kinect v1, with 49 samples instead of 25, for walls, floors and far
+    /// ranges.
     pub const STRONG: Self = Self(1.0);
 
     /// Creates a strength from 0 to 1; refuses other values.
@@ -40,8 +41,8 @@ impl Strength {
         self.0
     }
 
-    /// Returns the window for a sensor whose noise is `noise` times a Kinect v1's, in four steps: light, a stride in
-    /// between, default and strong.
+    /// Returns the window for a sensor whose noise is `noise` times a Kinect v1's, in four steps: light, one stride
+    /// between light and default, default, and strong.
     pub(super) fn noisy_window(self, noise: f64) -> WindowSize {
         let (half_width, kinect_stride) = if self.0 < 0.75 { (2, 3.0 + 4.0 * self.0.min(0.5)) } else { (3, 4.0) };
         // Light and default differ by two pixels of stride; the stride between them is another step.
@@ -56,8 +57,8 @@ impl Strength {
         WindowSize { half_width: half_px.round() as u32, stride: 1 }
     }
 
-    /// Returns the ridge for a sensor with noise. It grows from light's to the default's at 0.5, and is constant from
-    /// there.
+    /// Returns the ridge for a sensor with noise. The ridge grows from that of light at 0 to that of the default at
+    /// 0.5, and is constant above 0.5.
     pub(super) fn noisy_ridge(self) -> f32 {
         LIGHT_RIDGE * (RIDGE / LIGHT_RIDGE).powf((2.0 * self.0).min(1.0))
     }

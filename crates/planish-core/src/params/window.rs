@@ -20,7 +20,7 @@ const STRIDES: RangeInclusive<u32> = 1..=8;
 /// The size of a window: a square of (2k+1)² samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WindowSize {
-    /// Half width k in samples, 1 to 7.
+    /// Half-width k in samples, 1 to 7.
     pub half_width: u32,
     /// Distance s between samples in pixels, 1 to 8.
     pub stride: u32,

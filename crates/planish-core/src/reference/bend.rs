@@ -1,6 +1,6 @@
 //! Bending of the surface, within a window and between the planes around a point (docs/method.md, section 10).
-//! Tensors are in 1/m: a surface with normal n and tensor T is x·Tx/2 above its tangent plane, at an offset x along
-//! it.
+//! Tensors are in 1/m: at an offset x along its tangent plane, a surface with normal n and tensor T is x·Tx/2 above
+//! that plane.
 
 use glam::{DMat3, DVec3};
 
@@ -18,13 +18,13 @@ const MOST_WINDOW_BEND: f64 = 4.0;
 const LEAST_WEIGHT: f64 = 1e-12;
 /// Damping of the bend between planes, as a share of the squared radius.
 const DAMPING: f64 = 0.009;
-/// Spread of the normals up to which the surface is flat, in units of the noise over the radius. From twice this
-/// spread on, the bend counts fully.
+/// Spread of the normals up to which the surface is flat, in units of the noise divided by the radius. From twice
+/// this spread on, the bend counts fully.
 const LEAST_TURN: f64 = 1.0;
 /// Share of the normals' variance that a bend must explain to count, and the share from which it counts fully.
 const EXPLAINED: [f64; 2] = [0.65, 0.85];
-/// Share of the bend between planes that must also be within their windows for the bend to count, and the share from
-/// which it counts fully. Windows on a round object bend too, but windows beside a crease are flat.
+/// Share of the bend between planes that must also be measured within their windows for the bend to count, and the
+/// share from which it counts fully. Windows on a round object bend too, but windows next to a crease are flat.
 const SHARED: [f64; 2] = [0.2, 0.4];
 /// Maximum bend of a surface, in units of 1/radius.
 const MOST_BEND: f64 = 1.2;
@@ -38,7 +38,7 @@ fn outer(x: DVec3, y: DVec3) -> DMat3 {
     DMat3::from_cols(x * y.x, x * y.y, x * y.z)
 }
 
-/// Returns the sum of the products of corresponding entries.
+/// Returns the sum of the products of corresponding entries of two matrices.
 fn inner(a: DMat3, b: DMat3) -> f64 {
     a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis)
 }
@@ -51,8 +51,8 @@ fn trace(a: DMat3) -> f64 {
     a.x_axis.x + a.y_axis.y + a.z_axis.z
 }
 
-/// Returns the sum of a window's principal curvatures in 1/m, (10.13), from the mean height of the neighbours in its
-/// middle over its plane, which is fitted to all neighbours.
+/// Returns the sum of a window's principal curvatures in 1/m (docs/method.md, (10.13)). It is computed from the mean
+/// height of the neighbours in the inner part of the window over the plane fitted to all neighbours.
 pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, params: &EngineParams) -> f64 {
     let half = params.window as isize;
     let middle = half / 2;
@@ -75,14 +75,14 @@ pub(super) fn of_window(neighbours: &[Neighbour], plane: &Plane, radius_m: f64, 
 /// A plane near p, from which the bend is estimated.
 pub(super) struct Slope {
     pub weight: f64,
-    /// Offset of its centroid from p.
+    /// Offset of the plane's centroid from p.
     pub offset: DVec3,
     pub normal: DVec3,
-    /// Sum of its window's principal curvatures, in 1/m.
+    /// Sum of the principal curvatures in the plane's window, in 1/m.
     pub window_bend: f64,
 }
 
-/// The bend of the surface around p, and the mean offset of the planes it was estimated from.
+/// The bend of the surface around p, and the mean offset from p of the planes from which it was estimated.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bend {
     pub tensor: DMat3,
@@ -100,7 +100,8 @@ impl Bend {
             return Self::NONE;
         }
         let mean = |value: &dyn Fn(&Slope) -> f64| slopes.iter().map(|s| s.weight * value(s)).sum::<f64>() / total;
-        // A plane's place t and its slope s, the sine of its angle: on a circle s grows with t by 1/r.
+        // A plane's position t and its slope s, the sine of its angle. On a circle of radius r, s changes by 1/r per
+        // unit of t.
         let place = |s: &Slope| [s.offset.dot(u), s.offset.dot(v)];
         let slope = |s: &Slope| [-s.normal.dot(u), -s.normal.dot(v)];
         let mean_place = [0, 1].map(|k| mean(&|s| place(s)[k]));
@@ -122,7 +123,7 @@ impl Bend {
         // Variance of the normals, and the part of it that H t explains.
         let turns = (1.0 - mean_normal.length_squared()).max(0.0);
         let explained = h.dot(right_side).powi(2) / h.dot(matrix(0.0) * h);
-        // Nothing bends, or the normals do not turn.
+        // If the tensor is zero or the normals do not turn, the surface is flat.
         if !(size > 0.0 && turns > 0.0 && explained > 0.0) {
             return Self { centre, ..Self::NONE };
         }
@@ -136,19 +137,20 @@ impl Bend {
         Self { tensor: factor * tensor, centre }
     }
 
-    /// Returns the normal at p of the surface with normal n at the centre.
+    /// Returns the surface's normal at p, given its normal n at the centre.
     pub(super) fn normal_at_p(&self, n: DVec3) -> DVec3 {
         (n + self.tensor * self.centre).normalize()
     }
 
-    /// Returns the tensor along the plane with normal n.
+    /// Returns the tensor projected onto the plane with normal n.
     pub(super) fn along(&self, n: DVec3) -> DMat3 {
         let onto = DMat3::IDENTITY - outer(n, n);
         onto * self.tensor * onto
     }
 }
 
-/// Returns the height at p of the bent surface over a plane fitted to it, whose centroid is at `offset`, in metres.
+/// Returns the height in metres, at p, of the bent surface over a plane fitted to it with its centroid at `offset`
+/// from p.
 pub(super) fn rise_m(tensor: DMat3, offset: DVec3, plane: &Plane) -> f64 {
     0.5 * offset.dot(tensor * offset) - 0.25 * spread(plane) * trace(tensor)
 }

@@ -1,5 +1,5 @@
 //! Block means: each sample of the windows is the mean of the points in the block around its pixel or cell
-//! (docs/method.md, sections 2 and 10). Metres.
+//! (docs/method.md, sections 2 and 10). Lengths are in metres.
 
 use glam::DVec3;
 
@@ -14,8 +14,8 @@ const STEPS: f64 = 2.5;
 /// Minimum gate of a block, in half-widths of the block.
 const HALF_WIDTHS: f64 = 3.0;
 
-/// Distance from the surface up to which points of a block count if edges are kept, in widths within which neighbours
-/// count.
+/// Maximum distance of a block's points from the surface for them to count if edges are kept, as a multiple of the
+/// width within which neighbours count.
 const SURFACE_WIDTH: f64 = 1.5;
 /// Square root of the minimum weight of a block's point by its distance from the surface.
 const MIN_WEIGHT: f64 = 0.02;

@@ -1,4 +1,5 @@
-//! The results of pixels from the surfaces of the cells around them (docs/method.md, section 10). Metres.
+//! Derives the results of pixels from the surfaces of the cells around them (docs/method.md, section 10). Lengths are
+//! in metres.
 
 use glam::DVec3;
 
@@ -27,15 +28,15 @@ const ALIKE: [f64; 2] = [0.9, 0.95];
 /// Share of the surfaces around a point that must count for their bend to matter, and the share from which the bend
 /// matters fully. With fewer, surfaces may be on one side of an edge, and only their tangent planes matter.
 const AROUND: [f64; 2] = [0.6, 0.9];
-/// Value added to the certainty of surfaces where their normals are averaged, so that a normal is defined even if all
-/// are uncertain.
+/// Value added to the certainties of surfaces when their normals are averaged, so that the mean normal is defined
+/// even if all of them are uncertain.
 const LEAST_CERTAINTY: f64 = 1e-6;
-/// Length of the mean normal of the surfaces around a point below which the point moves less: the surfaces disagree,
-/// are uncertain or are seen edge-on.
+/// Length of the mean normal of the surfaces around a point below which the point moves less. The mean normal is
+/// short if the surfaces disagree, are uncertain or are seen edge-on.
 const AGREEING: f64 = 0.5;
 /// Sum of the weights of the block means around a pixel below which their mean is drawn towards the pixel's point.
 const LEAST_MEANS: f64 = 0.1;
-/// Weight of a zero displacement, relative to the surfaces around a point that are like its own.
+/// Weight of a zero displacement in the mean of the surfaces around a point that are like its own.
 const MEAN_STAY: f64 = 0.05;
 /// Length of the mean normal of the surfaces around a point below which rounding decides its direction.
 const LEAST_NORMAL: f64 = 1e-15;
@@ -44,8 +45,7 @@ const LEAST_NORMAL: f64 = 1e-15;
 const SIDE_COSINE: f64 = 0.1;
 /// Minimum factor by which a surface counts, however small the cosine between its normal and the ray.
 const LEAST_SIDE: f64 = 1e-6;
-/// Length of a ray in metres below which surfaces count fully, because the direction of the ray is then only
-/// rounding.
+/// Length of a ray in metres below which surfaces count fully, because rounding then determines the ray's direction.
 const LEAST_RAY_M: f64 = 1e-4;
 
 /// The surfaces of all cells.
@@ -56,9 +56,9 @@ pub(super) struct CellSurfaces<'a> {
     pub(super) means: Option<&'a Grid>,
     /// The surfaces of the cells' points.
     pub(super) surfaces: &'a [Option<Surface>],
-    /// The results of the points of the cells.
+    /// The results of the cells' points.
     pub(super) results: &'a [PointResult],
-    /// Whether points move along their rays.
+    /// True if points move along their rays.
     pub(super) on_ray: bool,
 }
 
@@ -100,7 +100,7 @@ impl CellSurfaces<'_> {
         let (first, along) = step(height_m, normal);
         let (height_m, normal) = self.mean(pixel, p + first, normal, noise_m);
         let (second, more_along) = step(trust * height_m, normal);
-        // Both steps together stay within the limits of one.
+        // Both steps together must stay within the limits of a single step.
         let left_m = (radius_m.min(project::MAX_ALONG * p.length()) - first.length()).max(0.0);
         let share = if second.length() > left_m { left_m / second.length() } else { 1.0 };
         PointResult {
@@ -119,7 +119,7 @@ impl CellSurfaces<'_> {
         v / 2 * self.cells.width + u / 2
     }
 
-    /// Finds the surface of a point among the surfaces of the cells around it.
+    /// Derives the surface of a point from the surfaces of the cells around it.
     fn surface(&self, pixel: (usize, usize), point: &Point) -> Option<Found> {
         let mean_offset = self.mean_offset(pixel, point);
         let (mut total, mut certain, mut sum, mut height_m) = (0.0, 0.0, DVec3::ZERO, 0.0);
@@ -195,7 +195,7 @@ impl CellSurfaces<'_> {
         sum / total.max(LEAST_MEANS)
     }
 
-    /// Returns the cells less than `reach_px` pixels away along both axes, and their shares.
+    /// Returns the cells that are less than `reach_px` pixels from a pixel along both axes, and their shares.
     fn around(&self, (u, v): (usize, usize), reach_px: usize) -> impl Iterator<Item = (usize, f64)> {
         let width = self.cells.width;
         let (columns, rows) = (shares(u, width, reach_px), shares(v, self.cells.height, reach_px));

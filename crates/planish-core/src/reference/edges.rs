@@ -1,5 +1,5 @@
-//! Edge preservation: finds the surface of a point from the planes around it, and excludes neighbours off that surface
-//! (docs/method.md, section 10). Metres.
+//! Edge preservation: finds the surface of a point from the planes around it, and excludes neighbours off that
+//! surface (docs/method.md, section 10). Lengths are in metres.
 
 use glam::{DMat3, DVec3};
 
@@ -10,7 +10,7 @@ use super::window::{Grid, fading_gate, sample_offset};
 use crate::params::EngineParams;
 use crate::sensor::SensorModel;
 
-/// Sum of the weights of a plane's points up to which the plane is not used. From 1 more on, it counts fully.
+/// Sum of the weights of a plane's points up to which the plane is not used. A sum larger by 1 counts fully.
 pub(super) const MIN_TOTAL: f64 = 5.0;
 /// Minimum noise, as a share of the radius.
 pub(super) const MIN_NOISE: f64 = 0.01;
@@ -23,23 +23,23 @@ pub(super) const WIDTH: f64 = 1.0;
 const FITTING: [f64; 2] = [0.6, 1.6];
 /// Gate weight of a plane from which its normal counts fully in the turn of the normals.
 const NEAR_ENOUGH: f64 = 0.05;
-/// Turn that each missing plane of the nine around a point adds to that of their normals.
+/// Amount that each missing plane among the nine around a point adds to the turn of their normals.
 const MISSING_PLANE: f64 = 0.1 / 9.0;
 /// Turn of the normals of the planes around a point, as 1 - cos of an angle: up to the first value, planes suffice,
 /// however badly they fit; from the second on, only their fit decides.
 const TURNING: [f64; 2] = [0.02, 0.07];
 
-/// Distance in radii up to which the planes of other points are considered: on oblique surfaces a window reaches as
+/// Maximum distance of another point whose plane is considered, in radii. On oblique surfaces, a window reaches this
 /// far.
 pub(super) const PLANE_REACH: f64 = 2.0;
 
 /// Share of the noise's variance that is added to a plane's residual for each unit of doubt (1 for a disc), so that
-/// planes which their points hardly determine count as noisier.
+/// planes that are poorly determined by their points count as noisier.
 pub(super) const DOUBT_WEIGHT: f64 = 0.01;
 
-/// Minimum cosine of the angle of incidence: what looks like a steeper surface is a row of points far apart.
+/// Minimum cosine of the angle of incidence. What looks like a steeper surface is a row of points far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
-/// Excess over [`MIN_INCIDENCE_COSINE`] from which a plane counts fully.
+/// Excess of the cosine over [`MIN_INCIDENCE_COSINE`] from which a plane counts fully.
 const COSINE_FADE: f64 = 0.01;
 
 /// Weight of a zero displacement of p, relative to the surrounding planes.
@@ -57,7 +57,7 @@ pub(super) struct FirstPlanes<'a, N> {
     pub(super) grid: &'a Grid,
     pub(super) surfaces: &'a [Option<Surface>],
     pub(super) params: &'a EngineParams,
-    /// The noise at a point.
+    /// Function that returns the noise at a point, in metres.
     pub(super) noise_m: N,
 }
 
@@ -108,11 +108,11 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         }
         let voters = Voters { around, own_normal: own_plane.normal, mean_offset, noise_m };
         let vote = voters.vote();
-        // Heights are along the mean normal of the planes, whichever way it points.
+        // Heights are measured along the mean normal of the planes, before it is turned towards the sensor.
         let side = side_to_sensor(vote.normal, p);
         let normal = side * vote.normal.normalize();
         let bend = Bend::between(&voters.slopes(&vote), normal, radius_m, noise_m);
-        // Planes that disagree may be farther away than a point may move.
+        // The mean of disagreeing planes may be farther away than a point may move.
         let height_m = side * (voters.height_m(&vote, bend.tensor) / vote.total).clamp(-radius_m, radius_m);
         // The normal applies to the middle of the planes, where the slope differs from that at p.
         let normal = bend.normal_at_p(normal);
@@ -138,7 +138,7 @@ fn side_to_sensor(normal: DVec3, p: DVec3) -> f64 {
 struct Candidate {
     centroid: DVec3,
     plane: Plane,
-    /// Variance of its points about it plus its uncertainty, in m².
+    /// Variance of the plane's points about the plane, plus the plane's uncertainty, in m².
     variance: f64,
     nearness: f64,
     window_bend: f64,
@@ -148,7 +148,7 @@ struct Candidate {
 struct Voters {
     around: Vec<Candidate>,
     own_normal: DVec3,
-    /// Offset of p's block mean.
+    /// Offset from p to its block mean.
     mean_offset: DVec3,
     noise_m: f64,
 }
@@ -159,9 +159,9 @@ struct Vote {
     total: f64,
     /// Weights of the candidates around p.
     weights: Vec<f64>,
-    /// Sum of the candidates' fits to their own points, F of (10.17).
+    /// Sum of the candidates' fits to their own points, F of (10.17) in docs/method.md.
     fitting: f64,
-    /// Turn of the candidates' normals, increased for missing candidates: T of (10.17).
+    /// Turn of the candidates' normals, increased for missing candidates: T of (10.17) in docs/method.md.
     turning: f64,
 }
 

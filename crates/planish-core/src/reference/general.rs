@@ -1,4 +1,5 @@
-//! Unorganized clouds: all points within the radius are neighbours, found in a k-d tree (docs/method.md, section 8).
+//! Smooths unorganized clouds: all points within the radius are neighbours, found in a k-d tree (docs/method.md,
+//! section 8).
 
 use std::collections::HashMap;
 
@@ -17,16 +18,16 @@ use crate::progress::Progress;
 use crate::status::Status;
 use crate::threads::Threads;
 
-/// Maximum ratio of a radius to the mean of those around it.
+/// Maximum ratio of a radius to the mean radius of the positions around it.
 const MAX_RADIUS_RATIO: f64 = 1.5;
 
-/// Minimum radius.
+/// Minimum radius, in metres.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// The cloud to smooth.
 pub(super) struct Cloud<'a> {
     pub(super) points: &'a [DVec3],
-    /// Extent of the whole cloud, if this is a part of one.
+    /// Extent of the whole cloud in metres, if this is only a part of it.
     pub(super) extent_m: Option<f64>,
     /// Number of neighbours below which a point is isolated.
     pub(super) least_neighbours: u32,
@@ -39,7 +40,8 @@ struct Positions {
     search: NeighbourSearch,
 }
 
-/// Smooths every point of the cloud; order and number are kept. Displacements and normals are in the sensor's frame.
+/// Smooths every point of the cloud. Returns one result per point, in the same order. Displacements and normals are
+/// in the sensor's frame.
 pub(super) fn smooth(
     params: &EngineParams,
     threads: &Threads,
@@ -48,8 +50,8 @@ pub(super) fn smooth(
     progress: &Progress,
 ) -> Result<Vec<PointResult>, Error> {
     let &Cloud { points, extent_m: known_extent_m, least_neighbours } = cloud;
-    // Rotated into the sensor's orientation but not translated: the sensor may be so far away that moved points would
-    // lose digits.
+    // Points are rotated into the sensor's orientation but not translated: the sensor may be so far away that
+    // translated points would lose digits.
     let turn = |p: DVec3| geometry.cloud_from_sensor.map_or(p, |transform| transform.rotation.transpose() * p);
     let sensor = turn(geometry.sensor_position());
     let (places, distinct, counts) = distinct_positions(points);
@@ -103,7 +105,7 @@ fn distinct_positions(points: &[DVec3]) -> (Vec<Option<usize>>, Vec<DVec3>, Vec<
     let (mut distinct, mut counts) = (Vec::new(), Vec::new());
     let mut place_of = HashMap::new();
     let mut place = |&p: &DVec3| {
-        // -0 and 0 are one place.
+        // -0 and 0 are the same coordinate.
         let place = *place_of.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(distinct.len());
         if place == distinct.len() {
             distinct.push(p);
@@ -164,8 +166,8 @@ impl Positions {
         }
     }
 
-    /// Returns the mean of the radii of the other positions within `radius_m` of one, with weights 1 - d²/r²;
-    /// infinite without any.
+    /// Returns the mean radius of the other positions within `radius_m` of a position, with weights 1 - d²/r²;
+    /// infinite if there are no other positions.
     fn mean_radius_m(&self, place: usize, radius_m: f64, own_m: &[f64]) -> f64 {
         let mut found = Vec::new();
         self.search.within(self.points[place], radius_m, &mut found);

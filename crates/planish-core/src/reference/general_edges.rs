@@ -1,5 +1,5 @@
-//! Edge preservation in unorganized clouds: finds the surface of a point from the first planes of the positions around
-//! it (docs/method.md, section 10). Metres.
+//! Edge preservation in unorganized clouds: finds the surface of a point from the first planes of the positions
+//! around it (docs/method.md, section 10). Lengths are in metres.
 
 use glam::DVec3;
 
@@ -8,7 +8,7 @@ use super::edges::{DOUBT_WEIGHT, MIN_NOISE, MIN_TOTAL, OWN_NORMAL_WEIGHT, PLANE_
 use super::plane::{DEGENERATE_RATIO, Plane};
 use super::window::fading_gate;
 
-/// Distance, as a share of the radius, within which positions are averaged to the point from which distances to
+/// Distance, as a share of the radius, within which positions are averaged to give the point from which distances to
 /// planes are measured.
 const MEAN_REACH: f64 = 0.4;
 
@@ -25,8 +25,8 @@ const FACING_COSINE: f64 = 0.1;
 pub(super) struct FirstPlane {
     pub(super) surface: Surface,
     pub(super) radius_m: f64,
-    /// Misfit of the plane to its points and its uncertainty, R of (10.22), in m²; infinite for too few or collinear
-    /// points.
+    /// Combined misfit and uncertainty of the plane, R of (10.22) in docs/method.md, in m²; infinite for too few or
+    /// collinear points.
     residual: f64,
 }
 
@@ -66,13 +66,13 @@ impl FirstPlane {
             let from_mean_m = to_plane_m - mean.dot(plane.normal);
             let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
             let weight = gate(offset) * (1.0 + residual / noise_squared).powi(-4);
-            // Normals that point the other way are flipped.
+            // Normals on the opposite side to that of p's own plane are flipped.
             let facing = (plane.normal.dot(own_plane.normal) / FACING_COSINE).clamp(-1.0, 1.0);
             normal += weight * facing * plane.normal;
             height_m += weight * facing * to_plane_m;
             total += weight * facing.abs();
         }
-        // Planes that disagree may be farther away than a point may move.
+        // The mean of disagreeing planes may be farther away than a point may move.
         let height_m = (height_m / total).clamp(-self.radius_m, self.radius_m);
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();

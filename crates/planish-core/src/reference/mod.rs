@@ -1,5 +1,5 @@
-//! The reference engine: docs/method.md to the letter, in f64, written for readability. It is the oracle for the fast
-//! engines, so it shares no inner loops and no constants with them and is never optimised.
+//! The reference engine: a literal implementation of docs/method.md in f64, written for readability. It is the oracle
+//! for the fast engines, so it shares no inner loops and no constants with them and is never optimised.
 //!
 //! One file per stage: [`blocks`] and [`window`] (section 2), [`radius`] (3), [`plane`] (4), [`polynomial`] and
 //! [`solve`] (5, 6), [`project`] (7), [`edges`], [`bend`] and [`cells`] (10). Unorganized clouds have their own radii
@@ -62,7 +62,7 @@ impl PointResult {
     }
 }
 
-/// The surface of a point, relative to it.
+/// The surface of a point, relative to the point. Section numbers are those of docs/method.md.
 #[derive(Debug, Clone, Copy)]
 struct Surface {
     /// Number of neighbours in the point's own window.
@@ -73,16 +73,17 @@ struct Surface {
     width_m: f64,
     /// Bend tensor, in 1/m (section 10).
     bend: DMat3,
-    /// The sum of its window's principal curvatures, in 1/m (section 10).
+    /// Sum of the principal curvatures in the point's window, in 1/m (section 10).
     window_bend: f64,
     /// Degree to which no plane around the point fits, from 0 to 1 (section 10).
     no_plane_fits: f64,
-    /// Certainty of the surface, from 0, if no plane near the point fits it, to 1 (section 10).
+    /// Certainty of the surface, from 0 (no plane near the point fits it) to 1 (section 10).
     certainty: f64,
 }
 
 impl Surface {
-    /// Returns the plane of a point's own neighbours (section 4), given as offsets from it.
+    /// Returns the surface of a point from its own neighbours, given as offsets from the point (docs/method.md,
+    /// section 4).
     fn own(offsets: &[DVec3], radius_m: f64, ray: DVec3) -> Self {
         let plane = if offsets.len() < 3 { None } else { plane::fit(offsets, radius_m, ray) };
         let neighbours = offsets.len() as u32;
@@ -95,7 +96,7 @@ fn offsets_of(neighbours: &[Neighbour]) -> Vec<DVec3> {
     neighbours.iter().map(|neighbour| neighbour.offset).collect()
 }
 
-/// Applies sections 5 to 7 to one point over its surface.
+/// Smooths one point over its surface (docs/method.md, sections 5 to 7).
 fn smooth_point(
     p: DVec3,
     sensor: DVec3,
@@ -166,7 +167,7 @@ impl Reference {
                         extent_m: view.extent_m(),
                         least_neighbours: self.params.least_neighbours(&view),
                     },
-                    // Always on a grid.
+                    // Depth frames are always on a grid.
                     Frame::Depth(_) => general::Cloud { points: &points, extent_m: None, least_neighbours: 0 },
                 };
                 general::smooth(&self.params, &self.threads, &cloud, &frame.geometry, &self.progress)?
@@ -248,12 +249,12 @@ impl Reference {
         window::neighbours(samples, cell, p, &self.params, self.radius_m(geometry, p))
     }
 
-    /// Evaluates `mean` for every valid point and its cell, as a grid.
+    /// Returns a grid with the value of `mean` for every valid point and its cell.
     fn samples(&self, grid: &Grid, mean: impl Fn(DVec3, (usize, usize)) -> DVec3 + Sync) -> Grid {
         Grid { points: self.for_each_pixel(grid, DVec3::NAN, mean), width: grid.width, height: grid.height }
     }
 
-    /// Applies `work` to every valid point and its pixel or cell; returns `hole` for the others.
+    /// Applies `work` to every valid point and its pixel or cell. The result of each hole is `hole`.
     fn for_each_pixel<T: Clone + Send + Sync>(
         &self,
         grid: &Grid,
@@ -318,8 +319,8 @@ mod tests {
         frame.deproject().unwrap().positions().iter().map(|p| p.map(f64::from)).collect()
     }
 
-    /// Section 11: moving a cloud together with its pose moves the result in the same way; tested in f64, with and
-    /// without a grid.
+    /// docs/method.md, section 11: moving a cloud together with its pose moves the result in the same way. Tested in
+    /// f64, with and without a grid.
     #[test]
     fn a_rigid_motion_moves_the_result_to_a_nanometre() {
         let own = noisy_points(Scene::room(2));
@@ -377,7 +378,8 @@ mod tests {
         }
     }
 
-    /// Section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame rotates.
+    /// docs/method.md, section 6: the result does not depend on the in-plane axes, which a roll of the sensor's frame
+    /// rotates.
     #[test]
     fn turned_in_plane_axes_change_nothing() {
         let points = noisy_points(Scene::tabletop(5));

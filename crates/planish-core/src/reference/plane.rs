@@ -1,4 +1,4 @@
-//! The plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
+//! Fits the plane of a neighbourhood by principal component analysis (docs/method.md, section 4).
 //!
 //! All lengths are in metres, relative to the point p being smoothed, to avoid cancellation far from the origin.
 
@@ -10,7 +10,7 @@ use crate::eigen::symmetric_eigen;
 /// Ratio of the middle to the largest variance up to which a neighbourhood is a line.
 pub(super) const DEGENERATE_RATIO: f64 = 1e-4;
 
-/// Upper bound of the doubt.
+/// Maximum of [`Plane::doubt`].
 const MAX_DOUBT: f64 = 1e6;
 
 /// The plane, in coordinates relative to p.
@@ -30,7 +30,7 @@ pub(super) struct Plane {
     pub middle_variance: f64,
     /// Variance along the largest principal axis, l2, in m².
     pub largest_variance: f64,
-    /// l0/(l0+l1+l2).
+    /// Surface variation, l0/(l0+l1+l2).
     pub curvature: f64,
     /// Sum of the neighbours' gate weights.
     pub total: f64,

@@ -1,4 +1,4 @@
-//! The weighted polynomial over the plane (docs/method.md, section 5). Metres, relative to p.
+//! The weighted polynomial over the plane (docs/method.md, section 5). Lengths are in metres, relative to p.
 
 use glam::{DMat3, DVec3};
 
@@ -21,8 +21,8 @@ pub(super) struct Polynomial {
     pub gradient: DVec3,
 }
 
-/// Maximum exponent by distance from the surface: a neighbour far away keeps exp(-8) of its weight, which f32 still
-/// represents well.
+/// Maximum exponent for the distance from the surface: a distant neighbour keeps exp(-8) of its weight, which f32
+/// still represents well.
 const MAX_OFF_SURFACE: f64 = 8.0;
 /// Maximum ridge of the fit to all neighbours, which applies if no plane fits.
 const LOW_RIDGE: f64 = 3e-4;
@@ -45,8 +45,8 @@ fn monomials(degree: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..=degree).flat_map(|total| (0..=total).map(move |j| (total - j, j)))
 }
 
-/// Returns the weight of a monomial in the ridge, R of (6.2): the binomial norm of the derivatives, which makes the
-/// ridge the same in every frame.
+/// Returns the weight of a monomial in the ridge, R of (6.2) in docs/method.md: the binomial norm of the derivatives,
+/// which makes the ridge independent of the in-plane axes.
 fn ridge_weight((i, j): (u32, u32)) -> f64 {
     if i + j == 0 {
         return 0.0;
@@ -64,7 +64,7 @@ pub(super) fn tangents(n: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Fits the polynomial of the highest degree, up to `degree`, that the neighbours support; `None` if that is 1, the
-/// plane itself. If no plane fits, the polynomial of all neighbours replaces it, provided that it is close to them.
+/// plane itself. Where no plane fits, it is replaced by the polynomial of all neighbours, if that is close to them.
 pub(super) fn over(
     surface: &Surface,
     plane: &Plane,
@@ -111,8 +111,8 @@ struct Fitting<'a> {
 }
 
 impl Fitting<'_> {
-    /// Returns the polynomial, and the minimum of (6.1) divided by the sum of the weights, in m²: about the variance
-    /// of the neighbours.
+    /// Returns the polynomial, and the minimum of (6.1) in docs/method.md divided by the sum of the weights, in m²:
+    /// about the variance of the neighbours.
     fn fit(&self, offsets: &[DVec3]) -> (Polynomial, f64) {
         let &Self { plane, bend, width_m, radius_m, bandwidth_m, ridge, degree } = self;
         let (u, v) = tangents(plane.normal);
@@ -145,7 +145,7 @@ impl Fitting<'_> {
         let c = solve(&normal_matrix, &right_side);
         let explained: f64 = c.iter().zip(&right_side).map(|(c, t)| c * t).sum();
         let polynomial = Polynomial { degree, height: c[0], gradient: (c[1] * u + c[2] * v) / h };
-        // Without any weight, the variance is unknown.
+        // If all weights are 0, the variance is unknown.
         (polynomial, if total > 0.0 { (squares - explained) / total } else { f64::INFINITY })
     }
 }

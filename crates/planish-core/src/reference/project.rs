@@ -1,4 +1,4 @@
-//! The point on the surface and its normal (docs/method.md, section 7).
+//! Computes the point on the surface and its normal (docs/method.md, section 7).
 
 use glam::DVec3;
 
@@ -53,7 +53,7 @@ pub(super) fn project(
 
 /// Returns the distance along the ray, in ray lengths, from its end (the origin here) to the tangent plane through
 /// `surface`. With c the cosine of the angle of incidence, 1/c is replaced by c/max(c², 0.2²), since a grazing ray
-/// determines little.
+/// determines the distance poorly.
 pub(super) fn along_ray(surface: DVec3, normal: DVec3, ray: DVec3, radius_m: f64) -> f64 {
     let length = ray.length();
     let cosine = ray.dot(normal) / length;

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::frame::{FrameGeometry, RangeRule};
 use crate::params::{EngineParams, Radius};
 
-/// Minimum radius, so that a point that is its own sample is its neighbour at any position.
+/// Minimum radius in metres. It ensures that a point that is its own sample is always its own neighbour.
 const MIN_RADIUS_M: f64 = 1e-12;
 
 /// Returns the radius r of a point in the sensor's frame.

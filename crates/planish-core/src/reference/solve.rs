@@ -1,7 +1,7 @@
-//! Symmetric positive systems by LDL^T (docs/method.md, section 6).
+//! Solves symmetric positive systems by an LDL^T decomposition (docs/method.md, section 6).
 
-/// Solves A c = t for a symmetric positive A of `t.len()` rows, given row by row. Returns zeros if a pivot is not
-/// positive because every weight was too small.
+/// Solves A c = t for a symmetric positive A with `t.len()` rows. Returns zeros if a pivot is not positive because
+/// every weight was too small.
 pub(super) fn solve(a: &[Vec<f64>], t: &[f64]) -> Vec<f64> {
     let m = t.len();
     // L below the diagonal, and the pivots D.

@@ -1,4 +1,4 @@
-//! Section 16: a mean of each pixel over the frames of a video, in f64.
+//! Averages each pixel over the frames of a video, in f64 (docs/method.md, section 16).
 
 use glam::DVec3;
 
@@ -13,7 +13,7 @@ const TILE: usize = 16;
 /// The state of a pixel.
 #[derive(Clone, Copy)]
 struct Pixel {
-    /// Mean q.
+    /// Mean q of the averaged quantity.
     mean: f64,
     /// Effective number of frames n; 0 if the pixel is unknown.
     frames: f64,
@@ -27,7 +27,7 @@ struct Pixel {
 }
 
 impl Pixel {
-    /// A pixel that no frame has shown.
+    /// State of a pixel that has not been seen in any frame.
     const UNKNOWN: Self = Self { mean: 0.0, frames: 0.0, bias: 0.0, variance: 0.5, idle: 0, is_carried: false };
 }
 
@@ -47,11 +47,11 @@ struct Measured {
     /// Change e; `None` for unknown pixels and holes.
     change: Option<f64>,
     is_candidate: bool,
-    /// Whether the change is large enough for neighbours with the same sign to confirm it at once.
+    /// True if the change is large enough for neighbours with the same sign to confirm it immediately.
     is_large: bool,
 }
 
-/// The filter of section 16.
+/// The temporal filter of docs/method.md, section 16.
 pub struct TemporalReference {
     params: TemporalParams,
     sensor: SensorModel,
@@ -336,7 +336,7 @@ impl TemporalReference {
 }
 
 impl Pixel {
-    /// Rounds the state as it is stored, in 12 bytes (16.7).
+    /// Rounds the state to the precision with which it is stored, in 12 bytes (16.7).
     fn rounded(self) -> Self {
         let round = |value: f64, steps: f64| (value * steps + 0.5).floor() / steps;
         Self {

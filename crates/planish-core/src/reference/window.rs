@@ -1,4 +1,4 @@
-//! The neighbours of a pixel: a strided window and a gate on distance (docs/method.md, section 2).
+//! Finds the neighbours of a pixel, with a strided window and a gate on distance (docs/method.md, section 2).
 //!
 //! A window never leaves the image and never wraps from one row into the next.
 
@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::params::EngineParams;
 
-/// Points of pixels or cells in the sensor's frame, row by row; a hole is not finite.
+/// Points of pixels or cells in the sensor's frame, row by row; holes are not finite.
 pub(super) struct Grid {
     pub points: Vec<DVec3>,
     pub width: usize,
@@ -34,17 +34,17 @@ impl Grid {
     }
 }
 
-/// Width of the range of squared distances over which the gate fades out, centred on the squared radius, as a share
-/// of it.
+/// Width of the range of squared distances over which the gate fades out, as a share of the squared radius, on which
+/// the range is centred.
 const FADE: f64 = 1.0 / 16.0;
 
-/// Returns the weight of a point by its offset from another: 1 up to 0.984 of the radius, 1/2 at the radius, 0 beyond
-/// 1.016 of it.
+/// Returns the weight of a point at an offset from another: 1 up to 0.984 of the radius, 1/2 at the radius, 0 beyond
+/// 1.016 of the radius.
 pub(super) fn fading_gate(offset: DVec3, radius_m: f64) -> f64 {
     (0.5 + (1.0 - offset.length_squared() / (radius_m * radius_m)) / FADE).clamp(0.0, 1.0)
 }
 
-/// Returns the distance within which points have a weight, slightly more than the radius.
+/// Returns the distance within which points have a positive weight, slightly more than the radius.
 pub(super) fn reach_m(radius_m: f64) -> f64 {
     radius_m * (1.0 + 0.5 * FADE).sqrt()
 }
@@ -54,7 +54,7 @@ pub(super) fn reach_m(radius_m: f64) -> f64 {
 pub(super) struct Neighbour {
     /// Column and row in the window, in samples from its centre.
     pub place: [isize; 2],
-    /// q - p.
+    /// Offset q - p from the point, in metres.
     pub offset: DVec3,
 }
 

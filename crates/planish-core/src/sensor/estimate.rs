@@ -12,18 +12,18 @@ const STRAIGHT_SHARE: f64 = 0.75;
 /// Mean of the second differences below [`STRAIGHT_SHARE`] for independent normal noise, in standard deviations of
 /// the noise: 0.515 sqrt(6). (Their median would jump from one whole depth step to the next.)
 const MEAN_DEVIATIONS: f64 = 1.262;
-/// Minimum number of second differences in a frame, and in an interval of its ranges.
+/// Minimum number of second differences in a frame, and in each interval of ranges.
 const MIN_SAMPLES: usize = 1000;
 /// Ratio of the bounds of an interval of ranges.
 const INTERVAL_RATIO: f64 = 1.25;
-/// Minimum ratio of the farthest to the nearest range for a polynomial other than c2 z² alone; squared for three
-/// coefficients.
+/// Minimum ratio of the farthest to the nearest range for a polynomial other than c2 z² alone; the ratio is squared
+/// for a polynomial with three coefficients.
 const RATIO_PER_COEFFICIENT: f64 = 1.8;
 /// Maximum ratio of the squared relative residuals at which a polynomial with more coefficients is preferred.
 const WORTHWHILE: f64 = 0.5;
-/// Maximum of each coefficient of a sensor's noise, in metres at 1 m.
+/// Maximum value of each coefficient of a sensor's noise, in metres at a range of 1 m.
 const MAX_SIGMA_M: f64 = 0.1;
-/// Maximum of each coefficient of a sensor's depth step, in metres at 1 m.
+/// Maximum value of each coefficient of a sensor's depth step, in metres at a range of 1 m.
 const MAX_STEP_M: f64 = 0.2;
 
 /// Measurements in one interval of ranges.
@@ -38,14 +38,14 @@ impl SensorModel {
     /// deviations of ranges in a row from a straight line. `None` if the frame has too few ranges, or they are
     /// unknown.
     ///
-    /// Both are robust means over intervals of the range. The number of coefficients depends on the spread of ranges: a
-    /// single surface at 1 m cannot show how noise grows with range, and gets the z² law. In a scene of foliage,
-    /// texture is mistaken for noise.
+    /// Step and noise are robust averages, computed in intervals of the range. The number of coefficients depends on
+    /// the spread of ranges: a single surface at 1 m cannot show how noise grows with range, and gets the z² law. In
+    /// a scene of foliage, texture is mistaken for noise.
     pub fn estimate(cloud: &OrganizedCloud) -> Option<Self> {
         Self::estimate_from(Frame::Points(PointsView::from_organized(cloud).ok()?))
     }
 
-    /// Same as [`estimate`](Self::estimate), for a view of a frame; only the ranges are copied.
+    /// Same as [`estimate`](Self::estimate), for a borrowed frame, of which only the ranges are copied.
     pub fn estimate_from(frame: Frame<'_>) -> Option<Self> {
         let (width, _) = frame.grid()?;
         let ranges = match frame {
@@ -80,9 +80,9 @@ impl SensorModel {
         let gaps: Vec<(f64, f64)> = sorted.windows(2).map(|pair| (pair[0], pair[1] - pair[0])).collect();
 
         let sigma = fit(&intervals(&bends, MIN_SAMPLES, lower_mean), MAX_SIGMA_M)?;
-        // Exact depths are nearly all distinct: the gaps between them are tiny and no depth steps.
+        // Exact depths are nearly all distinct: the gaps between them are tiny, and are not depth steps.
         let step = fit(&intervals(&gaps, MIN_SAMPLES / 50, median), MAX_STEP_M).unwrap_or_default();
-        // Rounding to the step is noise too, and the radius must reach over the noise.
+        // Rounding to the step is noise too, and the radius must exceed the noise.
         let rounding = step.map(|c| c / 12f64.sqrt());
         let sigma = larger(sigma, rounding, &bends);
         let step = larger(step, sigma.map(|c| c / NOISE_IN_STEPS), &bends);
@@ -97,8 +97,8 @@ fn larger(a: [f64; 3], b: [f64; 3], samples: &[(f64, f64)]) -> [f64; 3] {
     if at(a) >= at(b) { a } else { b }
 }
 
-/// Returns the typical value in each interval of the range with enough samples; over all samples if no interval has
-/// enough.
+/// Returns the typical value in each interval of the range with enough samples; the typical value of all samples if
+/// no interval has enough.
 fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64]) -> f64) -> Vec<Interval> {
     let mut by_interval: std::collections::BTreeMap<i32, Vec<(f64, f64)>> = Default::default();
     for &(range_m, value_m) in samples {
@@ -136,8 +136,8 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
         }
     }
     let (coefficients, _) = best?;
-    // A frame of one wall at one depth has almost no gaps, and a frame of noise few distinct depths: a bound keeps both
-    // usable.
+    // A frame of one wall at one depth has almost no gaps, and a frame of noise few distinct depths: bounds on the
+    // coefficients keep both estimates usable.
     Some(coefficients.map(|c| c.min(max_at_1m)))
 }
 

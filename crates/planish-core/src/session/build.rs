@@ -8,8 +8,8 @@ use crate::frame::Frame;
 use crate::threads::ONE_THREAD;
 
 impl Session {
-    /// Sets whether frames come from a live source. If so, fewer frames are kept in flight, so that the newest is not
-    /// late.
+    /// Sets whether frames come from a live source. If so, fewer frames are kept in flight, which reduces the
+    /// latency.
     pub fn with_live(self, is_live: bool) -> Self {
         Self { is_live, ..self }
     }
@@ -32,10 +32,10 @@ impl Session {
         Self { keeps_sensor, ..self }
     }
 
-    /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the grid of a
-    /// frame that lost it is rebuilt, and the number of neighbours, edges and passes are chosen by noise and shape. If
-    /// not, parameters are those of [`Settings::cloud_params`](crate::Settings::cloud_params), which is faster and
-    /// avoids flicker in a video.
+    /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the pixel grid
+    /// of a frame that was saved without it is rebuilt; for other clouds, the number of neighbours, edges and passes
+    /// are chosen by noise and shape. If not, the parameters are those of
+    /// [`Settings::cloud_params`](crate::Settings::cloud_params), which is faster and avoids flicker in a video.
     pub fn with_cloud_estimates(self, estimates_clouds: bool) -> Self {
         Self { estimates_clouds, ..self }
     }
@@ -55,17 +55,17 @@ impl Session {
         Self { devices, device: 0, ..self }
     }
 
-    /// Sets the index of the device that smooths frames one at a time, modulo the number of devices. For sessions
-    /// that share a list of devices.
+    /// Sets the index of the device that smooths frames one at a time, modulo the number of devices. For several
+    /// sessions that share a list of devices.
     pub fn with_device(self, index: usize) -> Self {
         let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
         Self { device, ..self }
     }
 
-    /// Reports each doubt about frames once.
+    /// Adds an event for each doubt about a frame that was not reported before.
     pub(super) fn doubt(&mut self, frame: Frame<'_>) {
         let camera = frame.camera().copied();
-        // WebAssembly has no text for it.
+        // WebAssembly builds have no text for this doubt.
         let of_lens = (camera != self.doubted_camera && !ONE_THREAD)
             .then(|| camera.as_ref().and_then(doubt_about_lens))
             .flatten();

@@ -1,8 +1,9 @@
 //! Assignment of frames to videos, by timestamp.
 
-/// Time between frames in seconds that must be exceeded to begin a new video.
+/// Maximum time between consecutive frames of one video in seconds, unless [`MOST_INTERVALS`] allows more.
 const LONGEST_INTERVAL_S: f64 = 1.0;
-/// Ratio of the time between frames to the previous interval that must be exceeded to begin a new video.
+/// Maximum ratio of the time between consecutive frames of one video to the previous interval, unless
+/// [`LONGEST_INTERVAL_S`] allows more.
 const MOST_INTERVALS: f64 = 5.0;
 
 /// Numbers videos; a gap in timestamps begins a new video.
@@ -14,7 +15,7 @@ pub(super) struct VideoClock {
     gaps: u64,
     /// Timestamp of the last frame in seconds.
     last_time_s: Option<f64>,
-    /// Interval before the last frame in seconds.
+    /// Interval between the last two frames in seconds.
     last_interval_s: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! Unorganized clouds whose points are spaced evenly after smoothing.
+//! Even spacing of the points of unorganized clouds after smoothing.
 
 use super::{Chosen, Session};
 use crate::error::Error;
@@ -8,7 +8,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::threads::Threads;
 
 impl Session {
-    /// Returns the cloud if the settings ask for even spacing.
+    /// Returns the cloud if the settings request even spacing; otherwise `None`.
     pub(super) fn to_space_evenly<'a>(&self, frame: Frame<'a>) -> Option<PointsView<'a>> {
         let Chosen::Settings(settings) = &self.chosen else { return None };
         match frame {

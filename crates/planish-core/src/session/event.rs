@@ -10,8 +10,8 @@ use crate::params::{CloudParams, CloudRadius, Edges};
 use crate::sensor::SensorModel;
 use crate::threads::ONE_THREAD;
 
-/// The choices for an unorganized cloud where the settings leave them to planish. [`Display`](fmt::Display) gives one
-/// line for a user.
+/// The parameters for an unorganized cloud, chosen by planish where the settings do not give them.
+/// [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -23,13 +23,13 @@ pub struct CloudChoice {
     pub edges: Edges,
     /// The number of passes: 2 if there is a first pass with few neighbours, otherwise 1.
     pub passes: u32,
-    /// The standard deviation of the points across their surface in metres; `None` if the cloud is too small for an
-    /// estimate.
+    /// The noise of the points, as a standard deviation perpendicular to the surface in metres; `None` if the cloud
+    /// is too small for an estimate.
     pub noise_m: Option<f32>,
 }
 
 impl CloudChoice {
-    /// Returns the choice that led to these parameters; `None` for a fixed radius.
+    /// Returns the choice that corresponds to these parameters; `None` for a fixed radius.
     pub fn of(params: &CloudParams, passes: u32, estimate: Option<CloudEstimate>) -> Option<Self> {
         let CloudRadius::Neighbours { count } = params.radius else { return None };
         let noise_m = estimate.map(|estimate| estimate.noise_m);
@@ -54,29 +54,30 @@ fn serialize_edges<S: serde::Serializer>(edges: &Edges, serializer: S) -> Result
     serializer.serialize_str(edges.name())
 }
 
-/// A finding, choice or fault that a session reports. [`Display`](fmt::Display) gives one line for a user.
+/// An estimate, choice or fault that a session reports. [`Display`](fmt::Display) gives one line for a user.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {
-    /// The sensor was estimated from the first frame.
+    /// The sensor was estimated from a frame, and differs from the previous estimate.
     SensorEstimated {
         /// The estimated model.
         sensor: SensorModel,
     },
     /// Neighbours, edges and passes for an unorganized cloud were chosen by its noise and shape.
     NeighboursChosen(CloudChoice),
-    /// An unorganized cloud is a frame without its grid; the grid was rebuilt, and the cloud was smoothed on it.
+    /// An unorganized cloud was recognized as a frame without its grid. The grid was rebuilt, and the cloud was
+    /// smoothed on the grid.
     GridRebuilt {
         /// Width in pixels.
         width: usize,
         /// Height in pixels.
         height: usize,
     },
-    /// The frame looks wrong for a depth camera. It was smoothed anyway.
+    /// The frame is implausible for a depth camera. It was smoothed anyway.
     Doubtful(Doubt),
-    /// The motion of the camera is to be compensated over time, but no camera fits the points of the frames.
+    /// The motion of the camera should be compensated over time, but no camera fits the points of the frames.
     CameraUnknown,
-    /// Holes are to be filled, but the points are not on the pixels of a camera.
+    /// Holes should be filled, but the points are not on the pixels of a camera.
     NotFilled,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
@@ -93,18 +94,18 @@ pub enum SessionEvent {
         /// The error of the GPU.
         error: EngineError,
     },
-    /// A device failed; the session continues on another one of its list.
+    /// A device failed; the session continues on another device in its list.
     DeviceLeft {
         /// The failed device.
         device: FleetDevice,
-        /// The error of the device.
+        /// The error that the device reported.
         error: EngineError,
     },
     /// A device that shared the frames in flight failed; the others continue.
     DeviceLost {
         /// The failed device.
         device: FleetDevice,
-        /// The error of the device.
+        /// The error that the device reported.
         error: EngineError,
         /// The number of remaining devices.
         left: usize,
@@ -112,7 +113,7 @@ pub enum SessionEvent {
 }
 
 impl SessionEvent {
-    /// Returns true if something went wrong. The other events report findings and choices.
+    /// Returns true for faults and doubts, false for estimates and choices.
     pub fn is_fault(&self) -> bool {
         !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen(_) | Self::GridRebuilt { .. })
     }
@@ -134,7 +135,7 @@ impl fmt::Display for SessionEvent {
                 "the motion of the camera cannot be compensated, since the points fit no camera without distortion; \
                  give the camera",
             ),
-            // WebAssembly fills none.
+            // WebAssembly builds fill no holes.
             Self::NotFilled if ONE_THREAD => Ok(()),
             Self::NotFilled => {
                 f.write_str("holes are not filled, since the points fit no camera without distortion; give the camera")

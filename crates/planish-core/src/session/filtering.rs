@@ -1,5 +1,5 @@
-//! The filter over time and its state, for results of a session, or of a camera of a rig, that were smoothed in
-//! space.
+//! The filter over time and its state, for results that were smoothed in space: those of a session, or of one camera
+//! in a rig.
 
 use super::sight::{Sight, StatedPose};
 use crate::camera::Camera;
@@ -11,11 +11,11 @@ use crate::threads::Threads;
 
 /// The state of a video since its first frame.
 struct Begun {
-    /// The sight of the first frame.
+    /// The camera, sensor and geometry of the first frame.
     sight: Sight,
     filter: TemporalFilter,
     threads: Threads,
-    /// The camera, given or found from the points.
+    /// The camera, given by the frame or found from the points.
     camera: Option<Camera>,
     /// Whether no camera fits the points.
     has_no_camera: bool,
@@ -23,7 +23,7 @@ struct Begun {
     tracking: Option<(Tracker, Surface)>,
     /// The pose of the last frame, and whether the frame itself stated it.
     last_pose: StatedPose,
-    /// Motion of the camera before the last frame, if known.
+    /// Motion of the camera between the last two frames, if known.
     motion: Option<CameraMotion>,
 }
 
@@ -36,15 +36,15 @@ pub(super) struct Filtering {
 }
 
 impl Filtering {
-    /// Smooths a result in place, and adds the outputs derived from others. Returns true once if the motion of the
-    /// camera is needed but no camera fits the points.
+    /// Smooths a result in place, and adds the outputs derived from others. Returns true if the motion of the camera
+    /// is needed but no camera fits the points, but only once per video.
     pub(super) fn filter(
         &mut self,
         sight: &Sight,
         smoothed: &mut Smoothed,
         threads: Option<usize>,
     ) -> Result<bool, Error> {
-        // Without a position of the sensor there are no ranges.
+        // Without the sensor's position, there are no ranges.
         if matches!(sight.geometry.rule, RangeRule::Constant { .. }) {
             Threads::open(threads)?.install(|| sight.finish(smoothed, None));
             return Ok(false);
@@ -67,13 +67,13 @@ impl Filtering {
         self.begun.as_ref().filter(|begun| begun.sight.video == video)
     }
 
-    /// Returns the motion of the camera before the last frame; `None` if it is unknown or the frame belongs to
-    /// another video.
+    /// Returns the motion of the camera between the last two frames; `None` if the motion is unknown or the last
+    /// frame belongs to another video.
     pub(super) fn motion(&self, video: u64) -> Option<CameraMotion> {
         self.current(video)?.motion
     }
 
-    /// Returns the filter of this video.
+    /// Returns the filter of this video; `None` if the last frame belongs to another video.
     pub(super) fn filter_of(&self, video: u64) -> Option<&TemporalFilter> {
         self.current(video).map(|begun| &begun.filter)
     }
@@ -86,8 +86,8 @@ impl Begun {
         Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
     }
 
-    /// Finds the camera if its motion matters. Returns true once if the motion is needed but no camera fits the
-    /// points.
+    /// Finds the camera if its motion matters. Returns true if the motion is needed but no camera fits the points,
+    /// but only once per video.
     fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
         let needs_camera = sight.is_tracked || sight.pose.is_some();
         if !needs_camera || self.camera.is_some() || self.has_no_camera {

@@ -1,4 +1,4 @@
-//! Steps on the CPU after any engine: estimating standard errors, unless the engine did, and filling holes.
+//! Steps on the CPU after the engine: estimating standard errors, unless the engine has done so, and filling holes.
 
 use super::{Chosen, Session, SessionEvent};
 use crate::error::{Error, FrameError, ParamError};
@@ -13,7 +13,7 @@ use crate::threads::{ONE_THREAD, Threads};
 /// The steps that finish the result of an engine.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Finish {
-    /// The geometry of the frame; `None` if the engine has left nothing to do.
+    /// The geometry of the frame; `None` if the session has no step left to apply.
     geometry: Option<FrameGeometry>,
     params: EngineParams,
     /// The requested outputs.
@@ -24,7 +24,8 @@ pub(super) struct Finish {
     estimates_sigma: bool,
 }
 
-/// Finishes results. As a trait object that WebAssembly never creates, it keeps its code out of the module.
+/// Access to the buffers and threads for finishing results. As a trait object that WebAssembly never creates, it
+/// keeps its code out of the module.
 pub(super) trait Finishing: Send {
     fn buffers(&mut self) -> &mut FinishBuffers;
     fn threads(&self) -> Option<&(Option<usize>, Threads)>;
@@ -45,9 +46,9 @@ impl Finishing for FinishBuffers {
 pub(super) struct FinishBuffers {
     /// The result before it is copied into the caller's buffers.
     finished: Smoothed,
-    /// Results that the caller did not request.
+    /// Buffers for results that finishing needs but the caller did not request.
     spare: Smoothed,
-    /// The requested number of threads, and the threads.
+    /// The requested number of threads, and the threads that were opened for it.
     threads: Option<(Option<usize>, Threads)>,
     sigma: SigmaBuffers,
     fill: FillBuffers,
@@ -56,7 +57,7 @@ pub(super) struct FinishBuffers {
 }
 
 impl FinishBuffers {
-    /// Swaps buffers that the caller did not request but finishing needs into the caller's result, or back.
+    /// Moves the buffers that finishing needs but the caller did not request into the caller's result, or back.
     fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
         let spare = &mut self.spare;
         if !outputs.points {
@@ -75,19 +76,19 @@ impl FinishBuffers {
 }
 
 impl Session {
-    /// Returns whether results are finished by the session.
+    /// Returns true if the session applies steps to results after the engine.
     pub(super) fn finishes(&self) -> bool {
         !ONE_THREAD && (self.options.outputs.sigma || self.fill_px().is_some())
     }
 
-    /// Returns the requested outputs, and the status if holes are filled, since it flags filled pixels.
+    /// Returns the requested outputs. If holes are filled, the status is added, since it flags filled pixels.
     fn flagged_outputs(&self) -> Outputs {
         let outputs = self.options.outputs;
         outputs.with_status(outputs.status || (!ONE_THREAD && self.fill_px().is_some()))
     }
 
-    /// Returns the outputs to request from the engine. Without smoothing over time they include `sigma`, which
-    /// the engine may estimate.
+    /// Returns the outputs to request from the engine. If the frame is not smoothed over time, they include `sigma`,
+    /// which the engine may estimate.
     pub(super) fn outputs_to_finish(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.options.outputs;
         if !self.finishes() {
@@ -134,7 +135,7 @@ impl Session {
         }
     }
 
-    /// Smooths a frame and finishes the result.
+    /// Smooths a frame, then estimates standard errors and fills holes as requested.
     pub(super) fn smooth_and_finish(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
         self.check_can_finish(frame)?;
         let (requested, outputs) = (self.options.outputs, self.flagged_outputs());
@@ -170,7 +171,7 @@ impl Session {
         result
     }
 
-    /// Finishes a received result.
+    /// Applies the remaining steps to a received result.
     pub(super) fn finish_received(
         &mut self,
         frame: Frame<'_>,

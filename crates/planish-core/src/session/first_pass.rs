@@ -7,8 +7,8 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::smoother::check_frame;
 
 impl Session {
-    /// Runs a first pass with few neighbours over a cloud, if its noise or the settings call for it. Returns whether
-    /// the pass ran; if so, `self.first_pass` has the points.
+    /// Runs a first pass with few neighbours over a cloud, if its noise or the settings call for it. Returns true if
+    /// the pass ran; `self.first_pass` then contains its points.
     pub(super) fn smooth_first(&mut self, frame: Frame<'_>) -> Result<bool, Error> {
         if frame.grid().is_some() {
             return Ok(false);
@@ -35,7 +35,7 @@ impl Session {
         result.map(|()| true)
     }
 
-    /// Smooths a frame, or a noisy cloud after a first pass over it.
+    /// Smooths a frame or cloud; a noisy cloud is smoothed after a first pass.
     pub(super) fn smooth_in_passes(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let points = match frame {
             Frame::Points(points) if self.smooth_first(frame)? => points,

@@ -1,4 +1,4 @@
-//! Frames in flight of a session: submission, receipt, and smoothing them again if their device is lost.
+//! The frames in flight of a session: submission, receipt, and smoothing again if their device is lost.
 
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ use crate::view::SmoothedView;
 
 impl Session {
     /// Submits a frame; [`receive`](Self::receive) returns the results in the order of submission. If its device is
-    /// lost, the frame is smoothed again. Unorganized clouds in flight have the parameters of
-    /// [`Settings::cloud_params`](crate::Settings::cloud_params), and one pass.
+    /// lost, the frame is smoothed again. Unorganized clouds in flight are smoothed in one pass, with the parameters
+    /// of [`Settings::cloud_params`](crate::Settings::cloud_params).
     ///
     /// # Errors
     /// If the maximum number of frames is in flight, the frame is malformed, or the engine fails and no other may
@@ -40,9 +40,9 @@ impl Session {
         failed.map_or(Ok(()), |error| self.smooth_again(error))
     }
 
-    /// Submits a frame that the caller does not share: it is copied unless it is computed at once, and lost if its
-    /// device is lost. The result stays where the device wrote it. The output `sigma` needs a GPU that estimates it;
-    /// the result then also has points, status and neighbours.
+    /// Submits a frame that the caller does not share. The frame is copied unless it is computed during this call,
+    /// and it is lost if its device is lost. The result stays where the device wrote it. The output `sigma` needs a
+    /// GPU that estimates it; the result then also has points, status and neighbours.
     ///
     /// # Errors
     /// Same as [`submit`](Self::submit). Also if holes are to be filled, or if `sigma` is requested but no GPU
@@ -51,7 +51,7 @@ impl Session {
         let frame = frame.into_frame()?;
         self.check_room()?;
         self.check_can_finish(frame)?;
-        // Before the frame becomes part of a video.
+        // Checked before the frame becomes part of a video.
         if self.fill_px().is_some() || self.options.outputs.sigma && self.over_time(frame).is_some() {
             return Err(self.needs_frame().into());
         }
@@ -109,7 +109,7 @@ impl Session {
             None => self.smoother()?.submit_admitted(&admitted, Some(buffer)),
         };
         if submitted.is_err() {
-            // The device's state lacks this frame.
+            // The video's state on the device lacks this frame.
             self.video.leave_device();
         }
         submitted
@@ -136,7 +136,7 @@ impl Session {
         }
     }
 
-    /// Returns the oldest result as the engine computed it, and how to finish it.
+    /// Returns the oldest result as computed by the engine, and the steps that finish it.
     fn receive_in_space(&mut self) -> Result<Option<(SmoothedView, Pending)>, Error> {
         if self.ready.is_empty() {
             let Some(open) = &mut self.open else { return Ok(None) };
@@ -153,7 +153,7 @@ impl Session {
     }
 
     /// Smooths all frames in flight again, one by one, with the engine that takes over after this error. Returns the
-    /// error if a frame is not shared.
+    /// error if one of these frames is not shared.
     fn smooth_again(&mut self, error: Error) -> Result<(), Error> {
         let mut error = error;
         loop {
@@ -180,13 +180,13 @@ impl Session {
             .filter_map(|pending| Some((pending.frame.clone()?, pending.on_receipt, pending.outputs)))
             .collect();
         for (frame, before, outputs) in frames {
-            // The outputs may have changed since.
+            // The outputs may have changed since the frame was submitted.
             let outputs_now = std::mem::replace(&mut self.options.outputs, outputs);
             let (result, on_receipt) =
                 self.as_submitted(&before, |session| session.submit_now(&frame, Smoothed::default()));
             let finish = self.to_finish(frame.frame()?);
             self.options.outputs = outputs_now;
-            // Another engine may leave the filter over time to the session.
+            // The new engine may not smooth over time, so that the session must.
             if let Some(pending) = self.pending.get_mut(self.ready.len()) {
                 (pending.on_receipt, pending.finish) = (on_receipt, finish);
             }
@@ -217,7 +217,7 @@ impl Session {
         Ok(())
     }
 
-    /// Returns the number of frames submitted and not yet received.
+    /// Returns the number of frames that were submitted but not yet received.
     pub fn in_flight(&self) -> usize {
         self.pending.len()
     }

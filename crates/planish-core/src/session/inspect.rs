@@ -1,4 +1,4 @@
-//! The state of a session, for callers.
+//! Access to the state of a session for callers.
 
 use super::Session;
 use super::event::{CloudChoice, SessionEvent};
@@ -14,7 +14,7 @@ use crate::sensor::SensorModel;
 use crate::timings::FrameTimings;
 
 impl Session {
-    /// Returns the events since the last call, in order, and clears them.
+    /// Returns the events since the last call in order, and removes them.
     pub fn take_events(&mut self) -> Vec<SessionEvent> {
         if let Some(open) = &mut self.open {
             self.events.extend(open.losses(&mut self.devices));
@@ -27,7 +27,8 @@ impl Session {
         self.estimated
     }
 
-    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first.
+    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use; `None` if
+    /// no such step is set.
     ///
     /// # Errors
     /// Same as [`Settings::resolve`](crate::Settings::resolve).
@@ -45,13 +46,13 @@ impl Session {
         resolved
     }
 
-    /// Returns the noise and the number of neighbours that were last estimated for an unorganized cloud.
+    /// Returns the last estimate for an unorganized cloud, with its noise and number of neighbours.
     pub fn cloud_estimate(&self) -> Option<CloudEstimate> {
         self.cloud_estimate
     }
 
-    /// Returns the choices for the last unorganized cloud, if the settings left them to planish; `None` after other
-    /// frames.
+    /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, and
+    /// after other frames.
     pub fn cloud_choice(&self) -> Option<CloudChoice> {
         self.cloud_choice
     }
@@ -62,12 +63,13 @@ impl Session {
         self.lattice.as_ref().map(Lattice::shape)
     }
 
-    /// Returns the devices that still work.
+    /// Returns the devices that share the frames, without those that failed.
     pub fn devices(&self) -> &[FleetDevice] {
         &self.devices
     }
 
-    /// Returns how ranges were measured in the last frame, and the pitch of its pixels (docs/method.md, section 11).
+    /// Returns the rule by which ranges were measured in the last frame, with the pitch of its pixels
+    /// (docs/method.md, section 11); `None` before the first frame.
     pub fn range_rule(&self) -> Option<RangeRule> {
         self.rule
     }
@@ -92,7 +94,7 @@ impl Session {
         self.open.as_ref()?.one()?.timings()
     }
 
-    /// Returns a handle that shows the progress of the frame being smoothed, for other threads.
+    /// Returns a handle through which other threads can observe the progress of the frame being smoothed.
     pub fn watch(&self) -> ProgressWatch {
         self.watch.clone()
     }

@@ -7,7 +7,7 @@ use crate::frame::{Frame, Lattice, PointsView};
 use crate::outputs::SmoothedMut;
 
 impl Session {
-    /// Smooths a cloud that lost its grid as a frame on the rebuilt grid.
+    /// Smooths a cloud as a frame on its rebuilt grid.
     pub(super) fn smooth_on_lattice(
         &mut self,
         lattice: Lattice,
@@ -29,7 +29,7 @@ impl Session {
     }
 
     /// Rebuilds the grid of an unorganized cloud that is a frame without its grid, if the settings allow that. After
-    /// `prepare`, returns the stored grid if it belongs to this cloud.
+    /// [`prepare`](Self::prepare), returns the stored grid if it belongs to this cloud.
     pub(super) fn take_lattice<'a>(&mut self, frame: Frame<'a>) -> Option<(Lattice, PointsView<'a>)> {
         let known = self.lattice.take();
         let Frame::Points(points) = frame else { return None };
@@ -41,7 +41,7 @@ impl Session {
             match known {
                 None => return None,
                 Some(lattice) if lattice.is_of(&points) => return Some((lattice, points)),
-                // Another cloud with the same number of points.
+                // The prepared cloud was another one with the same number of points.
                 Some(_) => self.is_prepared = false,
             }
         }
@@ -54,7 +54,7 @@ impl Session {
         Some((lattice, points))
     }
 
-    /// Calls `use_frame` with a frame, or with a cloud on the grid that it lost.
+    /// Calls `use_frame` with a frame, or with a cloud on its rebuilt grid.
     pub(super) fn on_its_grid<T>(&mut self, frame: Frame<'_>, use_frame: impl FnOnce(&mut Self, Frame<'_>) -> T) -> T {
         let Some((lattice, points)) = self.take_lattice(frame) else { return use_frame(self, frame) };
         self.is_on_lattice = true;

@@ -53,8 +53,8 @@ pub use watch::ProgressWatch;
 /// A session opens the engine with the first frame, and again when the grid, the outputs or the settings change. A
 /// cloud that does not fit the GPU that [`Engine::Auto`] chose is smoothed on the CPU. A lost GPU is reopened once;
 /// if it is lost again, [`Engine::Auto`] and streams continue on the CPU. [`take_events`](Self::take_events) reports
-/// each of these steps. [`Smoother`](crate::Smoother) is the lower level: it smooths one kind of frame and does none
-/// of this.
+/// each of these steps. [`Smoother`](crate::Smoother) is the lower-level interface: it smooths one kind of frame and
+/// does none of the above.
 ///
 /// ```
 /// use planish::{OrganizedCloud, Session, Settings, Smoothed, Xyz};
@@ -78,40 +78,41 @@ pub struct Session {
     devices: Vec<FleetDevice>,
     /// Index of the device that smooths frames one at a time.
     device: usize,
-    /// The sensor that was estimated from the first frame.
+    /// The last estimated sensor; `None` if no sensor was estimated.
     estimated: Option<SensorModel>,
     /// The estimate for the last unorganized cloud.
     cloud_estimate: Option<CloudEstimate>,
-    /// The rebuilt grid of the last unorganized cloud, if it had lost one.
+    /// The rebuilt pixel grid of the last unorganized cloud; `None` if the cloud is not a frame without its grid.
     lattice: Option<Lattice>,
-    /// Whether the current frame is a cloud on its rebuilt grid, which is not part of a video.
+    /// Whether the current frame is a cloud on its rebuilt grid, and so not part of a video.
     is_on_lattice: bool,
     /// The number of points of the last unorganized cloud.
     known_points: usize,
-    /// The choices for the last unorganized cloud.
+    /// The parameters that were chosen for the last unorganized cloud.
     cloud_choice: Option<CloudChoice>,
     /// Whether `cloud_estimate`, `lattice`, `known_points` and `cloud_choice` belong to the current or prepared
     /// frame.
     is_prepared: bool,
-    /// The result for a cloud that lost its grid, on that grid.
+    /// Buffer for the result of smoothing a cloud on its rebuilt grid.
     on_grid: Smoothed,
-    /// The points after a first pass.
+    /// Buffer for the points after the first of two passes.
     first_pass: Smoothed,
-    /// The engine for the first pass.
+    /// The open engine for first passes.
     open_for_first: Option<Open>,
-    /// The result before its points are spaced evenly.
+    /// Buffer for the result before its points are spaced evenly.
     before_even: Smoothed,
-    /// The parameters of the first pass, while it runs.
+    /// The parameters of the first of two passes while it runs; otherwise `None`.
     is_first: Option<CloudParams>,
-    /// The state of smoothing over time.
+    /// The state of smoothing over time, with its buffers.
     video: OverTime,
-    /// The sight of the frame that an engine was last opened for, if it is part of a video.
+    /// Camera, sensor and geometry of the frame that an engine was last opened for; `None` if the frame is not part
+    /// of a video.
     sight: Option<Sight>,
-    /// Doubts reported for earlier frames.
+    /// Doubts that were already reported.
     doubts: Vec<Doubt>,
     /// The camera whose lens was last checked.
     doubted_camera: Option<Camera>,
-    /// Buffers and threads for results that the session finishes.
+    /// Buffers and threads for the steps after the engine: estimating standard errors and filling holes.
     finish: Option<Box<dyn Finishing>>,
     is_live: bool,
     is_single: bool,
@@ -121,18 +122,18 @@ pub struct Session {
     estimates_clouds: bool,
     kept_window: Option<((usize, usize), WindowSize)>,
     open: Option<Open>,
-    /// The engine that has taken over for clouds, if one was too large for the GPU.
+    /// The engine that replaces the GPU for clouds, once a cloud was too large for the GPU.
     instead_for_clouds: Option<Engine>,
-    /// The failures of the GPU so far, after which the CPU engine may have taken over for all frames.
+    /// The GPU failures so far, and whether the CPU engine has taken over for all frames.
     losses: GpuLosses,
     pending: VecDeque<Pending>,
     ready: VecDeque<Result<crate::SmoothedView, Error>>,
     events: Vec<SessionEvent>,
     scratch: GeometryScratch,
-    /// The rule by which ranges were measured in the last frame.
+    /// The rule by which ranges were measured in the last frame; `None` before the first frame.
     rule: Option<RangeRule>,
     watch: ProgressWatch,
-    /// ID of the process that opened the engine, since threads do not survive a fork.
+    /// ID of the process that opened the engine. It is compared because threads do not survive a fork.
     process: u32,
 }
 
@@ -153,8 +154,8 @@ impl Session {
         Self::of(Chosen::Settings(Box::new(settings)), options, devices)
     }
 
-    /// Creates a session with explicit parameters for frames and for clouds. Frames in flight are dealt to `devices`,
-    /// if any.
+    /// Creates a session with explicit parameters for frames and for clouds. Frames in flight are distributed among
+    /// `devices`, if any are given.
     ///
     /// # Errors
     /// If a parameter is outside its range.
@@ -222,7 +223,7 @@ impl Session {
         Ok(())
     }
 
-    /// Changes the settings from the next frame on. Frames in flight keep theirs.
+    /// Changes the settings from the next frame on. Frames in flight keep the old settings.
     ///
     /// # Errors
     /// Same as [`new`](Self::new); the session then keeps its settings.
@@ -252,7 +253,7 @@ impl Session {
         self.options.outputs
     }
 
-    /// Returns the settings; `None` for a session of explicit parameters.
+    /// Returns the settings; `None` if the session was created with explicit parameters.
     pub fn settings(&self) -> Option<&Settings> {
         match &self.chosen {
             Chosen::Settings(settings) => Some(settings),
@@ -272,7 +273,7 @@ impl Session {
         }
     }
 
-    /// Smooths a frame in space and over time, without finishing the result.
+    /// Smooths a frame in space and, if requested, over time, without the steps after the engine.
     fn smooth_unfinished(&mut self, frame: Frame<'_>, out: &mut Smoothed) -> Result<(), Error> {
         if !ONE_THREAD && self.over_time(frame).is_some() {
             let result = self.smooth_over_time(frame, out);
@@ -287,8 +288,8 @@ impl Session {
     /// Smooths one frame or cloud into the caller's buffers.
     ///
     /// # Errors
-    /// Same as [`smooth`](Self::smooth). Also if a buffer's length differs from the frame's, if a buffer is not among
-    /// the outputs, or if holes are to be filled but the status is not among the outputs.
+    /// Same as [`smooth`](Self::smooth). Also if a buffer's length differs from the frame's, if a buffer is for an
+    /// output that was not requested, or if holes are to be filled but the status is not among the outputs.
     pub fn smooth_into<'a>(&mut self, frame: impl IntoFrame<'a>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         let (width, height) = frame.shape();
@@ -314,7 +315,7 @@ impl Session {
         result
     }
 
-    /// Smooths a frame, and tries again if another engine takes over.
+    /// Smooths a frame with the engine alone, and tries again if another engine takes over.
     fn one_at_a_time(&mut self, frame: Frame<'_>, mut out: SmoothedMut<'_>) -> Result<(), Error> {
         self.check_idle()?;
         loop {
@@ -328,9 +329,9 @@ impl Session {
         }
     }
 
-    /// Opens the engine for frames like this one, unless it is already open. The next cloud of the same size reuses the
-    /// chosen neighbours, edges and passes; the same cloud reuses its rebuilt grid. [`smooth`](Self::smooth) opens the
-    /// engine itself.
+    /// Opens the engine for frames like this one, unless it is already open. The next cloud of the same size reuses
+    /// the chosen neighbours, edges and passes; the same cloud reuses its rebuilt grid. Calling this function is
+    /// optional, because [`smooth`](Self::smooth) also opens the engine.
     ///
     /// # Errors
     /// Same as [`smooth`](Self::smooth).
@@ -344,8 +345,8 @@ impl Session {
         result
     }
 
-    /// Opens the smoother or fleet for this frame, alone or among others in flight, and returns the frame with its
-    /// geometry.
+    /// Opens the smoother or fleet for this frame, unless it is already open, and returns the frame with its
+    /// geometry. `in_flight` states whether a fleet may be used.
     fn open_for<'a>(&mut self, frame: Frame<'a>, in_flight: bool) -> Result<AdmittedFrame<'a>, Error> {
         self.forget_other_process();
         check_frame(frame, self.options.outputs, frame.grid())?;
@@ -376,7 +377,8 @@ impl Session {
             let open = Open::new(wanted, devices)?;
             self.open = Some(open);
             self.video.leave_device();
-            // Finishing the flights may have looked at other frames.
+            // Finishing the frames in flight may have opened the engine for other frames, which overwrites this
+            // state.
             if !ONE_THREAD {
                 self.doubt(frame);
                 self.rule = Some(geometry.rule);
@@ -394,7 +396,7 @@ impl Session {
         self.instead_for_clouds.filter(|_| is_cloud).unwrap_or(self.options.engine)
     }
 
-    /// Decides what takes over after an error. Returns `Ok` if smoothing should be tried again, otherwise the error.
+    /// Decides how to continue after an error. Returns `Ok` if smoothing should be tried again, otherwise the error.
     fn recover(&mut self, error: Error, is_cloud: bool, is_stream: bool) -> Result<(), Error> {
         let Error::Engine(engine_error) = &error else { return Err(error) };
         if matches!(engine_error, EngineError::Stopped | EngineError::Full { .. }) {
@@ -427,8 +429,8 @@ impl Session {
         Ok(())
     }
 
-    /// Forgets the engine if another process opened it: after a fork its threads do not exist, so they cannot be
-    /// joined.
+    /// Forgets the engine if another process opened it: after a fork, the engine's threads do not exist in the new
+    /// process, so they cannot be joined.
     fn forget_other_process(&mut self) {
         let process = process_id();
         if self.process != process {

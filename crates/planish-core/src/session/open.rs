@@ -1,4 +1,4 @@
-//! The smoother or fleet that a session has open.
+//! The open smoother or fleet of a session.
 
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ use crate::smoother::Smoother;
 use crate::smoothing_engine::Video;
 use crate::view::SmoothedView;
 
-/// Maximum number of frames of a live source in flight on a device. With more, the newest would wait for older ones
-/// and come late.
+/// Maximum number of frames from a live source that are in flight on one device. With more frames, the newest would
+/// be delayed by older ones.
 pub const LIVE_IN_FLIGHT: usize = 3;
 
 /// The kind of frame that an engine was opened for; other kinds need another engine.
@@ -25,9 +25,9 @@ pub(super) struct OpenFor {
     pub(super) params: EngineParams,
     pub(super) options: SmootherOptions,
     pub(super) uses_fleet: bool,
-    /// The video that the engine is to smooth over time if it can.
+    /// The video that the engine should smooth over time if it can.
     pub(super) video: Option<Video>,
-    /// Whether the engine is to estimate standard errors if it can.
+    /// Whether the engine should estimate standard errors if it can.
     pub(super) wants_sigma: bool,
 }
 
@@ -48,7 +48,7 @@ enum Smoothing {
         fleet: Box<Fleet>,
         /// The devices of the fleet.
         devices: Vec<FleetDevice>,
-        /// The lost devices that were reported.
+        /// The lost devices that were already reported.
         reported: Vec<FleetDevice>,
     },
 }
@@ -111,8 +111,8 @@ impl Open {
         }
     }
 
-    /// Returns the maximum number of frames in flight; more would only add latency. For a live source, it is at most
-    /// the number of frames computed at once.
+    /// Returns the maximum number of frames in flight; more frames would only add latency. For a live source, the
+    /// maximum does not exceed the number of frames computed at once.
     pub(super) fn max_in_flight(&self, is_live: bool) -> usize {
         match &self.smoothing {
             Smoothing::One(smoother) if smoother.capabilities().pipelined && is_live => {
@@ -151,8 +151,8 @@ impl Open {
         }
     }
 
-    /// Returns an event for each device lost since the last call if others continue, and removes these devices from
-    /// `left_over`.
+    /// Returns an event for each device lost since the last call, and removes these devices from `left_over`; returns
+    /// no events if all devices are lost.
     pub(super) fn losses(&mut self, left_over: &mut Vec<FleetDevice>) -> Vec<SessionEvent> {
         let Smoothing::Fleet { fleet, devices, reported } = &mut self.smoothing else { return Vec::new() };
         let members = fleet.members();
@@ -171,7 +171,7 @@ impl Open {
     }
 }
 
-/// Returns the process ID, or a constant in WebAssembly, where the standard library panics.
+/// Returns the process ID. In WebAssembly, where the standard library panics, returns a constant.
 pub(super) fn process_id() -> u32 {
     if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
 }

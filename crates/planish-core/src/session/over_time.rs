@@ -1,5 +1,5 @@
-//! Smoothing of a video over time, after each frame was smoothed in space (docs/method.md, section 16): by a filter
-//! of the session, or by a GPU that keeps the state.
+//! Smoothing of a video over time, after each frame was smoothed in space (docs/method.md, section 16): by the
+//! session's filter, or by a GPU that keeps the video's state.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;
@@ -21,12 +21,12 @@ use crate::view::SmoothedView;
 
 /// A video whose state is on a device.
 struct OnDevice {
-    /// The sight of its first frame.
+    /// The geometry, camera and sensor of the video's first frame.
     sight: Sight,
     last_pose: StatedPose,
-    /// Motion of the camera before the last submitted frame, if known.
+    /// Motion of the camera between the last two submitted frames, if known.
     motion: Option<CameraMotion>,
-    /// Motion of the camera before the last received frame, if known.
+    /// Motion of the camera between the last two received frames, if known.
     received: Option<CameraMotion>,
 }
 
@@ -41,11 +41,11 @@ pub(super) struct OverTime {
     /// The result before it is copied to the caller's buffers.
     smoothed: Smoothed,
     spare: Spare,
-    /// Buffers of results in flight.
+    /// Buffers that engines do not fill, for each result in flight.
     kept: Vec<Kept>,
 }
 
-/// Buffers of a result that engines do not fill.
+/// Buffers of a result that are filled by the session instead of the engine.
 #[derive(Debug, Default)]
 struct Kept {
     depth: Option<Vec<u16>>,
@@ -53,7 +53,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Takes the requested buffers out of a result.
+    /// Removes the requested buffers from a result.
     fn of(smoothed: &mut Smoothed, outputs: Outputs) -> Self {
         let (depth, frames) = (smoothed.depth.take(), smoothed.frames.take());
         Self { depth: depth.filter(|_| outputs.depth), frames: frames.filter(|_| outputs.frames) }
@@ -70,7 +70,7 @@ impl Kept {
 struct Spare(Smoothed);
 
 impl Spare {
-    /// Swaps them with the buffers of the caller's result.
+    /// Swaps these buffers with those of the caller's result, for all outputs that the caller did not request.
     fn exchange(&mut self, out: &mut Smoothed, outputs: Outputs) {
         let Self(spare) = self;
         let Outputs { points, normals, status, depth_m, .. } = outputs;
@@ -89,7 +89,7 @@ impl Spare {
     }
 }
 
-/// Returns the outputs in space that smoothing over time needs.
+/// Returns the outputs of smoothing in space that smoothing over time needs.
 pub(super) fn outputs_in_space(outputs: Outputs, tracks_camera: bool) -> Outputs {
     let normals = outputs.normals || tracks_camera;
     let depth_m = outputs.depth_m || outputs.depth;
@@ -108,8 +108,8 @@ impl Session {
         }
     }
 
-    /// Returns the outputs that an engine must compute for a frame. If it is smoothed over time, raw depth and
-    /// numbers of frames are added after the filter.
+    /// Returns the outputs that an engine must compute for a frame. If the frame is smoothed over time, they exclude
+    /// raw depth and the number of averaged frames, which are computed after the filter.
     pub(super) fn outputs_before_time(&self, frame: Frame<'_>) -> Outputs {
         let outputs = self.outputs_to_finish(frame);
         match self.over_time(frame) {
@@ -118,12 +118,13 @@ impl Session {
         }
     }
 
-    /// Returns the video of the frame that was last looked at, for an engine that may smooth it over time itself.
+    /// Returns the video of the last examined frame, for an engine that may smooth it over time itself; otherwise
+    /// `None`.
     pub(super) fn video_of_engine(&self, options: &SmootherOptions, uses_fleet: bool) -> Option<Video> {
         if ONE_THREAD {
             return None;
         }
-        // An open engine that leaves the filter to the session serves every video.
+        // An open engine without its own filter serves every video, so it is not reopened.
         if let Some(open) = self.open.as_ref().filter(|open| open.engine() != Engine::Gpu) {
             return open.open_for().video;
         }
@@ -131,7 +132,8 @@ impl Session {
         let sight = self.sight.as_ref().filter(|_| is_possible)?;
         let is_depth =
             sight.geometry.cloud_from_sensor.is_none() && matches!(sight.geometry.rule, RangeRule::Depth { .. });
-        // Poses need a camera without distortion, since shaders know no other; tracking needs the results in space.
+        // Poses need a camera without distortion, since shaders do not support distortion; tracking needs the results
+        // in space.
         let has_camera = sight.camera.is_some_and(|camera| camera.distortion.is_none());
         let is_possible = is_depth && !sight.is_tracked && (sight.pose.is_none() || has_camera);
         let Sight { params, sensor, outputs, pose, .. } = *sight;
@@ -141,13 +143,14 @@ impl Session {
         is_possible.then_some(Video { params, sensor, outputs, moves })
     }
 
-    /// Returns the sight of the frame that was last looked at, if the session is to smooth its result over time.
+    /// Returns the camera, sensor and geometry of the last examined frame, if the session must smooth its result over
+    /// time.
     pub(super) fn sight_to_filter(&self) -> Option<Sight> {
         self.sight.filter(|_| !self.is_over_time_on_device())
     }
 
-    /// Keeps the buffers that engines do not fill until the result is received, if the session then smooths it over
-    /// time.
+    /// If the session is to smooth the result over time, stores the buffers that engines do not fill until the result
+    /// is received.
     pub(super) fn keep_buffers(&mut self, buffer: &mut Smoothed) {
         if ONE_THREAD {
             return;
@@ -164,7 +167,7 @@ impl Session {
         !ONE_THREAD && self.open.as_ref().is_some_and(Open::is_over_time)
     }
 
-    /// Adds a frame's place in the video, if the device has the video's state.
+    /// Adds a frame's position in its video, if the video's state is on the device.
     pub(super) fn with_step<'a>(&mut self, admitted: AdmittedFrame<'a>) -> Result<AdmittedFrame<'a>, Error> {
         let (Some(sight), true) = (self.sight, self.is_over_time_on_device()) else { return Ok(admitted) };
         // The session's own filter is out of date from here on.
@@ -180,10 +183,10 @@ impl Session {
         Ok(AdmittedFrame { step: VideoStep { starts, motion: video.motion }, ..admitted })
     }
 
-    /// Returns how to finish the last submitted frame when it is received.
+    /// Returns the smoothing over time that the last submitted frame needs when it is received.
     pub(super) fn on_receipt(&self) -> OnReceipt {
         match (self.sight, self.is_over_time_on_device()) {
-            // The settings refuse videos in a browser, whose module is kept small.
+            // Settings for videos are refused in a browser, to keep its module small.
             _ if ONE_THREAD => OnReceipt::Nothing,
             (None, _) => OnReceipt::Nothing,
             (Some(sight), false) => OnReceipt::Filter(sight),
@@ -193,8 +196,8 @@ impl Session {
         }
     }
 
-    /// Calls `smooth` for a frame in flight, with the pose, video and outputs of its submission. Returns its result
-    /// and how to finish the frame.
+    /// Calls `smooth` for a frame in flight, with the pose, video and outputs of its submission. Returns the result
+    /// of `smooth`, and the smoothing over time that the frame needs when it is received.
     pub(super) fn as_submitted<T>(
         &mut self,
         before: &OnReceipt,
@@ -212,7 +215,7 @@ impl Session {
         (result, on_receipt)
     }
 
-    /// Smooths a received result over time, unless its device did.
+    /// Smooths a received result over time, unless the device has already done so.
     pub(super) fn received(&mut self, view: SmoothedView, on_receipt: OnReceipt) -> Result<SmoothedView, Error> {
         match on_receipt {
             _ if ONE_THREAD => Ok(view),
@@ -231,7 +234,7 @@ impl Session {
         matches!(&self.chosen, Chosen::Settings(settings) if settings.tracks_camera())
     }
 
-    /// Stores the sight of a frame, with which its result is smoothed over time.
+    /// Stores the camera, sensor and geometry of a frame, which are needed to smooth its result over time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, geometry: FrameGeometry, params: Params) {
         let (camera, stated) = match frame {
             Frame::Depth(depth) => (Some(*depth.camera()), None),
@@ -279,7 +282,7 @@ impl Session {
     }
 
     /// Smooths a frame over time: on the device, or in space into `smoothed` and then with the session's filter. The
-    /// result is in `out` if given, otherwise in `smoothed`.
+    /// result is written to `out` if given, otherwise to `smoothed`.
     fn smooth_in_time(
         &mut self,
         frame: Frame<'_>,
@@ -337,8 +340,8 @@ impl Session {
     }
 
     /// Sets the pose of the camera in the world (x right, y down, z forward) for all later frames, or `None` if it is
-    /// unknown. With poses, a video of a moving camera is smoothed over time as well: each pixel follows its surface.
-    /// Needs frames with a camera; only the motion from frame to frame matters.
+    /// unknown. With poses, a video of a moving camera is smoothed over time as well, because each pixel follows its
+    /// surface. Needs frames with a camera; only the motion from frame to frame matters.
     ///
     /// # Errors
     /// If the pose is invalid.
@@ -350,16 +353,16 @@ impl Session {
         Ok(())
     }
 
-    /// Begins a new video with the next frame that is smoothed or submitted, as after a gap in time or when the camera
-    /// was moved. Only for sessions that smooth over time.
+    /// Begins a new video with the next frame that is smoothed or submitted, for example after a gap in time or after
+    /// the camera was moved. Only for sessions that smooth over time.
     pub fn restart_video(&mut self) {
         self.video.clock.restart();
     }
 
     /// Sets the timestamp of the next frame in seconds, if it has one. A new video begins if the time since the
-    /// previous frame exceeds both one second and five times the interval before that, and if time runs backwards.
-    /// Without timestamps, only [`restart_video`](Self::restart_video) begins a new video. Has no effect unless the
-    /// session smooths over time.
+    /// previous frame exceeds both one second and five times the interval before the previous frame, or if the
+    /// timestamp is earlier than the previous one. Without timestamps, only [`restart_video`](Self::restart_video)
+    /// begins a new video. Has no effect unless the session smooths over time.
     pub fn set_frame_time(&mut self, timestamp_s: Option<f64>) {
         let is_video = self.settings().is_some_and(|settings| settings.temporal_params().is_some());
         if is_video {
@@ -373,7 +376,8 @@ impl Session {
     }
 
     /// Returns the motion of the camera between the last two frames that were smoothed over time, as given or
-    /// estimated; `None` if it is unknown. The estimate is good enough to smooth, but its errors add up over a video.
+    /// estimated; `None` if it is unknown. The estimate is accurate enough for smoothing, but its errors accumulate
+    /// over a video.
     pub fn camera_motion(&self) -> Option<CameraMotion> {
         let number = self.video.clock.video();
         let on_device = self.video.on_device.as_ref().filter(|video| video.sight.video == number);
@@ -381,8 +385,8 @@ impl Session {
     }
 
     /// Returns the session's filter over time; `None` before the first frame, if the session does not smooth over
-    /// time, or if the GPU does. With every engine, [`Outputs::frames`] is the number of frames that each pixel
-    /// averages.
+    /// time, or if the GPU smooths over time itself. With every engine, [`Outputs::frames`] is the number of frames
+    /// that each pixel averages.
     pub fn temporal_filter(&self) -> Option<&TemporalFilter> {
         self.video.filtering.filter_of(self.video.clock.video())
     }
@@ -394,7 +398,7 @@ impl OverTime {
         self.on_device = None;
     }
 
-    /// Frees its memory.
+    /// Drops the state of the current video and frees the buffers.
     pub(super) fn close(&mut self) {
         self.on_device = None;
         (self.filtering, self.smoothed, self.spare, self.kept) = Default::default();

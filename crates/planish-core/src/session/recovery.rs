@@ -1,4 +1,4 @@
-//! The policy for GPUs that fail, shared by sessions and rigs.
+//! The policy for failed GPUs, shared by sessions and rigs.
 
 use crate::error::{EngineError, Error};
 
@@ -22,8 +22,9 @@ pub struct GpuLosses {
 }
 
 impl GpuLosses {
-    /// Decides how to recover from an error. `was_gpu` is whether the engine was a GPU, `was_open` whether it was
-    /// open (a GPU that never opened was not lost), and `may_use_cpu` whether the CPU engine may replace it.
+    /// Decides how to recover from an error. `was_gpu` states whether the engine was a GPU, `was_open` whether the
+    /// engine was open (a GPU that never opened was not lost), and `may_use_cpu` whether the CPU engine may replace
+    /// the GPU.
     pub fn next(&mut self, error: &Error, was_gpu: bool, was_open: bool, may_use_cpu: bool) -> Recovery {
         let is_loss = matches!(error, Error::Engine(error) if !matches!(error, EngineError::Stopped));
         // While the GPU is being reopened, no engine is open.
@@ -41,7 +42,7 @@ impl GpuLosses {
         Recovery::UseCpu
     }
 
-    /// Returns whether the CPU engine has taken over.
+    /// Returns true if the CPU engine has taken over.
     pub fn uses_cpu(&self) -> bool {
         self.uses_cpu
     }

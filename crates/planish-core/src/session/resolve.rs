@@ -9,8 +9,9 @@ use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 
 impl Session {
-    /// Returns the parameters for a frame, and its sensor if floating pixels are removed first. Estimates what the
-    /// settings leave open, and reports each new estimate as an event.
+    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use; `None` if
+    /// no such step is set. Estimates values that the settings do not give, and reports each new estimate as an
+    /// event.
     pub(super) fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
         if let Some(params) = self.is_first {
             return Ok((params.into(), None));
@@ -45,7 +46,7 @@ impl Session {
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
-                // Reused if an engine fails and another takes over.
+                // The estimate is reused if an engine fails and another takes over.
                 self.is_prepared = true;
                 if let Params::Cloud(params) = &resolved.params {
                     let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
@@ -61,7 +62,7 @@ impl Session {
         }
     }
 
-    /// Returns the parameters with the size of the window for a frame.
+    /// Returns the engine's parameters with the window size for a frame.
     pub(super) fn with_window(
         &mut self,
         engine_params: EngineParams,

@@ -1,4 +1,4 @@
-//! Smoothing over time of results that were smoothed in space elsewhere, such as the frames of a rig.
+//! Smoothing over time for results that were smoothed in space elsewhere, such as the frames of a rig.
 
 use super::clock::VideoClock;
 use super::filtering::Filtering;
@@ -26,13 +26,13 @@ pub struct ResultFilter {
 pub struct ResultSight(Sight);
 
 impl ResultFilter {
-    /// Creates a filter. It estimates the motion of the camera if `tracks_camera` is set.
+    /// Creates a filter. The filter estimates the motion of the camera if `tracks_camera` is set.
     pub fn new(params: TemporalParams, tracks_camera: bool) -> Self {
         let (filtering, clock, scratch) = Default::default();
         Self { params, tracks_camera, filtering, clock, scratch, is_camera_unknown: false }
     }
 
-    /// Returns the results that [`filter`](Self::filter) needs to compute `outputs`.
+    /// Returns the outputs of smoothing in space that [`filter`](Self::filter) needs to compute `outputs`.
     pub fn outputs_in_space(outputs: Outputs, tracks_camera: bool) -> Outputs {
         outputs_in_space(outputs, tracks_camera)
     }
@@ -42,8 +42,8 @@ impl ResultFilter {
         self.clock.restart();
     }
 
-    /// Examines a frame before it is smoothed in space; to be called in the order of the video. Returns `None` if the
-    /// frame has no grid. Gaps in timestamps begin a new video.
+    /// Examines a frame before it is smoothed in space. Must be called in the order of the video; gaps in timestamps
+    /// begin a new video. Returns `None` if the frame has no grid.
     pub fn look_at(
         &mut self,
         frame: Frame<'_>,
@@ -72,7 +72,7 @@ impl ResultFilter {
         }))
     }
 
-    /// Smooths the result of a frame over time, and keeps only the requested outputs; to be called in the order of
+    /// Smooths the result of a frame over time, and keeps only the requested outputs. Must be called in the order of
     /// the video.
     ///
     /// # Errors
@@ -84,7 +84,8 @@ impl ResultFilter {
         Ok(())
     }
 
-    /// Returns true once if the motion of the camera is needed but no camera fits the points.
+    /// Returns true if the motion of the camera is needed but no camera fits the points; false in later calls, until
+    /// this happens in another video.
     pub fn take_camera_unknown(&mut self) -> bool {
         std::mem::take(&mut self.is_camera_unknown)
     }

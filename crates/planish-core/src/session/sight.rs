@@ -1,4 +1,4 @@
-//! The camera and sensor of a frame of a video, and the ranges of its points.
+//! The camera and sensor of a video frame, and the ranges of its points.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ use crate::temporal::{CameraMotion, Surface, SurfaceRef, TemporalFilter, Tempora
 /// Number of pixels per task.
 const TASK: usize = 1 << 14;
 
-/// The geometry of a frame of a video, its sensor, and how it is smoothed over time.
+/// The camera, sensor and geometry of a video frame, and the parameters with which it is smoothed over time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
     pub(super) geometry: FrameGeometry,
@@ -30,7 +30,7 @@ pub(super) struct Sight {
     pub(super) params: TemporalParams,
     /// Number of the video that the frame belongs to.
     pub(super) video: u64,
-    /// world_from_camera, if known.
+    /// The camera's pose in the world (world_from_camera), if known.
     pub(super) pose: Option<SensorPose>,
     /// Whether the frame itself states the pose.
     pub(super) is_pose_of_file: bool,
@@ -42,8 +42,8 @@ pub(super) struct Sight {
 pub(super) type StatedPose = Option<(SensorPose, bool)>;
 
 impl Sight {
-    /// Returns true if the frame of `sight` belongs to the video that the frame of `self` begins. `knows_camera` is
-    /// whether the camera of that video is known.
+    /// Returns true if the frame of `sight` belongs to the video that the frame of `self` begins. `knows_camera`
+    /// states whether the camera of that video is known.
     pub(super) fn goes_on_with(&self, sight: &Self, knows_camera: bool) -> bool {
         let has_transform = |sight: &Self| sight.geometry.cloud_from_sensor.is_some();
         // A sensor that moves is followed if its motion can be compensated.
@@ -54,8 +54,8 @@ impl Sight {
         self.video == sight.video && self.params == sight.params && is_same_camera && is_same_place
     }
 
-    /// Returns the motion of the camera since the previous frame by their stated poses, if known, and stores this
-    /// frame's pose in `last`.
+    /// Returns the motion of the camera since the previous frame, if the poses of both frames are known, and stores
+    /// this frame's pose in `last`.
     pub(super) fn motion_since(
         &self,
         last: &mut StatedPose,
@@ -71,14 +71,15 @@ impl Sight {
         Ok(if is_known { Some(CameraMotion::between(*camera, &previous, &current)?) } else { None })
     }
 
-    /// Returns the camera whose pixels the points are on, if there is one.
+    /// Returns the camera without distortion whose pixels the points are on; `None` if no such camera fits.
     pub(super) fn camera_of(&self, smoothed: &Smoothed) -> Option<Camera> {
         let mut surface = Surface::default();
         self.keep(smoothed, &mut surface);
         Camera::of_points((smoothed.width, smoothed.height), &surface.points)
     }
 
-    /// Estimates the motion of the camera since the previous frame.
+    /// Estimates the motion of the camera since the previous frame; `None` for the first frame, or if the estimate
+    /// fails.
     pub(super) fn track(
         &self,
         tracker: &mut Tracker,
@@ -101,7 +102,7 @@ impl Sight {
         Some(CameraMotion { camera: tracker.camera(), previous_from_current })
     }
 
-    /// Copies points and normals to `surface`, in the frame of the sensor.
+    /// Copies points and normals to `surface`, transformed into the sensor's frame.
     pub(super) fn keep(&self, smoothed: &Smoothed, surface: &mut Surface) {
         surface.points.clone_from(&smoothed.points);
         match &smoothed.normals {
@@ -116,7 +117,7 @@ impl Sight {
         }
     }
 
-    /// Measures the ranges of all points; leaves `ranges_m` empty if they are the magnitudes of z.
+    /// Measures the ranges of all points; leaves `ranges_m` empty if ranges are the magnitudes of z.
     pub(super) fn measure(&self, smoothed: &Smoothed, ranges_m: &mut Vec<f32>) {
         if self.geometry.cloud_from_sensor.is_none() && matches!(self.geometry.rule, RangeRule::Depth { .. }) {
             ranges_m.clear();
@@ -148,7 +149,7 @@ impl Sight {
             for u in carried.columns(v) {
                 match statuses[u].has_normal() {
                     true => statuses[u] = Status::Carried,
-                    // `Carried` would hide that it has no normal, so the point stays as measured.
+                    // The status `Carried` implies a normal, so a point without one stays as measured.
                     false => ratios[u] = 1.0,
                 }
             }
@@ -177,7 +178,8 @@ impl Sight {
             frames.par_chunks_mut(TASK).zip(statuses.par_chunks(TASK)).enumerate().for_each(
                 |(task, (frames, statuses))| {
                     for (k, (frames, status)) in frames.iter_mut().zip(statuses).enumerate() {
-                        // A point without a normal that the filter carried over has only the frame's own value.
+                        // If the filter carried over a point without a normal, the result has only the frame's own
+                        // value.
                         let of_filter =
                             filter.filter(|filter| status.has_normal() || !filter.is_carried(TASK * task + k));
                         let averaged = of_filter.map_or(1.0, |filter| filter.frames(TASK * task + k).max(1.0));
@@ -189,8 +191,8 @@ impl Sight {
     }
 }
 
-/// Divides temporal ranges by the ranges of the single frame: `single_m`, or the magnitudes of `z`. Holes get 1 and so
-/// stay holes.
+/// Replaces each range over time by its ratio to the range in the single frame: `single_m`, or the magnitude of `z`.
+/// Holes get a ratio of 1, and so stay holes.
 #[inline(always)]
 fn set_ratios(over_time_m: &mut [f32], single_m: Option<&[f32]>, z: &[f32]) {
     let set = |ratio: &mut f32, single_m: f32| {
@@ -208,7 +210,7 @@ fn to_raw(camera: &Camera, depth_m: &[f32], raw: &mut [u16]) {
     raw.iter_mut().zip(depth_m).for_each(|(raw, depth_m)| *raw = camera.raw_depth(*depth_m));
 }
 
-/// Scales the distances of points from the sensor.
+/// Multiplies the distance of each point from the sensor by its ratio.
 #[inline(always)]
 fn scale(ratios: &[f32], points: [&mut [f32]; 3], sensor: [f32; 3]) {
     for (values, sensor) in points.into_iter().zip(sensor) {

@@ -6,14 +6,14 @@ use crate::sensor::SensorModel;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Preset {
-    /// [`crate::Strength::LIGHT`], for small objects.
+    /// Parameters of [`crate::Strength::LIGHT`], for small objects.
     Light,
-    /// [`crate::Strength::DEFAULT`], recommended.
+    /// Parameters of [`crate::Strength::DEFAULT`], recommended.
     #[default]
     Default,
-    /// [`crate::Strength::STRONG`], for walls, floors and far ranges.
+    /// Parameters of [`crate::Strength::STRONG`], for walls, floors and far ranges.
     Strong,
-    /// The setting of the 2011 report: window 3, stride 1, 3 cm, degree 3.
+    /// The parameters of the 2011 report: half-width 3, stride 1, radius 3 cm, degree 3.
     Paper,
 }
 
@@ -27,7 +27,7 @@ impl Preset {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum SensorChoice {
-    /// Estimated from the first frame.
+    /// A sensor model that is estimated from the frames.
     Auto,
     /// A known sensor model.
     Known(SensorModel),
@@ -37,13 +37,13 @@ pub enum SensorChoice {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum RadiusChoice {
-    /// A radius that grows with distance like the sensor's noise; for frames on a grid.
+    /// A radius that grows with the range, to cover the window and the sensor's depth steps; for frames on a grid.
     Sensor,
     /// One radius for every point, in metres.
     Metres(f32),
 }
 
-/// Reconstruction of the pixel grid that a frame lost as an unorganized cloud.
+/// Reconstruction of a frame's pixel grid from an unorganized cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum GridChoice {
@@ -59,14 +59,14 @@ impl GridChoice {
     pub const NAMED: [(&'static str, Self); 2] = [("auto", Self::Auto), ("off", Self::Off)];
 }
 
-/// Smoothing over time of the frames of a video.
+/// Smoothing of video frames over time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum TemporalChoice {
-    /// No smoothing over time: each frame on its own.
+    /// No smoothing over time: each frame is smoothed on its own.
     #[default]
     Off,
-    /// [`crate::TemporalParams::STEADY`]: for a camera at rest.
+    /// [`crate::TemporalParams::STEADY`], for a camera that is stationary or whose motion is known or tracked.
     Steady,
 }
 

@@ -5,8 +5,8 @@ use crate::engines::Engine;
 use crate::threads::ONE_THREAD;
 
 impl Settings {
-    /// Overrides these settings with everything that `over` sets, and drops settings that contradict `over`. Mutually
-    /// exclusive are strength and preset, neighbours and radius, and devices and an engine or adapter. An engine
+    /// Overrides these settings with everything that `over` sets, and drops settings that contradict `over`. Strength
+    /// contradicts preset, neighbours contradict a radius, and devices contradict an engine or adapter. An engine
     /// other than the GPU drops the adapter, and `temporal=off` drops `track`.
     ///
     /// ```

@@ -32,7 +32,7 @@ pub use choices::{GridChoice, Preset, RadiusChoice, SensorChoice, TemporalChoice
 pub use value::SettingValue;
 use value::quoted;
 
-/// The user's settings. A field that is `None` takes the value of the preset.
+/// The user's settings. A field that is `None` has the value of the preset, or its default.
 ///
 /// ```
 /// use planish::{Camera, DepthFrame, IntoFrame, Params, Settings};
@@ -49,14 +49,14 @@ use value::quoted;
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Settings {
-    /// A named setting, which the other fields override.
+    /// A named set of parameters, which the other fields override.
     pub preset: Option<Preset>,
     /// Strength of smoothing, 0 (light) to 1 (strong), instead of a preset.
     pub strength: Option<f32>,
     /// The sensor that took the frames [default: Kinect v1].
     pub sensor: Option<SensorChoice>,
-    /// Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or
-    /// number of neighbours].
+    /// Edge handling [default: robust for frames; for unorganized clouds chosen by their shape, or off if a radius or
+    /// a number of neighbours is given].
     pub edges: Option<Edges>,
     /// Whether pixels that float between two surfaces become holes before smoothing [default: no].
     pub remove_floating: Option<bool>,
@@ -67,11 +67,12 @@ pub struct Settings {
     /// Side in pixels of the blocks that become one pixel each before smoothing, 2 to 8.
     pub decimate: Option<u32>,
     /// Maximum width in pixels of holes that are filled with the surface around them, and flagged, 1 to 64 [default:
-    /// none]. Frames of a camera only.
+    /// none]. Only for frames of a camera.
     pub fill: Option<u32>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
     pub remove_isolated: Option<bool>,
-    /// Half-width of the window in samples, 1 to 7. With neither window nor stride, both follow the frame's resolution.
+    /// Half-width of the window in samples, 1 to 7. If neither window nor stride is given, both follow the frame's
+    /// resolution.
     pub window: Option<u32>,
     /// Distance between samples in pixels, 1 to 8.
     pub stride: Option<u32>,
@@ -83,20 +84,22 @@ pub struct Settings {
     /// the cloud's noise and shape].
     pub neighbours: Option<u32>,
     /// Number of passes over an unorganized cloud, 1 or 2. The first of two passes has 20 neighbours, which helps if
-    /// the noise exceeds half the spacing of the points [default: chosen from the noise; 1 with a given radius or
-    /// number of neighbours].
+    /// the noise exceeds half the spacing of the points [default: chosen from the noise; 1 if a radius or a number of
+    /// neighbours is given].
     pub passes: Option<u32>,
-    /// Reconstruction of the pixel grid that a frame lost as an unorganized cloud [default: auto].
+    /// Reconstruction of a frame's pixel grid from an unorganized cloud [default: auto].
     pub grid: Option<GridChoice>,
     /// Whether the points of an unorganized cloud move along the smoothed surface until they are evenly spaced, by up
     /// to 1.5 standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
-    /// WebAssembly. Normals and curvature are not computed again.
+    /// WebAssembly. Normals and curvature are not recomputed.
     pub even: Option<bool>,
-    /// Smoothing over time for the video of one camera, in the order in which a session gets the frames [default: off].
-    /// The camera is stationary, or its motion is tracked or given. Not for unorganized clouds, rigs or WebAssembly.
+    /// Smoothing over time for the video of one camera, in the order in which the session receives the frames
+    /// [default: off]. The camera is stationary, or its motion is tracked or given. Not for unorganized clouds, rigs
+    /// or WebAssembly.
     pub temporal: Option<TemporalChoice>,
     /// Whether the motion of the camera is estimated from frame to frame and compensated [default: no]. Enables
-    /// smoothing over time. Needs the camera's intrinsics, which are given or follow from organized points.
+    /// smoothing over time. Needs the camera's intrinsics, which must be given unless they follow from organized
+    /// points.
     pub track: Option<bool>,
     /// Degree of the surface, 1 to 3.
     pub degree: Option<u32>,
@@ -104,38 +107,39 @@ pub struct Settings {
     pub bandwidth_m: Option<f32>,
     /// Ridge of the fit, 1e-3 to 100.
     pub ridge: Option<f32>,
-    /// Direction in which points move; frames only.
+    /// Direction in which points move. Only for frames.
     pub project: Option<Project>,
     /// The engine [default: auto].
     pub engine: Option<Engine>,
-    /// The GPU by index or part of its name; needs the engine gpu [default: the first real GPU].
+    /// The GPU, selected by its index or part of its name; requires the engine gpu [default: the first real GPU].
     pub adapter: Option<String>,
-    /// Several devices, as a comma-separated list of `all` (every real GPU), `cpu`, and GPUs by index or part of
-    /// their name.
+    /// The devices that share the frames, as a comma-separated list of `all` (every real GPU), `cpu`, and GPUs by
+    /// index or part of their name.
     pub devices: Option<String>,
-    /// Threads of the CPU engines [default: one per core].
+    /// Number of threads of the CPU engines [default: one per core].
     pub threads: Option<usize>,
     /// The results to compute [default: points].
     pub outputs: Option<Outputs>,
 }
 
-/// Settings resolved for one kind of input.
+/// Parameters to which the settings resolve for one kind of input.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Resolved {
     /// The parameters.
     pub params: Params,
-    /// The sensor whose noise the steps before smoothing use ([`Settings::preparation`]); `None` without such steps.
+    /// The sensor whose noise model is used by the steps before smoothing ([`Settings::preparation`]); `None` if no
+    /// such step is set.
     pub preparation_sensor: Option<SensorModel>,
     /// The parameters of the first of two passes over an unorganized cloud; `None` for a single pass.
     pub first_pass: Option<CloudParams>,
-    /// The estimate for an unorganized cloud, if it decides the number of neighbours.
+    /// The estimate for an unorganized cloud; `None` if the number of neighbours does not follow from an estimate.
     pub cloud_estimate: Option<CloudEstimate>,
     /// Names of the given settings that have no effect on this kind of input.
     pub unused: Vec<&'static str>,
 }
 
-/// Allowed values of the field `sensor`.
+/// The allowed values of the setting `sensor`, for error messages.
 const SENSORS: &str =
     "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, auto or an object of step and sigma";
 const OUTPUTS: &str = if ONE_THREAD {
@@ -144,7 +148,7 @@ const OUTPUTS: &str = if ONE_THREAD {
     "a list of points, depth, depth_m, normals, curvature, status, neighbours, frames, sigma"
 };
 const PASSES: &str = "1 or 2";
-/// Allowed values of the field `settings`. WebAssembly leaves some out.
+/// The names of all settings, for error messages. WebAssembly builds support fewer settings.
 const FIELDS: &str = if ONE_THREAD {
     "preset, strength, sensor, edges, remove_floating, remove_isolated, window, stride, average_blocks, radius_m, \
      neighbours, passes, grid, degree, bandwidth_m, ridge, project, engine, threads, outputs"
@@ -201,7 +205,7 @@ impl Settings {
             "sensor" => self.sensor = sensor_of(value)?,
             "edges" => self.edges = edges_of(&value)?,
             "remove_floating" => self.remove_floating = value.truth("remove_floating")?,
-            // WebAssembly leaves them out.
+            // WebAssembly builds omit these settings.
             "min_range_m" if !ONE_THREAD => {
                 self.min_range_m = value.number("min_range_m", "a range in metres, 0 or more")?
             }
@@ -312,14 +316,15 @@ impl Settings {
         }
     }
 
-    /// Returns true if planish chooses the number of neighbours in unorganized clouds.
+    /// Returns true if planish, not the user or the paper preset, chooses the number of neighbours in unorganized
+    /// clouds.
     pub fn chooses_neighbours(&self) -> bool {
         self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
     }
 
-    /// Returns true if the pixel grid that a frame lost as an unorganized cloud is reconstructed. It is not
-    /// reconstructed with `grid=off`, a radius, a number of neighbours or passes, the paper preset or `fill`, or if
-    /// points are to be removed or spaced evenly.
+    /// Returns true if a frame's pixel grid is reconstructed from an unorganized cloud. It is not reconstructed with
+    /// `grid=off`, a radius, a number of neighbours or passes, the paper preset or `fill`, or if points are to be
+    /// removed or spaced evenly.
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
         let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly() || self.fill.is_some();
@@ -328,11 +333,11 @@ impl Settings {
 
     /// Returns true if the points of unorganized clouds are spaced evenly.
     pub fn spaces_evenly(&self) -> bool {
-        // WebAssembly leaves it out, and `validate` refuses it there.
+        // WebAssembly builds omit even spacing, and `validate` refuses it there.
         self.even == Some(true) && !ONE_THREAD
     }
 
-    /// Returns true if the sensor is estimated from a frame.
+    /// Returns true if the sensor model is estimated from frames.
     pub fn estimates_sensor(&self) -> bool {
         self.sensor == Some(SensorChoice::Auto)
     }
@@ -347,13 +352,13 @@ impl Settings {
         }
     }
 
-    /// Returns true if results may have values that were not measured in their frame, because they are filled or
-    /// carried over time.
+    /// Returns true if results may contain values that were not measured in their frame, because holes are filled or
+    /// values are carried over time.
     pub fn flags_origins(&self) -> bool {
         !ONE_THREAD && (self.fill.is_some() || self.temporal_params().is_some())
     }
 
-    /// Returns the sensor; `None` if it is to be estimated.
+    /// Returns the sensor model; `None` if it is to be estimated.
     pub fn known_sensor(&self) -> Option<SensorModel> {
         match self.sensor {
             Some(SensorChoice::Auto) => None,
@@ -362,7 +367,7 @@ impl Settings {
         }
     }
 
-    /// Returns the engine.
+    /// Returns the chosen engine; [`Engine::Auto`] by default.
     pub fn engine(&self) -> Engine {
         self.engine.unwrap_or_default()
     }
@@ -387,7 +392,8 @@ impl Settings {
         }
     }
 
-    /// Returns the devices that share the frames; empty for the single device of the engine.
+    /// Returns the devices that share the frames; empty if the setting `devices` is not given, so that one device is
+    /// used.
     ///
     /// # Errors
     /// If settings contradict each other, or a device is missing or named twice.
@@ -436,7 +442,7 @@ fn sensor_of(value: SettingValue) -> Result<Option<SensorChoice>, ParamError> {
     }
 }
 
-/// Reads the edge handling. YAML and ROS read the word `off` as a boolean.
+/// Reads the edge handling. Booleans are accepted, since YAML and ROS read the word `off` as false.
 fn edges_of(value: &SettingValue) -> Result<Option<Edges>, ParamError> {
     match value {
         SettingValue::Bool(true) => Ok(Some(Edges::Robust)),

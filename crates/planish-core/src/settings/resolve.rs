@@ -10,9 +10,9 @@ use crate::sensor::SensorModel;
 use crate::threads::{ONE_THREAD, Threads};
 
 impl Settings {
-    /// Resolves the settings for the kind of a frame: on a grid, or an unorganized cloud. The sensor is estimated
-    /// from the frame if requested. If the settings give no number of neighbours, it is estimated from the cloud,
-    /// together with the edge handling and the need for a first pass.
+    /// Resolves the settings into parameters for a frame on a grid or for an unorganized cloud. The sensor is
+    /// estimated from the frame if requested. If the settings give no number of neighbours, it is estimated from the
+    /// cloud, together with the edge handling and the need for a first pass.
     ///
     /// # Errors
     /// If settings contradict each other or the input, or the sensor cannot be estimated from this frame.
@@ -20,7 +20,7 @@ impl Settings {
         self.resolve_on(frame, self.threads)
     }
 
-    /// Same as [`resolve`](Self::resolve), with this number of threads for the estimate.
+    /// Same as [`resolve`](Self::resolve), but estimates with `threads` threads.
     pub(crate) fn resolve_on(&self, frame: Frame<'_>, threads: Option<usize>) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
@@ -50,7 +50,7 @@ impl Settings {
         Ok(Resolved { params, preparation_sensor, first_pass: None, cloud_estimate: None, unused })
     }
 
-    /// Returns the parameters for frames of the named sensor, without a frame.
+    /// Returns the parameters for frames of the named sensor without examining a frame.
     ///
     /// # Errors
     /// If settings contradict each other, or the sensor is to be estimated.
@@ -64,8 +64,8 @@ impl Settings {
         self.checked_frame_params(sensor)
     }
 
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, without a cloud to
-    /// estimate from.
+    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, without examining a
+    /// cloud.
     ///
     /// # Errors
     /// If settings contradict each other, or apply only to frames on a grid.
@@ -73,8 +73,8 @@ impl Settings {
         self.cloud_params_by(None)
     }
 
-    /// Returns the parameters for a cloud with this estimate. Light takes half of the estimated number of neighbours,
-    /// strong twice the number.
+    /// Returns the parameters for a cloud with this estimate. The preset light halves the estimated number of
+    /// neighbours, strong doubles it.
     ///
     /// # Errors
     /// Same as [`cloud_params`](Self::cloud_params).

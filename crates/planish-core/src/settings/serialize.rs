@@ -1,4 +1,4 @@
-//! Serialization of settings as JSON or YAML: an object of the given fields.
+//! Serialization of settings as JSON or YAML: an object with the fields that are given.
 
 use crate::threads::ONE_THREAD;
 use std::fmt;
@@ -13,7 +13,7 @@ fn name_of<T: PartialEq>(value: T, known: &[(&'static str, T)]) -> &'static str 
     known.iter().find(|(_, known)| *known == value).map_or("", |(name, _)| *name)
 }
 
-/// A sensor without a name.
+/// The coefficients of a sensor without a name.
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Coefficients {
@@ -90,7 +90,7 @@ impl<'de> Deserialize<'de> for Settings {
                 f.write_str("an object of settings, such as {\"preset\": \"strong\"}")
             }
 
-            /// Returns the default settings for an empty file.
+            /// Reads an empty file as the default settings.
             fn visit_unit<E>(self) -> Result<Settings, E> {
                 Ok(Settings::default())
             }

@@ -13,7 +13,7 @@ impl Settings {
         unused
     }
 
-    /// Same as [`unused_by_clouds`](Self::unused_by_clouds), for clouds whose spacing decides the radius.
+    /// Same as [`unused_by_clouds`](Self::unused_by_clouds), for clouds whose known spacing determines the radius.
     pub fn unused_by_clouds_of_known_spacing(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
         unused.extend(self.given_preset_or_strength());

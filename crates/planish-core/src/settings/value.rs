@@ -7,13 +7,13 @@ use crate::sensor::SensorModel;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SettingValue {
-    /// Not given.
+    /// No value: the setting is not given.
     None,
     /// A boolean.
     Bool(bool),
     /// A number.
     Number(f64),
-    /// A string, from which numbers and booleans can be read.
+    /// A string, which may contain a number or a boolean.
     Text(String),
     /// A list of strings.
     List(Vec<String>),

@@ -1,4 +1,4 @@
-//! Settings of smoothing over time.
+//! Settings for smoothing over time.
 
 use super::{Settings, TemporalChoice};
 use crate::error::ParamError;
@@ -6,9 +6,9 @@ use crate::temporal::TemporalParams;
 use crate::threads::ONE_THREAD;
 
 impl Settings {
-    /// Returns the parameters of smoothing over time; `None` if it is off.
+    /// Returns the parameters for smoothing over time; `None` if frames are not smoothed over time.
     pub fn temporal_params(&self) -> Option<TemporalParams> {
-        // WebAssembly leaves it out, and `validate` refuses it there.
+        // WebAssembly builds omit smoothing over time, and `validate` refuses it there.
         let is_steady = self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera();
         (is_steady && !ONE_THREAD).then_some(TemporalParams::STEADY)
     }
@@ -18,7 +18,7 @@ impl Settings {
         self.track == Some(true)
     }
 
-    /// Refuses smoothing over time, for inputs other than a camera's frames in order.
+    /// Refuses settings for smoothing over time. Call this for inputs that are not consecutive frames of one camera.
     ///
     /// # Errors
     /// If `temporal` is `steady`, or `track` is set.

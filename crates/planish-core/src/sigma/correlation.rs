@@ -1,17 +1,18 @@
-//! The correlation of the residuals of neighbouring pixels.
+//! Measures the correlation of the residuals of neighbouring pixels.
 
 use rayon::prelude::*;
 
 use super::constants::{LEAST_CORRELATION, MOST_LAG_PX, ROW_STRIDE_PX};
 
-/// Number of parts that sums are kept in, so that results are the same for every instruction set.
+/// Number of partial sums. It is fixed, so that results are the same for every instruction set.
 const PARTS: usize = 16;
 
-/// Sums of the products and of the mean squares of the residuals of pairs of pixels, for each lag along rows and
-/// columns.
+/// For each lag along rows and columns, the sum of the products and the sum of the mean squares of the residuals in
+/// pairs of pixels.
 type Sums = [[[f64; 2]; MOST_LAG_PX]; 2];
 
-/// Returns the area of correlation in pixels, A of (17.3): the number of pixels whose noise counts as one.
+/// Returns the correlation area in pixels, A of (17.3) in docs/method.md: the number of pixels whose noise counts as
+/// that of one pixel.
 pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usize)) -> f64 {
     let of_row = |v: usize| -> Sums {
         let row = |v: usize| [&values[v * width..(v + 1) * width], &counts[v * width..(v + 1) * width]];
@@ -25,7 +26,7 @@ pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usiz
         let along_column = |lag: usize| if v + MOST_LAG_PX < height { sums(here, row(v + lag)) } else { [0.0; 2] };
         [std::array::from_fn(|k| along_row(k + 1)), std::array::from_fn(|k| along_column(k + 1))]
     };
-    // Added in order, so that the result is the same for every number of threads.
+    // Rows are added in order, so that the result is the same for every number of threads.
     let of_rows: Vec<Sums> = (0..height).into_par_iter().step_by(ROW_STRIDE_PX).map(of_row).collect();
     let along = |axis: usize| {
         let correlation = |lag: usize| {

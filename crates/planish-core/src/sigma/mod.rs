@@ -1,4 +1,4 @@
-//! The standard error of each smoothed position (docs/method.md, section 17), estimated from the residuals of the
+//! Estimates the standard error of each smoothed position (docs/method.md, section 17) from the residuals of the
 //! frame itself, whichever engine smoothed it.
 
 pub(crate) mod constants;
@@ -22,14 +22,14 @@ pub(crate) struct Sigma {
     pub(crate) params: EngineParams,
 }
 
-/// Buffers that are kept from frame to frame.
+/// Buffers that are reused from frame to frame.
 #[derive(Default)]
 pub(crate) struct SigmaBuffers {
-    /// Smoothed range of each pixel.
+    /// Smoothed range of each pixel, in metres.
     ranges_m: Vec<f32>,
-    /// Standard deviation of the sensor at the smoothed range of each pixel.
+    /// Standard deviation of the sensor at the smoothed range of each pixel, in metres.
     deviations_m: Vec<f32>,
-    /// Residuals in standard deviations of the sensor; 0 for pixels without one.
+    /// Residuals in standard deviations of the sensor; 0 for pixels without a residual.
     values: Vec<f32>,
     counts: Vec<f32>,
     /// 1 for pixels with a step to the pixel on the right or below, otherwise 0.
@@ -82,7 +82,7 @@ impl Sigma {
             || rows::Windows::new(width),
             |windows, (v, sigma_m)| {
                 let row = v * width..(v + 1) * width;
-                // `set_errors` replaces the number of frames by the error.
+                // `set_errors` reads the number of frames from this buffer and replaces it with the error.
                 match &smoothed.frames {
                     Some(frames) => sigma_m.copy_from_slice(&frames[row.clone()]),
                     None => sigma_m.fill(1.0),
@@ -101,7 +101,7 @@ impl Sigma {
         );
     }
 
-    /// Sets the ranges, the sensor's deviations there, and the residuals.
+    /// Sets the ranges, the sensor's standard deviations at these ranges, and the residuals.
     fn set_residuals(&self, frame: Frame<'_>, smoothed: &Smoothed, status: &[Status], buffers: &mut SigmaBuffers) {
         let (width, level) = (smoothed.width, Level::new());
         let sensor = self.params.sensor.sigma;
@@ -110,7 +110,7 @@ impl Sigma {
         let rows = rows.zip(values.par_chunks_mut(width)).zip(counts.par_chunks_mut(width)).enumerate();
         rows.for_each(|(v, (((ranges_m, deviations_m), values), counts))| {
             let row = v * width..(v + 1) * width;
-            // `set_residuals` replaces the measured ranges by the residuals.
+            // `set_residuals` reads the measured ranges from `values` and replaces them with the residuals.
             match frame {
                 Frame::Depth(depth) => values.iter_mut().enumerate().for_each(|(u, m)| *m = depth.depth_m(u, v)),
                 Frame::Points(points) => {
@@ -138,14 +138,15 @@ impl Sigma {
     }
 }
 
-/// Scale from residuals to standard errors, as far as it depends only on the smoothing parameters.
+/// Factors from residuals to standard errors, as far as they depend only on the smoothing parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ErrorScale {
-    /// Ratio of the standard error to the deviation of the residuals, for one neighbour and an area of one pixel.
+    /// Ratio of the standard error to the deviation of the residuals, for one neighbour and a correlation area of one
+    /// pixel.
     pub(crate) gain: f64,
-    /// Minimum area of correlation in pixels.
+    /// Minimum correlation area in pixels.
     pub(crate) least_area: f64,
-    /// Minimum variance of residuals, in variances of the sensor.
+    /// Minimum variance of residuals, in units of the sensor's variance.
     pub(crate) least_variance: f32,
 }
 
@@ -164,7 +165,7 @@ impl ErrorScale {
         }
     }
 
-    /// Returns the model for an area of correlation in pixels.
+    /// Returns the error model for a correlation area in pixels.
     fn model(&self, area: f64) -> rows::ErrorModel {
         let area = area.max(self.least_area);
         rows::ErrorModel {

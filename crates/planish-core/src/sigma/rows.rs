@@ -11,7 +11,7 @@ use crate::status::Status;
 pub(super) struct ErrorModel {
     /// Ratio of the standard error to the deviation of the residuals, for a point with one neighbour.
     pub(super) gain: f32,
-    /// Minimum variance of residuals, in variances of the sensor.
+    /// Minimum variance of residuals, in units of the sensor's variance.
     pub(super) least_variance: f32,
     /// Variance of the mean residual over a small window, relative to the variance of one residual.
     pub(super) variance_of_mean: f32,
@@ -31,8 +31,8 @@ fn is_on_surface(status: Status) -> bool {
     matches!(status, Status::Plane | Status::Polynomial2 | Status::Polynomial3)
 }
 
-/// Replaces the measured ranges in `values` by residuals in standard deviations of the sensor; 0 for pixels without
-/// one. Sets `deviations_m`, and `counts` to 1 for pixels with a residual.
+/// Replaces the measured ranges in `values` with residuals in standard deviations of the sensor; 0 for pixels without
+/// a residual. Sets `deviations_m`, and `counts` to 1 for pixels with a residual.
 #[inline(always)]
 pub(super) fn set_residuals(
     [values, counts, deviations_m]: [&mut [f32]; 3],
@@ -114,7 +114,7 @@ impl Windows {
         }
     }
 
-    /// Replaces the numbers of averaged frames in `errors` by standard errors; NaN for pixels without a point.
+    /// Replaces the numbers of averaged frames in `errors` with standard errors; NaN for pixels without a point.
     #[inline(always)]
     pub(super) fn set_errors(&self, errors: &mut [f32], row: OfRow<'_>, model: &ErrorModel) {
         let width = errors.len();
@@ -125,7 +125,7 @@ impl Windows {
             let sum = |sums: &[f32], half_px: usize| {
                 sums[u + MARGIN - half_px..][..2 * half_px + 1].iter().fold(0.0, |sum, value| sum + value)
             };
-            // Without residuals in the window: the sensor's noise, and no bias.
+            // Without residuals in the window, the noise is the sensor's and there is no bias.
             let count = sum(&self.counts, HALF_PX);
             let variance = if count > 0.0 { sum(&self.squares, HALF_PX) / count } else { 1.0 };
             let mean = sum(&self.small_values, BIAS_HALF_PX) / sum(&self.small_counts, BIAS_HALF_PX).max(1.0);

@@ -1,4 +1,4 @@
-//! The filter over the frames of one stream.
+//! The temporal filter for the frames of one stream.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -13,9 +13,9 @@ use crate::camera::Rays;
 use crate::error::{FrameError, ParamError};
 use crate::sensor::SensorModel;
 
-/// Minimum number of averaged frames in a hole's last value for the hole to keep it.
+/// Minimum number of frames averaged in a pixel's last value for a hole to keep that value.
 const FRAMES_TO_HOLD: f32 = 4.0;
-/// Minimum number of calm pixels, of the 5x5 around a hole, for the hole to keep its last value.
+/// Minimum number of calm pixels among the 5x5 around a hole for the hole to keep its last value.
 const CALM_TO_HOLD: f32 = 13.0;
 
 /// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
@@ -44,17 +44,17 @@ pub struct TemporalFilter {
     rule: Rule,
     level: Level,
     shape: (usize, usize),
-    /// Pixels per row of the planes, a multiple of [`TILE`].
+    /// Number of pixels per row of the planes, a multiple of [`TILE`].
     pitch: usize,
     state: State,
-    /// The state in the view of a camera that has moved.
+    /// The other state buffer: states are moved into it if the camera moves.
     moved: State,
     rays: Rays,
     tiles: Vec<Tile>,
     planes: Planes,
 }
 
-/// The values of the last frame that were carried over.
+/// The pixels of the last frame whose values were carried over from earlier frames.
 #[derive(Clone, Copy)]
 pub(crate) struct Carried<'a> {
     state: &'a State,
@@ -63,7 +63,7 @@ pub(crate) struct Carried<'a> {
 }
 
 impl Carried<'_> {
-    /// Returns the columns of a row whose values were carried over.
+    /// Returns the columns in a row whose values were carried over.
     pub(crate) fn columns(&self, row: usize) -> impl Iterator<Item = usize> {
         let (state, start) = (self.state, row * self.pitch);
         // Few pixels are carried over, so whole tiles are tested first.
@@ -80,15 +80,15 @@ struct Planes {
     changes: Vec<f32>,
     /// Sums of clipped changes over five columns, with [`MARGIN`] rows of zeros above and below.
     sums: Vec<f32>,
-    /// Numbers of changes in `sums`, with the same margins.
+    /// Number of changes in each of the `sums`, with the same margins.
     counts: Vec<f32>,
     /// Sums of candidates' signs over three columns, with the same margins.
     signs: Vec<f32>,
     calm: Vec<f32>,
     tiles: Vec<[f32; 2]>,
-    /// A buffer for values of tiles.
+    /// A reusable buffer for the medians over all tiles.
     sorted: Vec<f32>,
-    /// Buffers of each row of tiles.
+    /// One set of buffers per row of tiles.
     buffers: Vec<RowBuffers>,
 }
 
@@ -106,8 +106,8 @@ impl TemporalFilter {
         Ok(Self { params, rule, level, shape: (0, 0), pitch: 0, state, moved, rays, tiles, planes })
     }
 
-    /// Smooths the depth of the next frame: metres along the optical axis, row by row. Values that are not
-    /// positive, or not below 1e18, are holes, which become NaN. Uses the threads of the pool that it is called in.
+    /// Smooths the depth of the next frame, in metres along the optical axis, row by row. Values that are not
+    /// positive, or not below 1e18, are holes, which become NaN. Runs on the threads of the current Rayon pool.
     ///
     /// # Errors
     /// If the number of values is not `width` x `height`.
@@ -115,8 +115,8 @@ impl TemporalFilter {
         self.smooth_moved_by(None, width, height, depth_m)
     }
 
-    /// Smooths the depth of the next frame of a camera that has moved since the frame before. The first frame, and the
-    /// first after a [`reset`](Self::reset), ignores the motion.
+    /// Smooths the depth of the next frame of a camera that has moved since the previous frame. The motion is ignored
+    /// for the first frame, and for the first after a [`reset`](Self::reset).
     ///
     /// # Errors
     /// If the number of values does not match the camera's shape, or the camera or the motion is invalid.
@@ -145,8 +145,8 @@ impl TemporalFilter {
         Ok(())
     }
 
-    /// Smooths the depth of the next frame, whose rows `write_row` writes. [`rows_mut`](Self::rows_mut) returns the
-    /// results.
+    /// Smooths the depth of the next frame. `write_row` writes each row of the input, and
+    /// [`rows_mut`](Self::rows_mut) returns the results.
     pub(crate) fn smooth_rows(
         &mut self,
         motion: Option<&CameraMotion>,
@@ -172,8 +172,8 @@ impl TemporalFilter {
         Ok(())
     }
 
-    /// Returns the rows of the smoothed depth, which may be overwritten, and the carried values. Rows are at least as
-    /// long as the image is wide.
+    /// Returns the rows of the smoothed depth, which may be overwritten, and the carried values. Rows may be longer
+    /// than the image's width.
     pub(crate) fn rows_mut(&mut self) -> (impl IndexedParallelIterator<Item = &mut [f32]>, Carried<'_>) {
         let Self { planes, state, shape, pitch, .. } = self;
         (planes.depth_m.par_chunks_mut(*pitch), Carried { state, width: shape.0, pitch: *pitch })
@@ -292,7 +292,7 @@ impl TemporalFilter {
         let outputs = outputs.zip(state.frames_variance.par_chunks_mut(pitch));
         let outputs = outputs.zip(state.bias_idle.par_chunks_mut(pitch)).zip(calm.par_chunks_mut(pitch));
         outputs.enumerate().for_each(|(v, ((((depth_m, mean), frames_variance), bias_idle), calm))| {
-            // Row v of a plane with a margin has the number v + MARGIN.
+            // In a plane with margins, image row v is row v + MARGIN.
             let row = UpdateRow {
                 depth_m,
                 mean,
@@ -309,7 +309,7 @@ impl TemporalFilter {
         });
     }
 
-    /// Gives recently seen holes in calm surroundings their last values.
+    /// Fills holes in calm surroundings with their last values, if those are recent.
     fn hold(&mut self) {
         let Self { params, rule, shape: (width, height), pitch, state, planes, .. } = self;
         let (width, height, pitch) = (*width, *height, *pitch);

@@ -1,5 +1,5 @@
-//! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth over the frames
-//! of a video, whose old frames fade where the scene changes.
+//! Smoothing over time (docs/method.md, section 16): a recursive mean of each pixel's inverse depth, or depth, over
+//! the frames of a video. Old frames fade where the scene changes.
 
 pub(crate) mod constants;
 mod filter;
@@ -25,13 +25,13 @@ pub(crate) enum Domain {
 }
 
 impl Domain {
-    /// Returns the domain of a sensor, by the term that dominates its noise at 2 m.
+    /// Returns the domain of a sensor, which depends on the term that dominates its noise at 2 m.
     pub(crate) fn of(sensor: &crate::SensorModel) -> Self {
         let [c0, c1, c2] = sensor.sigma;
         if 4.0 * c2 > c0 + 2.0 * c1 { Self::InverseDepth } else { Self::Depth }
     }
 
-    /// Returns the depth of a value.
+    /// Returns the depth, in metres, that a value represents.
     #[inline(always)]
     fn depth_m(self, value: f32) -> f32 {
         match self {

@@ -1,8 +1,8 @@
 //! Moves the state into the view of a camera that has moved (docs/method.md, equations 16.9 to 16.11).
 //!
 //! Each pixel of the current frame looks up where its point was in the previous frame, and averages those of the four
-//! pixels there that are on the same surface. The mean is a point on a ray of the previous camera; its depth in the
-//! current view is the new state. Holes look up by their remembered depth.
+//! surrounding pixels that are on the same surface. The mean is a point on a ray of the previous camera; its depth in
+//! the current view is the new state. For a hole, the remembered depth determines the point.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
@@ -42,7 +42,7 @@ impl CameraMotion {
     }
 }
 
-/// A camera's motion and everything else that the lookup of a pixel needs.
+/// A camera's motion and the other inputs for looking up pixels.
 #[derive(Clone, Copy)]
 pub(super) struct Lookup<'a> {
     rule: Rule,
@@ -58,7 +58,7 @@ pub(super) struct Lookup<'a> {
     is_distorted: bool,
     width: usize,
     height: usize,
-    /// Pixels per row of the state.
+    /// Number of pixels per row of the state.
     pitch: usize,
 }
 
@@ -78,7 +78,7 @@ impl<'a> Lookup<'a> {
         let rows = after.mean.par_chunks_mut(self.pitch).zip(after.frames_variance.par_chunks_mut(self.pitch));
         let rows = rows.zip(after.bias_idle.par_chunks_mut(self.pitch));
         rows.enumerate().for_each(|(v, ((mean, frames_variance), bias_idle))| {
-            // Compiled for each instruction set: rounding is a call without SSE4.1.
+            // This loop is compiled for each instruction set, because rounding is a function call without SSE4.1.
             dispatch!(self.level, simd => lookup.move_row(simd, v, depth_m, before, (mean, frames_variance, bias_idle)));
         });
     }
@@ -121,7 +121,7 @@ impl<'a> Lookup<'a> {
             }
             self.rule.domain.depth_m(here.mean)
         };
-        // The point in the previous camera's frame.
+        // The point in the previous camera's coordinates.
         let seen = self.rotation * (Vec3::new(x, y, 1.0) * depth_m) + self.translation;
         if seen.z.is_nan() || seen.z < NEAREST_M {
             return Pixel::UNKNOWN;
@@ -148,7 +148,7 @@ impl<'a> Lookup<'a> {
         let (mut weights, mut mean, mut frames, mut bias) = (0.0, 0.0, 0.0, 0.0);
         for (weight, at) in corners {
             let pixel = before.pixel(at);
-            // off < 5 sigma sqrt(1 + 1/n), without root and division.
+            // Tests off < 5 sigma sqrt(1 + 1/n) without a root or a division.
             let off = ((pixel.mean - value).abs() - SLOPE * value).max(0.0);
             let known = pixel.frames.max(1.0);
             let is_same =
@@ -165,7 +165,7 @@ impl<'a> Lookup<'a> {
         let nearest = corners[2 * usize::from(share_v >= 0.5) + usize::from(share_u >= 0.5)].1;
         let nearest = before.pixel(nearest);
         let found = Pixel { mean: mean / weights, frames: frames / weights, bias: bias / weights, ..nearest };
-        // The depth of its point in the current camera's frame.
+        // The depth of the found point in the current camera's coordinates.
         let forward = self.rotation.z_axis;
         let depth_m = self.rule.domain.depth_m(found.mean) * forward.dot(ray) - forward.dot(self.translation);
         if depth_m.is_nan() || depth_m < NEAREST_M {

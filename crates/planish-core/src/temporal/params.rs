@@ -1,8 +1,8 @@
-//! Settings of the filter over time.
+//! Parameters of the temporal filter.
 
 use crate::error::ParamError;
 
-/// Parameters of smoothing over time: the number of averaged frames, and how long holes are bridged.
+/// Parameters of smoothing over time: the number of averaged frames, and how long holes keep their last values.
 ///
 /// ```
 /// use planish::TemporalParams;
@@ -16,13 +16,13 @@ use crate::error::ParamError;
 pub struct TemporalParams {
     /// Maximum number of frames averaged in a still pixel, 1 to 16.
     pub frames: f32,
-    /// Maximum number of frames for which a hole keeps its last value, 0 to 8. Carried values are flagged:
-    /// [`TemporalFilter::is_carried`](crate::TemporalFilter::is_carried).
+    /// Maximum number of frames for which a hole keeps its last value, 0 to 8.
+    /// [`TemporalFilter::is_carried`](crate::TemporalFilter::is_carried) identifies such pixels.
     pub hold_frames: u32,
 }
 
 impl TemporalParams {
-    /// The mean of up to 16 frames; holes stay holes.
+    /// Parameters for a mean of up to 16 frames; holes stay holes.
     pub const STEADY: Self = Self { frames: 16.0, hold_frames: 0 };
 
     /// Sets the maximum number of frames averaged in a still pixel, 1 to 16.
@@ -35,10 +35,10 @@ impl TemporalParams {
         Self { hold_frames, ..self }
     }
 
-    /// Refuses values outside their ranges.
+    /// Checks that all values are within their ranges.
     ///
     /// # Errors
-    /// If a value is outside its range; names the field and the range.
+    /// If a value is outside its range. The error names the field and the range.
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(1.0..=16.0).contains(&self.frames) {
             let value = self.frames.to_string();

@@ -1,4 +1,4 @@
-//! The two passes of the filter over rows of pixels, one vector of pixels at a time.
+//! The two passes of the temporal filter over rows of pixels, one vector of pixels at a time.
 //!
 //! The first pass measures the change of each pixel. The second combines it with the changes of the surrounding
 //! pixels and updates the state. Planes have rows of `pitch` pixels, a multiple of [`TILE`]; those that the second
@@ -21,7 +21,7 @@ pub(super) const MARGIN: usize = 2;
 const SIDE: usize = 16;
 /// Mean change below which an updated pixel is calm, in deviations.
 const CALM: f32 = 3.0;
-/// Value of a candidate in the plane of calm pixels; it outweighs all calm pixels of 5x5.
+/// Value of a candidate in the plane of calm pixels; it outweighs the calm pixels in 5x5.
 pub(super) const NOT_CALM: f32 = -100.0;
 
 /// Parameters of both passes.
@@ -33,7 +33,7 @@ pub(super) struct Rule {
     pub(super) most_frames: f32,
 }
 
-/// A row of the first pass.
+/// Data of a row in the first pass.
 pub(super) struct ChangeRow<'a> {
     pub(super) depth_m: &'a [f32],
     pub(super) mean: &'a [f32],
@@ -43,31 +43,31 @@ pub(super) struct ChangeRow<'a> {
     pub(super) changes: &'a mut [f32],
     /// Sums of the clipped changes over five columns.
     pub(super) sums: &'a mut [f32],
-    /// Numbers of changes over five columns.
+    /// Numbers of pixels with a change over five columns.
     pub(super) counts: &'a mut [f32],
     /// Sums of the signs of candidates over three columns.
     pub(super) signs: &'a mut [f32],
 }
 
-/// A row of the second pass.
+/// Data of a row in the second pass.
 pub(super) struct UpdateRow<'a> {
     pub(super) depth_m: &'a mut [f32],
     pub(super) mean: &'a mut [f32],
     pub(super) frames_variance: &'a mut [u32],
     pub(super) bias_idle: &'a mut [u32],
     pub(super) changes: &'a [f32],
-    /// Sums of the row, and of the two rows above and below it.
+    /// Sums of this row, of the two rows above and of the two rows below.
     pub(super) sums: [&'a [f32]; 5],
-    /// Counts of the same rows.
+    /// Counts of the same five rows.
     pub(super) counts: [&'a [f32]; 5],
-    /// Signs of the row, and of the rows above and below it.
+    /// Signs of this row, of the row above and of the row below.
     pub(super) signs: [&'a [f32]; 3],
     pub(super) tiles: &'a [Tile],
-    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate, 0 otherwise; `None` if holes are not bridged.
+    /// 1 for a calm pixel, [`NOT_CALM`] for a candidate, 0 otherwise; `None` if holes do not keep their last values.
     pub(super) calm: Option<&'a mut [f32]>,
 }
 
-/// Buffers of the rows of a band of tiles.
+/// Buffers for the rows of a band of tiles.
 #[derive(Debug, Clone)]
 pub(super) struct RowBuffers {
     /// Clipped changes, with [`SIDE`] zeros on each side.
@@ -129,7 +129,7 @@ impl Rule {
         Measured { valid, value, noise: noise.max(value * splat(simd, LEAST_NOISE)) }
     }
 
-    /// Returns false for holes.
+    /// Returns true for measured depths, false for holes.
     #[inline(always)]
     pub(super) fn is_valid(&self, depth_m: f32) -> bool {
         depth_m > 0.0 && depth_m < MOST_DEPTH_M
@@ -147,7 +147,7 @@ impl Rule {
     }
 }
 
-/// Returns the deviation for comparisons of single pixels.
+/// Returns the deviation for comparisons of single pixels, in sigmas.
 #[inline(always)]
 fn single_deviation<S: Simd>(simd: S, variance: S::f32s) -> S::f32s {
     variance.sqrt().max(splat(simd, LEAST_DEVIATION))
@@ -167,7 +167,7 @@ pub(super) fn measure_changes<S: Simd>(simd: S, rule: Rule, row: ChangeRow<'_>, 
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let RowBuffers { clipped, counted, signs, column_sums, column_counts } = buffers;
     let inner = SIDE..SIDE + pitch;
-    // Iterates over the vectors in lockstep, without bounds checks.
+    // The vectors are iterated in lockstep, which avoids bounds checks.
     let inputs = row.depth_m.chunks_exact(lanes).zip(row.mean.chunks_exact(lanes));
     let inputs = inputs.zip(row.frames_variance.chunks_exact(lanes)).zip(row.bias_idle.chunks_exact(lanes));
     let outputs = row.changes.chunks_exact_mut(lanes).zip(clipped[inner.clone()].chunks_exact_mut(lanes));
@@ -201,7 +201,7 @@ pub(super) fn measure_changes<S: Simd>(simd: S, rule: Rule, row: ChangeRow<'_>, 
     sum_neighbours(simd, signs, row.signs, 1);
 }
 
-/// Sums the values up to `reach` columns away, 1 or 2.
+/// Sums the values of each column and of its neighbours up to `reach` columns away; `reach` is 1 or 2.
 #[inline(always)]
 fn sum_neighbours<S: Simd>(simd: S, values: &[f32], sums: &mut [f32], reach: usize) {
     let (lanes, pitch) = (S::f32s::LEN, sums.len());
@@ -221,7 +221,7 @@ fn sum_neighbours<S: Simd>(simd: S, values: &[f32], sums: &mut [f32], reach: usi
 /// The vectors of five rows at the same columns.
 type Five<T> = (((T, T), (T, T)), T);
 
-/// Returns the vectors of five rows in step.
+/// Iterates over the vectors of five rows in lockstep.
 #[inline(always)]
 fn five_rows(rows: [&[f32]; 5], lanes: usize) -> impl Iterator<Item = Five<&[f32]>> {
     let [a, b, c, d, e] = rows.map(|row| row.chunks_exact(lanes));
@@ -240,7 +240,7 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
     let lanes = S::f32s::LEN;
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let UpdateRow { depth_m, mean, frames_variance, bias_idle, changes, sums, counts, signs, tiles, mut calm } = row;
-    // Iterates over the vectors in lockstep, without bounds checks.
+    // The vectors are iterated in lockstep, which avoids bounds checks.
     let [above, own, below] = signs.map(|row| row.chunks_exact(lanes));
     let around = five_rows(sums, lanes).zip(five_rows(counts, lanes)).zip(above.zip(own).zip(below));
     let state = mean.chunks_exact_mut(lanes).zip(frames_variance.chunks_exact_mut(lanes));
@@ -267,7 +267,7 @@ pub(super) fn update<S: Simd>(simd: S, rule: Rule, row: UpdateRow<'_>) {
         let waits = is_candidate & !(is_supported & is_large) & may_wait;
         let is_reset = is_candidate & !waits;
         let is_update = is_both & !is_candidate;
-        // An update: frames fade where the surroundings or the pixel itself changed.
+        // For updates: earlier frames count less where the surroundings or the pixel itself changed.
         let from_bias = (mean_change - old.bias).abs().min(splat(simd, 3.0) * deviation);
         let bias = old.bias + splat(simd, LEAK) * (mean_change - old.bias);
         let by_change = fourth_power::<S>(mean_change / (splat(simd, CHANGE) * deviation));

@@ -1,4 +1,4 @@
-//! The state of each pixel: 12 bytes.
+//! The state of each pixel, in 12 bytes.
 
 use fearless_simd::{Simd, SimdBase, SimdCvtFloat, SimdCvtTruncate};
 
@@ -10,9 +10,9 @@ use crate::cpu::vector::splat;
 pub(super) struct State {
     /// The mean of inverse depth (1/m) or depth (m).
     pub(super) mean: Vec<f32>,
-    /// Effective frames in the low half, variance in the high one.
+    /// Effective number of frames in the low half, variance in the high half.
     pub(super) frames_variance: Vec<u32>,
-    /// Bias in the low half; frames since the last update, and the bit [`CARRIED`], in the high half.
+    /// Bias in the low half; number of frames since the last update, and the bit [`CARRIED`], in the high half.
     pub(super) bias_idle: Vec<u32>,
 }
 
@@ -23,7 +23,7 @@ pub(super) struct Pixel {
     pub(super) frames: f32,
     pub(super) variance: f32,
     pub(super) bias: f32,
-    /// Frames since the last update.
+    /// Number of frames since the last update.
     pub(super) idle: u32,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Unpacked<S: Simd> {
     pub(super) frames: S::f32s,
     pub(super) variance: S::f32s,
     pub(super) bias: S::f32s,
-    /// Frames since the last update.
+    /// Number of frames since the last update.
     pub(super) idle: S::f32s,
 }
 
@@ -48,7 +48,7 @@ impl State {
         self.bias_idle.resize(len, (MOST_BIAS * PER_UNIT) as u32);
     }
 
-    /// Returns the effective frames of a pixel; 0 if the pixel has no value in the last frame.
+    /// Returns the effective number of frames of a pixel; 0 if the pixel has no value in the last frame.
     pub(super) fn frames(&self, i: usize) -> f32 {
         let has_value = self.bias_idle[i] >> 16 == 0 || self.is_carried(i);
         if has_value { self.remembered_frames(i) } else { 0.0 }
@@ -71,7 +71,7 @@ impl State {
         (self.bias_idle[i] & !CARRIED) >> 16
     }
 
-    /// Returns true if any of these pixels has a carried value.
+    /// Returns true if any pixel of a range has a carried value.
     pub(super) fn has_carried(&self, pixels: std::ops::Range<usize>) -> bool {
         self.bias_idle[pixels].iter().fold(0, |all, word| all | word) & CARRIED != 0
     }
@@ -84,7 +84,7 @@ impl State {
         self.bias_idle[i] |= CARRIED;
     }
 
-    /// Returns the effective frames that a pixel had when it was last seen.
+    /// Returns the effective number of frames that a pixel had when it was last seen.
     pub(super) fn remembered_frames(&self, i: usize) -> f32 {
         (self.frames_variance[i] & LOW) as f32 / PER_UNIT
     }

@@ -1,4 +1,4 @@
-//! The test of whole tiles, which detects common motion that is smaller than the noise.
+//! Tests whole tiles, to detect common motion that is smaller than the noise.
 
 use super::constants::{
     AGREEING, AGREEING_NOISE, FEW, FIRST_TILE_VARIANCE, LEAK, LEARN, LEARNT, LEAST_CHANGE, LEAST_TILE_VARIANCE,
@@ -8,7 +8,7 @@ use super::constants::{
 /// The state of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tile {
-    /// Mean of the clipped changes of its pixels in this frame.
+    /// Mean of the clipped changes of the tile's pixels in the current frame.
     change: f32,
     bias: f32,
     variance: f32,
@@ -24,8 +24,8 @@ impl Default for Tile {
     }
 }
 
-/// Updates all tiles, of which `across` form a row. `sums` are the sum of the clipped changes of each tile's pixels,
-/// and their number. `sorted` is a buffer.
+/// Updates all tiles, of which `across` form a row. `sums` contains, for each tile, the sum of its pixels' clipped
+/// changes and their number. `sorted` is a reusable buffer.
 pub(super) fn update_tiles(
     tiles: &mut [Tile],
     across: usize,
@@ -38,7 +38,7 @@ pub(super) fn update_tiles(
         tile.change = if tile.counts { sum / count } else { 0.0 };
     }
     // Noise differs from frame to frame and between distant tiles. A moving camera changes a tile in the same
-    // direction for some time, and distant tiles alike.
+    // direction for some time, and changes distant tiles in the same way.
     let (persistence, agreement) = match median(tiles, |tile| tile.change, sorted) {
         Some(change) if !knows_motion && change > LEAST_CHANGE => {
             let next_bias = |tile: &Tile| tile.bias + LEAK * (tile.change - tile.bias);
@@ -88,8 +88,8 @@ impl Tile {
     }
 }
 
-/// Returns the median magnitude over the tiles with enough updated pixels; `None` for fewer than [`LEAST_TILES`] of
-/// them.
+/// Returns the median magnitude over the tiles with enough updated pixels; `None` if there are fewer than
+/// [`LEAST_TILES`] such tiles.
 fn median(tiles: &[Tile], value: impl Fn(&Tile) -> f32, sorted: &mut Vec<f32>) -> Option<f32> {
     sorted.clear();
     sorted.extend(tiles.iter().filter(|tile| tile.counts).map(|tile| value(tile).abs()));

@@ -28,9 +28,9 @@ const ALIKE: f32 = 0.85;
 const LEAST_SCALE: f64 = 0.3;
 /// Residual whose weight is one half, in residual scales.
 const CAUCHY: f64 = 2.0;
-/// Minimum information of a corrected direction, relative to the largest.
+/// Minimum information along a direction that is corrected, relative to that along the best-determined direction.
 const LEAST_INFORMATION: f64 = 1e-3;
-/// Distance between the pixels that verify the motion.
+/// Distance between the pixels that verify the motion, in pixels.
 const CHECKED: usize = 4;
 /// Minimum number of matches of a trusted motion.
 const LEAST_MATCHES: usize = 25;
@@ -39,7 +39,7 @@ const LEAST_MATCHED: f64 = 0.5;
 /// Maximum residual scale of a trusted motion, in sigmas.
 const MOST_SCALE: f64 = 3.0;
 
-/// Points and normals of a frame, in the frame of its camera.
+/// Points and normals of a frame, in the camera's coordinates.
 #[derive(Debug, Default)]
 pub(crate) struct Surface {
     pub(crate) points: Xyz,
@@ -70,7 +70,7 @@ struct Alignment {
     scale: f64,
 }
 
-/// A point of the current frame and the plane that it should be on, in the previous camera's frame.
+/// A point of the current frame and the plane that it should be on, in the previous camera's coordinates.
 #[derive(Clone, Copy)]
 struct Match {
     point: Vec3,
@@ -81,7 +81,7 @@ struct Match {
     sigma_m: f32,
 }
 
-/// Sums of the normal equations: the upper triangle of A, and g.
+/// Sums of the normal equations: the 21 entries of the upper triangle of A, then the 6 of g.
 type Sums = [f64; 27];
 
 /// Aligns frames of one camera.
@@ -99,7 +99,7 @@ impl Tracker {
         Self { camera, sensor, level: Level::new(), last: RigidTransform::IDENTITY }
     }
 
-    /// Estimates previous_from_current; `None` if the alignment is not trusted.
+    /// Estimates the motion as previous_from_current. Returns `None` if the alignment is not trusted.
     pub(crate) fn track(&mut self, previous: &Surface, current: SurfaceRef<'_>) -> Option<RigidTransform> {
         // Starts with the better prediction: no motion, or the last motion again.
         let (step, ..) = LEVELS[0];
@@ -135,7 +135,7 @@ impl Tracker {
         self.camera
     }
 
-    /// Matches every `step`th pixel in both directions and measures the alignment.
+    /// Matches every `step`th pixel along both axes and measures the alignment.
     fn align(
         &self,
         previous: &Surface,
@@ -145,7 +145,7 @@ impl Tracker {
     ) -> (Alignment, Vec<Match>) {
         let height = self.camera.height;
         let rows: Vec<usize> = (0..height).step_by(step).collect();
-        // Compiled for each instruction set: rounding is a call without SSE4.1.
+        // This loop is compiled for each instruction set, because rounding is a function call without SSE4.1.
         let tasks: Vec<(usize, Vec<Match>)> = rows
             .par_chunks(TASK_ROWS)
             .map(|rows| dispatch!(self.level, simd => self.find_rows(simd, previous, current, motion, (rows, step))))
@@ -160,7 +160,7 @@ impl Tracker {
         (Alignment { matched: matches.len(), points, scale }, matches)
     }
 
-    /// Matches every `step`th pixel of these rows. Returns the number of points and the matches.
+    /// Matches every `step`th pixel of the given rows. Returns the number of points and the matches.
     #[inline(always)]
     fn find_rows<S: Simd>(
         &self,
@@ -217,7 +217,7 @@ fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> 
     if matches.len() < 6 {
         return None;
     }
-    // Rotations about the points' centre, multiplied by their extent, are comparable with translations.
+    // Rotations about the points' centre, multiplied by the points' extent, are comparable with translations.
     let count = matches.len() as f64;
     let centre = matches.iter().map(|found| found.point.as_dvec3()).sum::<DVec3>() / count;
     let extent_m = (matches.iter().map(|found| found.point.as_dvec3().distance_squared(centre)).sum::<f64>() / count)
@@ -328,7 +328,7 @@ mod tests {
         let current = surface(&camera, &moved(), &wall);
         let mut tracker = Tracker::new(camera, SensorModel::KINECT_V1);
         let found = tracker.track(&previous, current.borrow()).unwrap();
-        // The wall shows one distance and two turns.
+        // The wall determines one distance and two rotations.
         assert!((found.translation.z - moved().translation.z).abs() < 1e-3, "{found:?}");
         assert!(found.translation.truncate().length() < 0.03, "{found:?}");
         let far = surface(&camera, &RigidTransform::IDENTITY, &[(DVec3::Z, 3.0)]);

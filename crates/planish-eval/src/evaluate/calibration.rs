@@ -1,4 +1,4 @@
-//! Calibration of the stated standard errors: the shares of points within one and two of them.
+//! Tests whether stated standard errors are calibrated: the shares of points within one and two standard errors.
 
 use planish_core::Xyz;
 use serde::Serialize;
@@ -7,29 +7,31 @@ use super::edge_band;
 use super::evaluation::EDGE_MARGIN_PX;
 use crate::simulate::Truth;
 
-/// The ranges of z in metres, away from steps.
+/// The ranges of z in which points away from steps are counted, in metres.
 const RANGES_M: [(f64, f64); 4] = [(0.4, 0.9), (0.9, 1.5), (1.5, 2.5), (2.5, 5.0)];
 
-/// Counts of points by their error in units of the stated standard error.
+/// Numbers of points, by error relative to the stated standard error.
 #[derive(Debug, Clone, Default)]
 pub struct Calibration {
     ranges: [Counts; RANGES_M.len()],
     near_steps: Counts,
 }
 
-/// The share of points whose error is within their standard error; 68.3 and 95.4 % of a normal distribution.
+/// The shares of points whose error is within one and two standard errors. A normal distribution has 68.3 % and 95.4
+/// %.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CalibrationReport {
-    /// Nearest z in metres; NaN (null in JSON) for pixels within 3 pixels of a step, at any range.
+    /// Lower limit of z in metres; NaN (null in JSON) for the report on pixels within 3 pixels of a step, at any
+    /// range.
     pub near_m: f64,
-    /// Farthest z in metres; NaN (null in JSON) within 3 pixels of a step.
+    /// Upper limit of z in metres; NaN (null in JSON) for the report on pixels within 3 pixels of a step.
     pub far_m: f64,
     /// Number of points.
     pub pixels: u64,
-    /// Share within one standard error.
+    /// Share of points within one standard error of the truth.
     pub within_one: f64,
-    /// Share within two standard errors.
+    /// Share of points within two standard errors of the truth.
     pub within_two: f64,
 }
 
@@ -40,12 +42,12 @@ struct Counts {
 }
 
 impl Calibration {
-    /// Adds the points of a frame with their standard errors along the ray in metres.
+    /// Adds the points of a frame, with their standard errors along the ray, in metres.
     pub fn add(&mut self, truth: &Truth, points: &Xyz, sigma_m: &[f32]) {
         let near = edge_band(truth, EDGE_MARGIN_PX);
         for i in 0..points.len() {
             let (z_m, true_m) = (f64::from(points.z()[i]), f64::from(truth.points.z()[i]));
-            // False for the NaN of a hole.
+            // False for a hole, whose z is NaN.
             if (z_m - true_m).abs() >= 0.0 && sigma_m[i] >= 0.0 {
                 let range = RANGES_M.iter().position(|&(near_m, far_m)| (near_m..far_m).contains(&true_m));
                 let counts = match (near[i], range) {
@@ -61,7 +63,7 @@ impl Calibration {
         }
     }
 
-    /// Returns the shares by range, and near steps.
+    /// Returns one report per range of z, followed by one for points near steps.
     pub fn report(&self) -> Vec<CalibrationReport> {
         let ranges = RANGES_M.iter().copied().chain([(f64::NAN, f64::NAN)]);
         let counts = self.ranges.iter().chain([&self.near_steps]);

@@ -8,15 +8,16 @@ use super::geometry::angle_deg;
 use crate::simulate::{Curve, Truth};
 use planish_core::Xyz;
 
-/// Distance from a step or another object within which pixels are left out, in pixels. The thinnest cylinder is
-/// hardly wider.
+/// Minimum distance of a scored pixel from a depth step or another object, in pixels. The thinnest cylinder is hardly
+/// wider.
 const MARGIN_PX: usize = 2;
-/// Minimum cosine of the angle of incidence. At steeper angles, the sensor itself loses and shifts points.
+/// Minimum cosine of the angle of incidence of a scored pixel. At steeper angles, the sensor itself loses and shifts
+/// points.
 const MIN_COSINE: f64 = 0.5;
-/// Minimum number of pixels of a reported surface; fewer say little.
+/// Minimum number of scored pixels for a surface to be reported; with fewer, the scores are unreliable.
 const MIN_PIXELS: usize = 200;
 
-/// A curved surface of known radius at one range.
+/// Scores on a curved surface of known radius at one range.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CurveReport {
@@ -24,7 +25,7 @@ pub struct CurveReport {
     pub name: &'static str,
     /// Smallest radius of curvature in metres; infinite (null in JSON) for the board.
     pub radius_m: f64,
-    /// Distance of its centre from the camera along z, in metres.
+    /// Distance of the surface's centre from the camera along z, in metres.
     pub range_m: f64,
     /// Number of pixels with a point.
     pub pixels: usize,
@@ -32,7 +33,7 @@ pub struct CurveReport {
     pub rmse_mm: f64,
     /// Mean signed distance to the true surface, positive towards the camera, in millimetres.
     pub bias_mm: f64,
-    /// Mean angle between the normal and the true one, in degrees.
+    /// Mean angle between a point's normal and the true normal, in degrees.
     pub normal_mean_deg: f64,
     /// Mean angle between the facets of adjacent pixels and the true surface, in degrees.
     pub facet_mean_deg: f64,
@@ -50,7 +51,7 @@ struct Errors {
     facets_deg: Vec<f32>,
 }
 
-/// The errors on all curved surfaces, over cases.
+/// The errors on all curved surfaces, accumulated over cases.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Curves(Vec<Errors>);
 

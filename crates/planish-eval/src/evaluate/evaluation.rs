@@ -10,30 +10,30 @@ use super::{edge_band, flat_pixels};
 use crate::simulate::{DepthNoise, Gauge, Truth};
 use planish_core::Xyz;
 
-/// Distance from every discontinuity beyond which a pixel counts as flat, in pixels.
+/// Distance from the nearest discontinuity above which a pixel counts as flat, in pixels.
 pub(super) const FLAT_MARGIN_PX: usize = 6;
-/// Maximum distance from a step of the pixels in its band, in pixels.
+/// Maximum distance in pixels between a step and a pixel of its edge band.
 pub(super) const EDGE_MARGIN_PX: usize = 3;
 /// Maximum distance from a crease at which its faces are measured, in pixels.
 const CREASE_PX: usize = 6;
-/// Number of rows of a piece of a crease.
+/// Number of image rows per piece of a crease. Planes are fitted to each piece separately.
 const CREASE_ROWS: usize = 24;
 
-/// Error above which a facet is a speck, in degrees.
+/// Angular error above which a facet counts as a speck, in degrees.
 pub(super) const SPECK_DEG: f32 = 30.0;
 
-/// The ranges of z in metres.
+/// The ranges of z in which flat surfaces are scored, in metres.
 const RANGES_M: [(f64, f64); 3] = [(0.5, 1.5), (1.5, 2.5), (2.5, 4.2)];
-/// The ranges of the angle of incidence in degrees.
+/// The ranges of the angle of incidence in which flat surfaces are scored, in degrees.
 const ANGLES_DEG: [(f64, f64); 3] = [(0.0, 30.0), (30.0, 60.0), (60.0, 75.0)];
 
-/// Flat surfaces in a range of z.
+/// Scores on flat surfaces within one range of z.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RangeReport {
-    /// Nearest z in metres.
+    /// Lower limit of z in metres.
     pub near_m: f64,
-    /// Farthest z in metres.
+    /// Upper limit of z in metres.
     pub far_m: f64,
     /// Number of pixels with a point.
     pub pixels: usize,
@@ -43,33 +43,33 @@ pub struct RangeReport {
     pub bias_mm: f64,
     /// Bias in depth steps of a Kinect v1.
     pub bias_steps: f64,
-    /// Mean angle between the normal and the true one, in degrees.
+    /// Mean angle between a point's normal and the true normal, in degrees.
     pub normal_mean_deg: f64,
-    /// Median angle between the normal and the true one, in degrees.
+    /// Median angle between a point's normal and the true normal, in degrees.
     pub normal_median_deg: f64,
-    /// Share of normals off by less than 10°.
+    /// Share of normals less than 10° from the true normal.
     pub normal_under_10_deg: f64,
-    /// Mean angle between the facets of adjacent pixels and the true surface, in degrees. A mesh or a shader makes it
-    /// visible.
+    /// Mean angle between the facets spanned by adjacent pixels and the true surface, in degrees. It is visible in
+    /// meshes and shaded renderings.
     pub facet_mean_deg: f64,
     /// 95th percentile of the angle between the facets and the true surface, in degrees.
     pub facet_95_deg: f64,
 }
 
-/// Flat surfaces in a range of the angle between normal and ray.
+/// Scores on flat surfaces within one range of the angle of incidence, between normal and ray.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct AngleReport {
-    /// Smallest angle in degrees.
+    /// Lower limit of the angle in degrees.
     pub from_deg: f64,
-    /// Largest angle in degrees.
+    /// Upper limit of the angle in degrees.
     pub to_deg: f64,
     /// Number of pixels with a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface along its normal, in depth steps of a Kinect v1 at that
     /// range.
     pub rmse_steps: f64,
-    /// Mean angle between the normal and the true one, in degrees.
+    /// Mean angle between a point's normal and the true normal, in degrees.
     pub normal_mean_deg: f64,
     /// Mean angle between the facets of adjacent pixels and the true surface, in degrees.
     pub facet_mean_deg: f64,
@@ -79,44 +79,46 @@ pub struct AngleReport {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Report {
-    /// Flat surfaces by z.
+    /// Scores on flat surfaces, by range of z.
     pub ranges: Vec<RangeReport>,
-    /// Flat surfaces by angle of incidence.
+    /// Scores on flat surfaces, by range of the angle of incidence.
     pub angles: Vec<AngleReport>,
-    /// Share of the facets of flat surfaces from 0.5 to 2.5 m that are off by more than 30°: specks.
+    /// Share of specks: facets of flat surfaces from 0.5 to 2.5 m that are more than 30° off.
     pub speck_share: f64,
-    /// Median over flat pixels of the second difference of z along a row, divided by z², in 1e-3/m. It measures
-    /// lattices and gravel.
+    /// Median over flat pixels of the second difference of z along a row, divided by z², in 1e-3/m. High values
+    /// indicate lattice or gravel artefacts.
     pub lattice: f64,
-    /// Root mean square error of flat surfaces by z, in bins of 0.2 m: the middle of the bin in metres, and the error
-    /// in millimetres.
+    /// Root mean square error on flat surfaces per 0.2 m bin of z: the centre of the bin in metres, and the error in
+    /// millimetres. Bins with fewer than 1000 pixels are omitted.
     pub over_z: Vec<(f64, f64)>,
     /// Mean distance to the nearest true surface within 3 pixels of a step, in millimetres.
     pub edge_mean_mm: f64,
     /// Share of the points within 3 pixels of a step that float between two surfaces: more than 1 cm and 4.6 standard
     /// deviations (three depth steps of a Kinect v1) from either.
     pub flying_share: f64,
-    /// Mean error of the angle of a 90° edge at 1 m, between planes through the points up to 6 pixels from it, in
-    /// degrees.
+    /// Mean error of the measured angle of a 90° edge at 1 m, in degrees. The angle is measured between planes fitted
+    /// to the points up to 6 pixels from the edge.
     pub crease_deg: f64,
     /// Mean error of the normals up to 6 pixels from the 90° edge, in degrees.
     pub crease_normal_deg: f64,
-    /// Mean ratio of the distance of a sphere's points from its centre to its radius, minus 1.
+    /// Relative radius error of spheres: the mean distance of their points from the centre, divided by the radius,
+    /// minus 1.
     pub sphere_radius_bias: f64,
-    /// Mean ratio of the distance of a cylinder's points from its axis to its radius, minus 1.
+    /// Relative radius error of cylinders: the mean distance of their points from the axis, divided by the radius,
+    /// minus 1.
     pub cylinder_radius_bias: f64,
-    /// Curved surfaces by shape, radius and range.
+    /// Scores on curved surfaces, by shape, radius and range.
     pub curves: Vec<CurveReport>,
     /// Share of the measured pixels that have no point.
     pub lost_share: f64,
     /// Share of the measured pixels on a surface (not floating) that have no point.
     pub lost_true_share: f64,
-    /// Share of the measured pixels floating between two surfaces that have no point: the recall of the removal of
-    /// floating pixels.
+    /// Recall of floating-pixel removal: the share of measured pixels floating between two surfaces that have no
+    /// point.
     pub floating_removed: f64,
-    /// Share of the lost pixels that floated: the precision of the removal of floating pixels.
+    /// Precision of floating-pixel removal: the share of lost pixels that were floating.
     pub removed_floating: f64,
-    /// Number of pixels with a point that were not measured.
+    /// Number of pixels that have a point although nothing was measured there.
     pub invented: usize,
 }
 
@@ -125,7 +127,7 @@ const BIN_M: f64 = 0.2;
 /// Number of bins of [`Report::over_z`].
 const BINS: usize = 22;
 
-/// The sums for a mean and a mean of squares.
+/// Running sums for a mean and a root mean square.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Sum {
     pub(super) count: usize,
@@ -149,7 +151,7 @@ impl Sum {
     }
 }
 
-/// The errors of some flat pixels.
+/// The errors of the flat pixels in one range of z or of the angle of incidence.
 #[derive(Debug, Clone, Default)]
 struct Flat {
     off_m: Sum,
@@ -176,7 +178,7 @@ pub(super) fn mean_deg(angles: &[f32]) -> f64 {
     angles.iter().map(|&deg| f64::from(deg)).sum::<f64>() / angles.len() as f64
 }
 
-/// Returns the value that `share` of the values are below; NaN without values.
+/// Returns the quantile of `values` at `share` (0 to 1); NaN if `values` is empty.
 pub(super) fn quantile(values: &[f32], share: f64) -> f64 {
     let mut values = values.to_vec();
     let at = (values.len() as f64 * share) as usize;
@@ -188,7 +190,7 @@ pub(super) fn quantile(values: &[f32], share: f64) -> f64 {
 
 /// The errors of a pixel's point and normal.
 struct PixelError {
-    /// Distance to the true tangent plane, positive towards the camera.
+    /// Distance to the true tangent plane in metres, positive towards the camera.
     off_m: f64,
     step_m: f64,
     normal_deg: Option<f64>,
@@ -200,7 +202,7 @@ struct PixelError {
 pub struct Evaluation {
     ranges: [Flat; 3],
     angles: [Flat; 3],
-    /// Second differences of z along rows, over z².
+    /// Second differences of z along rows, divided by z², in 1/m.
     second_differences: Vec<f32>,
     over_z: [Sum; BINS],
     edge_m: Sum,
@@ -286,7 +288,7 @@ impl Evaluation {
     fn add_shapes(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz, normals: &Xyz) {
         let flat = flat_pixels(truth, FLAT_MARGIN_PX);
         for i in (0..flat.len()).filter(|&i| flat[i] && points.is_finite(i)) {
-            // On steeper surfaces the sensor itself loses and shifts points.
+            // Skip steeper surfaces, on which the sensor itself loses and shifts points.
             if truth.incidence_cosine(i) < 0.5 {
                 continue;
             }
@@ -302,11 +304,11 @@ impl Evaluation {
         self.add_crease(truth, gauge, points, normals);
     }
 
-    /// Adds the angle between planes through the points on either side of the edge, piece by piece along it, and the
-    /// errors of the normals there.
+    /// Adds, for each piece of the edge, the error of the angle between planes fitted to the points on either side,
+    /// and the errors of the normals near the edge.
     fn add_crease(&mut self, truth: &Truth, gauge: &Gauge, points: &Xyz, normals: &Xyz) {
         let (width, height) = (truth.camera.width, truth.camera.height);
-        // The column at which a row passes from the left face to the right one.
+        // The column at which a row passes from the left face to the right face.
         let edge = |v: usize| -> Option<usize> {
             let row = v * width;
             (CREASE_PX..width.saturating_sub(CREASE_PX)).find(|&u| {
@@ -385,9 +387,9 @@ impl Evaluation {
     }
 }
 
-/// Returns the temporal noise of a static camera before a static scene: the root mean square, over flat pixels and
-/// `results`, of the deviation along the true normal from its mean, in millimetres. Pixels that are not in every result
-/// are left out.
+/// Returns the temporal noise for a static camera and a static scene, in millimetres: the root mean square, over flat
+/// pixels and `results`, of a point's deviation along the true normal from its mean over `results`. Pixels that have
+/// no point in one of the results are skipped.
 pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     let flat = flat_pixels(truth, FLAT_MARGIN_PX);
     let mut stir = Sum::default();
@@ -402,8 +404,8 @@ pub fn jitter_mm(truth: &Truth, results: &[Xyz]) -> f64 {
     if results.is_empty() { f64::NAN } else { 1e3 * stir.rms() }
 }
 
-/// Returns the unit normal of the triangle between pixel i and its right and lower neighbours; `None` unless all
-/// three are `usable` and have points. It is zero for a triangle without an area, which counts as edge-on.
+/// Returns the unit normal of the triangle between pixel i and its right and lower neighbours; `None` unless all three
+/// are `usable` and have points. The normal of a degenerate triangle is zero, which counts as edge-on.
 pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Option<DVec3> {
     let [right, below] = [i + 1, i + width];
     if right % width == 0
@@ -413,7 +415,7 @@ pub(super) fn facet(points: &Xyz, usable: &[bool], i: usize, width: usize) -> Op
         return None;
     }
     let p = points.vector(i);
-    // The normal of a flipped facet, which faces away, is not turned back.
+    // A flipped facet keeps its normal, which faces away from the camera.
     Some((points.vector(below) - p).cross(points.vector(right) - p).normalize_or_zero())
 }
 

@@ -1,4 +1,4 @@
-//! Quality of filled holes: holes cut into frames, whose values are known, and holes of the sensor.
+//! Quality of filled holes: holes cut into frames, where the true depth is known, and the sensor's own holes.
 
 use std::f64::consts::PI;
 
@@ -10,18 +10,18 @@ use super::geometry::step_m;
 use crate::simulate::{NO_OBJECT, Random, Truth};
 use planish_core::DepthFrame;
 
-/// Number of holes cut into a frame of [`PIXELS`] pixels, and in proportion into other frames.
+/// Number of holes cut into a frame of [`PIXELS`] pixels; other frames get a proportional number.
 const CUTS: usize = 250;
-/// Number of pixels of a frame with [`CUTS`] cut holes.
+/// Number of pixels of the frame into which [`CUTS`] holes are cut.
 const PIXELS: usize = 640 * 480;
-/// Maximum ratio of length to width of a cut hole.
+/// Maximum ratio of length to width for a cut hole.
 const LONGEST: f64 = 3.0;
 const STREAM_CUTS: u64 = 7;
-/// Distance from the truth above which a filled pixel is on a wrong surface, in metres, if it also exceeds three
-/// depth steps of a Kinect v1.
+/// Depth error in metres above which a filled pixel is on a wrong surface, if the error also exceeds three depth steps
+/// of a Kinect v1.
 const WRONG_M: f64 = 0.02;
 
-/// Cuts holes into a frame. Returns a mask of their measured pixels.
+/// Cuts holes into a frame. Returns a mask of the measured pixels that were cut out.
 pub fn cut_holes(frame: &mut DepthFrame, width_px: u32, seed: u64) -> Vec<bool> {
     let mut cut = hole_mask((frame.camera.width, frame.camera.height), width_px, seed);
     for (cut, raw) in cut.iter_mut().zip(&mut frame.raw) {
@@ -31,7 +31,7 @@ pub fn cut_holes(frame: &mut DepthFrame, width_px: u32, seed: u64) -> Vec<bool> 
     cut
 }
 
-/// Returns a mask of holes at random places: ellipses up to `width_px` pixels wide.
+/// Returns a mask of randomly placed holes: ellipses up to `width_px` pixels wide.
 pub fn hole_mask((width, height): (usize, usize), width_px: u32, seed: u64) -> Vec<bool> {
     let mut random = Random::new(seed, STREAM_CUTS);
     let mut cut = vec![false; width * height];
@@ -55,40 +55,41 @@ pub fn hole_mask((width, height): (usize, usize), width_px: u32, seed: u64) -> V
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct HoleReport {
-    /// Number of pixels of the holes.
+    /// Number of pixels in the holes.
     pub pixels: usize,
     /// Share of the pixels that were filled.
     pub filled: f64,
-    /// Root mean square of the errors in depth, in millimetres.
+    /// Root mean square depth error of filled pixels, in millimetres.
     pub rms_mm: f64,
-    /// Median of the errors, in millimetres.
+    /// Median depth error of filled pixels, in millimetres.
     pub median_mm: f64,
-    /// Share of the filled pixels on a wrong surface: off by more than 2 cm and three depth steps of a Kinect v1.
+    /// Share of the filled pixels on a wrong surface: their depth error exceeds 2 cm and three depth steps of a Kinect
+    /// v1.
     pub wrong: f64,
-    /// Share of the filled pixels within one standard error; NaN without standard errors.
+    /// Share of the filled pixels whose error is at most one standard error; NaN without standard errors.
     pub within_one: f64,
-    /// Share of the filled pixels within two standard errors; NaN without standard errors.
+    /// Share of the filled pixels whose error is at most two standard errors; NaN without standard errors.
     pub within_two: f64,
-    /// Share of the filled pixels off by more than three standard errors; NaN without standard errors.
+    /// Share of the filled pixels whose error exceeds three standard errors; NaN without standard errors.
     pub over_three: f64,
 }
 
-/// Results in all kinds of holes.
+/// Results for cut holes and for the sensor's own holes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FillReport {
-    /// Results in cut holes, away from steps.
+    /// Results in cut holes, more than 3 pixels from any depth step.
     pub cut: HoleReport,
-    /// Results in cut holes, within 3 pixels of a step.
+    /// Results in cut holes, within 3 pixels of a depth step.
     pub cut_near_steps: HoleReport,
-    /// Results in holes of the sensor.
+    /// Results in the sensor's own holes.
     pub own: HoleReport,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Errors {
     pixels: usize,
-    /// Filled pixels with a true surface.
+    /// Number of filled pixels at which the truth has a surface.
     on_surfaces: usize,
     squares: f64,
     errors_mm: Vec<f32>,
@@ -104,7 +105,7 @@ impl Errors {
             return;
         }
         let off_m = f64::from(z_m - true_m).abs();
-        // Where there is no surface, a filled pixel is wrong, but has no error in metres.
+        // Where the truth has no surface, a filled pixel is wrong, but has no error in metres.
         if off_m.is_finite() {
             self.on_surfaces += 1;
             self.squares += off_m * off_m;
@@ -144,7 +145,7 @@ pub struct FillEvaluation {
 }
 
 impl FillEvaluation {
-    /// Adds the depth of a result in metres, NaN or 0 for holes, and the standard errors of its pixels, if any.
+    /// Adds a result: depth in metres (NaN or 0 for holes), and standard errors per pixel, if known.
     pub fn add(&mut self, truth: &Truth, frame: &DepthFrame, cut: &[bool], z_m: &[f32], sigma_m: Option<&[f32]>) {
         let near = edge_band(truth, EDGE_MARGIN_PX);
         for i in (0..cut.len()).filter(|&i| frame.raw[i] == 0) {
@@ -158,7 +159,7 @@ impl FillEvaluation {
         }
     }
 
-    /// Adds a real frame: `known_m` is the depth that was cut out, and NaN for other pixels.
+    /// Adds a real frame. `known_m` is the depth in metres of the pixels that were cut out, and NaN for all others.
     pub fn add_known(&mut self, known_m: &[f32], z_m: &[f32], sigma_m: Option<&[f32]>) {
         for i in (0..known_m.len()).filter(|&i| known_m[i].is_finite()) {
             self.cut.add(z_m[i], known_m[i], sigma_m.map(|sigma_m| sigma_m[i]));
@@ -186,7 +187,7 @@ mod tests {
         for (i, &cut) in cut.iter().enumerate() {
             assert_eq!(frame.raw[i], if cut { 0 } else { case.frame.raw[i] });
         }
-        // The truth itself, then everything 10 cm off, then nothing.
+        // The results are the truth itself, then a depth 10 cm off, then nothing.
         let sigma_m = vec![0.02; cut.len()];
         let of = |by_m: f32| {
             let z_m: Vec<f32> = case.truth.points.z().iter().map(|z_m| z_m + by_m).collect();

@@ -1,6 +1,6 @@
-//! Surface quality, with the ground truth of simulated frames or without ground truth.
+//! Scores of surface quality, with the ground truth of simulated frames or without ground truth.
 //!
-//! [`Suite`] renders the frames, [`Evaluation`] computes the scores of a method on them. [`tile_planes`] needs no
+//! [`Suite`] renders the frames, and [`Evaluation`] computes a method's scores on them. [`tile_planes`] needs no
 //! ground truth.
 
 mod calibration;
@@ -30,15 +30,15 @@ pub use video::{VideoDepth, VideoEvaluation, VideoRange, VideoReport};
 /// Errors over a set of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Errors {
-    /// Number of pixels of the set that have a point.
+    /// Number of pixels in the set that have a point.
     pub pixels: usize,
     /// Root of the mean squared distance to the true surface, along its normal, in metres.
     pub rms_m: f64,
-    /// Mean angle between the normal and the true one, in degrees.
+    /// Mean angle between a point's normal and the true normal, in degrees.
     pub mean_normal_deg: f64,
 }
 
-/// Compares points and normals with the truth over the pixels for which `selected` returns true.
+/// Compares points and normals with the truth, over the pixels for which `selected` returns true.
 ///
 /// The distance is measured to the tangent plane of the true surface at the pixel, so a shift along the surface is not
 /// an error. Pixels without a point are skipped; pixels without a normal are skipped only in the normal error.
@@ -68,7 +68,7 @@ fn dot(a: [f64; 3], b: [f32; 3]) -> f64 {
     (0..3).map(|k| a[k] * f64::from(b[k])).sum()
 }
 
-/// Marks the pixels with no step, crease or other object within `margin_px` pixels.
+/// Returns a mask of the pixels that have no step, crease or other object within `margin_px` pixels.
 pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
     let breaks = |i: usize, j: usize| {
         truth.objects[i] != truth.objects[j] || truth.is_step(i, j) || {
@@ -79,14 +79,14 @@ pub fn flat_pixels(truth: &Truth, margin_px: usize) -> Vec<bool> {
     within(&truth.camera, &broken_pixels(truth, breaks), margin_px).into_iter().map(|near| !near).collect()
 }
 
-/// Marks the pixels within `margin_px` pixels of a step, on both sides.
+/// Returns a mask of the pixels with a surface that are within `margin_px` pixels of a step, on either side.
 pub fn edge_band(truth: &Truth, margin_px: usize) -> Vec<bool> {
     let steps = broken_pixels(truth, |i, j| truth.is_step(i, j));
     let near = within(&truth.camera, &steps, margin_px);
     (0..near.len()).map(|i| near[i] && truth.objects[i] != NO_OBJECT).collect()
 }
 
-/// Marks pixels without a surface, or with a discontinuity to one of their four neighbours.
+/// Returns a mask of the pixels without a surface, or with a discontinuity to one of their four neighbours.
 fn broken_pixels(truth: &Truth, breaks: impl Fn(usize, usize) -> bool) -> Vec<bool> {
     let (width, height) = (truth.camera.width, truth.camera.height);
     let at_break = |i: usize| {
@@ -100,7 +100,7 @@ fn broken_pixels(truth: &Truth, breaks: impl Fn(usize, usize) -> bool) -> Vec<bo
     (0..width * height).map(at_break).collect()
 }
 
-/// Dilates marks by a box of `margin_px` around each pixel.
+/// Dilates a mask by a square: marks every pixel within `margin_px` rows and columns of a marked one.
 fn within(camera: &Camera, marked: &[bool], margin_px: usize) -> Vec<bool> {
     let (width, height) = (camera.width, camera.height);
     // Along rows first, then along columns.
@@ -116,7 +116,7 @@ fn within(camera: &Camera, marked: &[bool], margin_px: usize) -> Vec<bool> {
     (0..width * height).map(in_box).collect()
 }
 
-/// Cosine of the angle between the normals of neighbouring pixels below which they form a crease: 15°.
+/// Cosine of the angle between two neighbouring pixels' normals, 15°, below which the pixels form a crease.
 const CREASE_COSINE: f64 = 0.966;
 
 #[cfg(test)]

@@ -9,34 +9,34 @@ use planish_core::{
     internal::{NeighbourSearch, symmetric_eigen},
 };
 
-/// Number of points of a patch.
+/// Number of points per patch.
 const PATCH_POINTS: usize = 64;
 /// Maximum number of patches.
 const MOST_PATCHES: usize = 10_000;
-/// Maximum variance across a patch as a share of its total variance. Beyond it, the points are not on a surface, or
-/// on several.
+/// Maximum variance of a patch along its normal, as a share of its total variance. Above it, the points are not on a
+/// surface, or on several surfaces.
 const LARGEST_VARIATION: f64 = 0.1;
-/// Minimum ratio of the second largest variance of a patch to the largest. Below it, the points are on a line, such
-/// as a scanner's, whose normal is arbitrary.
+/// Minimum ratio between the second largest and the largest variance of a patch. Below it, the points are on a line,
+/// such as a scan line, whose normal is arbitrary.
 const LEAST_WIDTH: f64 = 0.01;
 
-/// Planes fitted to patches of 64 points.
+/// Scores of planes fitted to patches of 64 points.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct PatchReport {
-    /// Number of patches on one surface.
+    /// Number of patches whose points are on one surface.
     pub patches: usize,
-    /// Median over the patches of the RMS distance from their plane, in millimetres.
+    /// Median over the patches of the RMS distance of a patch's points from its plane, in millimetres.
     pub rms_mm: f64,
-    /// Mean over the patches of the mean angle between a point's normal and the patch's, whichever way they point, in
-    /// degrees; NaN without normals.
+    /// Mean over the patches of the mean angle between the points' normals and the normal of the patch's plane,
+    /// ignoring signs, in degrees; NaN without normals.
     pub normal_deg: f64,
 }
 
-/// Fits planes to patches of 64 points: seeds spread evenly over the file, each with its nearest points. The `measured`
-/// positions decide which points form a patch and whether they are on one surface, so every method is scored on the
-/// same patches. A method that leaves fewer than 12 points of a patch is not scored there. `points` and `normals`
-/// correspond to `measured` one to one.
+/// Fits planes to patches of 64 points. A patch is a seed with its nearest points; the seeds are spread evenly over
+/// the file. The `measured` positions determine which points form a patch and whether they are on one surface, so
+/// every method is scored on the same patches. A patch is skipped for a method that returns fewer than 12 of its
+/// points. `points` and `normals` correspond to `measured` one to one.
 ///
 /// # Errors
 /// [`EngineError::Unavailable`](planish_core::EngineError::Unavailable) for more points than the search supports.
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use crate::simulate::Random;
 
-    /// Returns two walls of a corner, each with noise of standard deviation `noise_m` across it.
+    /// Returns the two walls of a corner, with noise of standard deviation `noise_m` along their normals.
     fn corner(noise_m: f32) -> PointCloud {
         let mut random = Random::new(3, 0);
         let mut point = |i: usize| {

@@ -1,5 +1,4 @@
-//! Quality of a rig's surfaces: where several cameras see them and where one camera does, doubled surfaces, and
-//! edges.
+//! Quality of a rig's surfaces: those seen by several cameras, those seen by one, doubled surfaces, and edges.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -10,19 +9,19 @@ use super::{edge_band, flat_pixels};
 use crate::simulate::{DepthNoise, DepthSimulator, NO_OBJECT, Pose, PoseErrors, RigScene, Truth};
 use planish_core::{Camera, DepthFrame, FrameError, Xyz};
 
-/// Range of depth in which a camera's surfaces are measured, in metres.
+/// Depth range in which a camera's surfaces are measured, in metres.
 const RANGE_M: std::ops::Range<f32> = 0.5..1.5;
 
-/// Maximum distance along z between a point and a camera's surface at its pixel for the camera to see the point, in
-/// metres.
+/// Maximum difference in depth between a point and the surface that a camera sees at the point's pixel, in metres.
+/// Within it, the camera sees the point.
 const SEEN_WITHIN_M: f64 = 0.01;
 
-/// Side in pixels of the blocks over which the distance between two cameras' surfaces is averaged.
+/// Side length, in pixels, of the blocks over which the distance between two cameras' surfaces is averaged.
 const BLOCK_PX: usize = 8;
-/// Minimum number of pixels of a block that have points of both cameras.
+/// Minimum number of pixels in a block that have points from both cameras.
 const BLOCK_LEAST: usize = 32;
 
-/// Simulated rigs of cameras around a table.
+/// Simulated camera rigs around a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigSuite {
     /// Number of cameras.
@@ -42,7 +41,7 @@ impl RigSuite {
         Self { cameras, camera, noise, errors: PoseErrors::default() }
     }
 
-    /// Returns the case of a seed.
+    /// Returns the case generated from a seed.
     pub fn case(&self, seed: u64) -> Result<RigCase, FrameError> {
         let scene = RigScene::tabletop(seed, self.cameras);
         let stated = scene.poses_with_errors(self.errors, seed);
@@ -68,7 +67,7 @@ pub struct RigCase {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigCaseCamera {
-    /// The frame of a perfect camera.
+    /// The noise-free frame.
     pub truth: Truth,
     /// The simulated frame.
     pub frame: DepthFrame,
@@ -78,21 +77,25 @@ pub struct RigCaseCamera {
     pub stated: Pose,
 }
 
-/// The scores of a method for rigs, over surfaces at 0.5 to 1.5 m. Scores that could not be measured are NaN (null in
-/// JSON).
+/// The scores of a method on rigs, over surfaces at depths of 0.5 to 1.5 m. Scores that could not be measured are NaN
+/// (null in JSON).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RigReport {
-    /// Root mean squared distance along the normal on flat surfaces seen by several cameras, in millimetres.
+    /// Root mean squared distance to the true surface along its normal, on flat surfaces seen by several cameras, in
+    /// millimetres.
     pub overlap_rmse_mm: f64,
-    /// Root mean squared distance along the normal on flat surfaces seen by one camera, in millimetres.
+    /// Root mean squared distance to the true surface along its normal, on flat surfaces seen by one camera, in
+    /// millimetres.
     pub single_rmse_mm: f64,
-    /// Mean angle between the facets of adjacent pixels and a true surface seen by several cameras, in degrees.
+    /// Mean angle between the facets of adjacent pixels and the true surface, on surfaces seen by several cameras, in
+    /// degrees.
     pub overlap_facet_deg: f64,
-    /// Mean angle between the facets of adjacent pixels and a true surface seen by one camera, in degrees.
+    /// Mean angle between the facets of adjacent pixels and the true surface, on surfaces seen by one camera, in
+    /// degrees.
     pub single_facet_deg: f64,
-    /// Distance between the surfaces of two cameras: root mean square over blocks of 8x8 pixels of the mean distance,
-    /// in millimetres.
+    /// Distance between two cameras' results for the same surface, in millimetres: the root mean square, over blocks
+    /// of 8x8 pixels, of the mean distance in each block.
     pub ghosting_mm: f64,
     /// Mean distance to the nearest true surface within 3 pixels of a step, in millimetres.
     pub edge_mean_mm: f64,
@@ -159,7 +162,7 @@ impl RigEvaluation {
         }
     }
 
-    /// Adds the distances between the surfaces of two cameras, over blocks of the first camera's pixels.
+    /// Adds the distances between two cameras' surfaces, averaged over blocks of the first camera's pixels.
     fn add_apart(
         &mut self,
         case: &RigCase,
@@ -207,7 +210,8 @@ impl RigEvaluation {
     }
 }
 
-/// Returns, for each pixel of camera `i`, the pixel at which each other camera sees and has measured its surface.
+/// For each pixel of camera `i`, returns the pixel at which each other camera sees the same surface and has measured
+/// it.
 fn seen_by(case: &RigCase, i: usize) -> Vec<Vec<Option<usize>>> {
     let camera = &case.cameras[i];
     let at = |p: usize, j: usize| -> Option<usize> {
@@ -247,8 +251,8 @@ mod tests {
             report.overlap_rmse_mm < 1e-3 && report.single_rmse_mm < 1e-3 && report.edge_mean_mm < 1e-3,
             "{report:?}"
         );
-        // The remaining error is pixel quantization: on curved surfaces the two points are up to a pixel of this coarse
-        // camera apart.
+        // The remaining error is pixel quantization: on curved surfaces, the two points are up to one pixel of this
+        // coarse camera apart.
         assert!(report.ghosting_mm < 0.1, "{report:?}");
     }
 
@@ -258,7 +262,7 @@ mod tests {
         let mut evaluation = RigEvaluation::default();
         evaluation.add(&case, &truth(&case));
         let report = evaluation.report();
-        // 5 mm in any direction are about 3 mm along a normal, for two cameras out of three.
+        // An error of 5 mm in a random direction is about 3 mm along a normal, for two cameras out of three.
         assert!((1.0..8.0).contains(&report.ghosting_mm) && report.overlap_rmse_mm > 1.0, "{report:?}");
         assert_eq!(report.lost_share, 0.0);
     }

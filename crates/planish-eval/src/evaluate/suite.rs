@@ -1,4 +1,4 @@
-//! The frames that methods are evaluated on: seeded scenes with the noise of a Kinect v1, and the gauges in them.
+//! The frames on which methods are evaluated: seeded scenes with the noise of a Kinect v1, and the scores for each.
 
 use crate::simulate::{CURVES_RANGES_M, Curve, DepthNoise, DepthSimulator, Gauge, Scene, Truth};
 use planish_core::{Camera, DepthFrame, FrameError};
@@ -18,35 +18,35 @@ impl Default for Suite {
     }
 }
 
-/// Metrics of a frame.
+/// The scores that are computed on a frame.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Gauges {
     /// Surfaces and edges, by range and angle.
     Surfaces,
-    /// Sizes and angles.
+    /// Sizes and angles of known shapes.
     Shapes(Gauge),
-    /// Curved surfaces, and their range in metres.
+    /// Curved surfaces, with their range in metres.
     Curves(Vec<Curve>, f64),
 }
 
-/// A frame with its truth.
+/// A simulated frame with its ground truth.
 #[derive(Debug, Clone)]
 pub struct Case {
-    /// A name for files: scene and seed.
+    /// A name for use in file names: scene and seed.
     pub name: String,
-    /// The frame of a perfect camera.
+    /// The noise-free frame.
     pub truth: Truth,
     /// The simulated frame.
     pub frame: DepthFrame,
     /// The noise of the frame.
     pub noise: DepthNoise,
-    /// The metrics of the frame.
+    /// The scores that are computed on the frame.
     pub gauges: Gauges,
 }
 
 impl Suite {
-    /// Returns the cases of a seed.
+    /// Returns the cases generated from a seed.
     pub fn cases(&self, seed: u64) -> Result<Vec<Case>, FrameError> {
         let (table, room, shapes) = (Scene::tabletop(seed), Scene::room(seed), Scene::gauges(seed));
         let gauge = shapes.2;
@@ -68,7 +68,7 @@ impl Suite {
         scenes.into_iter().map(case).collect()
     }
 
-    /// Returns frames of a static camera in front of a table, and their truth.
+    /// Returns frames from a static camera in front of a table, and their ground truth.
     pub fn still(&self, seed: u64, frames: u64) -> Result<(Truth, Vec<DepthFrame>), FrameError> {
         let (scene, pose) = Scene::tabletop(seed);
         let truth = scene.render(&self.camera, &pose);

@@ -1,4 +1,4 @@
-//! Measures without ground truth: the flatness of a surface in tiles, and the largest plane of a frame.
+//! Metrics without ground truth: the flatness of a surface in tiles, and the largest plane of a frame.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -8,27 +8,28 @@ use super::geometry::{angle_deg, plane};
 use crate::simulate::Random;
 use planish_core::{OrganizedCloud, SensorModel, Xyz};
 
-/// Side of a tile in pixels; a tile has 64 pixels.
+/// Side length of a tile in pixels; a tile has 64 pixels.
 const TILE_PX: usize = 8;
 
-/// Planes fitted to tiles of 64 pixels.
+/// Scores of planes fitted to tiles of 64 pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct TileReport {
     /// Number of tiles without holes or depth steps.
     pub tiles: usize,
-    /// Median over the tiles of the RMS distance from their plane, in millimetres.
+    /// Median over the tiles of the RMS distance of a tile's points from its plane, in millimetres.
     pub rms_mm: f64,
-    /// Mean over the tiles of the mean angle between a point's normal and the tile's, in degrees.
+    /// Mean over the tiles of the mean angle between the points' normals and the normal of the tile's plane, in
+    /// degrees.
     pub normal_deg: f64,
     /// Mean over the tiles of the mean angle between the facets of adjacent points and the tile's plane, in degrees.
     pub facet_deg: f64,
-    /// Share of these facets that are off by more than 30°.
+    /// Share of specks: facets that are off the tile's plane by more than 30°.
     pub speck_share: f64,
 }
 
-/// Fits a plane to every tile of 8x8 pixels whose points are all in `measured`, so that every method is measured on the
-/// same tiles. Tiles that span more than a twentieth of their range in z are left out.
+/// Fits a plane to the `points` of every tile of 8x8 pixels that has no hole in `measured`, so that all methods are
+/// scored on the same tiles. Tiles in which the depth varies by more than 5 % are skipped.
 pub fn tile_planes(measured: &OrganizedCloud, points: &Xyz, normals: &Xyz) -> TileReport {
     let (width, height) = (measured.width(), measured.height());
     let (mut rms_m, mut angles_deg, mut facets_deg) = (Vec::new(), Vec::new(), Vec::new());
@@ -80,29 +81,30 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Number of candidate planes.
+/// Number of candidate planes that are tried.
 const TRIALS: usize = 400;
-/// Number of points on which each candidate plane is scored.
+/// Number of points against which each candidate plane is scored.
 const TRIED_POINTS: usize = 2000;
 /// Number of times that the plane is refitted to its inliers.
 const REFITS: usize = 4;
 /// Maximum distance of an inlier from the plane, in standard deviations of a Kinect v1's noise.
 const ON_PLANE_DEVIATIONS: f64 = 3.0;
 
-/// Distance in pixels up to which all neighbours of a pixel must be inliers for it to belong to the plane. This
-/// leaves out other objects that cross the plane.
+/// Radius, in pixels, of the neighbourhood that must consist of inliers for a pixel to belong to the plane. This
+/// excludes other objects that cross the plane.
 const INNER_PX: usize = 2;
 
-/// A dominant plane of a frame.
+/// The plane with the most inliers in a frame.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LargestPlane {
-    /// The pixels of its largest connected piece, in order.
+    /// Indices of the pixels in its largest connected piece, in ascending order.
     pub pixels: Vec<usize>,
 }
 
 impl LargestPlane {
-    /// Returns the variance in m² of the points of its pixels about their best-fitting plane; NaN for too few.
+    /// Returns the variance, in m², of the points at the plane's pixels about their best-fitting plane; NaN for too
+    /// few points.
     pub fn variance_m2(&self, points: &Xyz) -> f64 {
         let there = self.pixels.iter().copied().filter(|&i| points.is_finite(i));
         let points = there.map(|i| points.vector(i)).collect();
@@ -110,8 +112,8 @@ impl LargestPlane {
     }
 }
 
-/// Finds the plane with the most inliers by random sample consensus, deterministically. `None` for fewer than a hundred
-/// points.
+/// Finds the plane with the most inliers by random sample consensus, deterministically. Returns `None` if the cloud
+/// has fewer than 100 points, or the plane's largest connected piece fewer than 12 pixels.
 pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
     let (width, height, points) = (cloud.width(), cloud.height(), cloud.positions());
     let valid: Vec<usize> = (0..points.len()).filter(|&i| points.is_finite(i)).collect();
@@ -135,7 +137,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
             best = (count, (normal, a));
         }
     }
-    // Three points give a rough plane; its inliers a better one.
+    // Three points give a rough plane; its inliers give a better one.
     let mut found = best.1;
     for _ in 0..REFITS {
         let (normal, centre, _) = plane(valid.iter().map(|&i| at(i)).filter(|&p| on(p, found)).collect())?;
@@ -149,7 +151,7 @@ pub fn largest_plane(cloud: &OrganizedCloud) -> Option<LargestPlane> {
             .all(|v| (u.saturating_sub(INNER_PX)..across.min(width)).all(|u| is_on[v * width + u]))
     };
     let mut open: Vec<bool> = (0..points.len()).map(is_inner).collect();
-    // An infinite plane cuts through other objects; only the largest connected piece is the surface.
+    // An infinite plane also cuts through other objects; only the largest connected piece is taken as the surface.
     let mut pixels = Vec::new();
     for first in 0..open.len() {
         let mut piece = Vec::new();

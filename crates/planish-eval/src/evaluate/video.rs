@@ -1,4 +1,4 @@
-//! Steadiness and delay of the depth of a video, for several ways of smoothing it.
+//! Scores for the steadiness and lag of depth videos under several smoothing methods.
 
 use planish_core::{Camera, OrganizedCloud, SensorModel, Xyz};
 use serde::Serialize;
@@ -6,98 +6,99 @@ use serde::Serialize;
 use super::{flat_pixels, tile_planes};
 use crate::simulate::Truth;
 
-/// Number of frames after which errors against the truth count: a filter over time needs some to settle.
+/// Number of initial frames excluded from errors against the truth, because temporal filters need time to settle.
 const SETTLING_FRAMES: u64 = 8;
-/// Distance in frames between the frames whose flatness is measured.
+/// Interval at which flatness is measured, in frames.
 const FLATNESS_EVERY: u64 = 10;
-/// Minimum time for which a pixel must be still to count, in frames.
+/// Minimum length of a still period for it to count, in frames.
 const LEAST_STILL: u16 = 10;
-/// Minimum share of the frames in which a pixel must be still to count.
+/// Minimum share of all frames during which a pixel must be still to be scored.
 const LEAST_SHARE_STILL: f64 = 2.0 / 3.0;
-/// Maximum change of a still pixel between frames, in sigmas.
+/// Maximum change of a still pixel between consecutive frames, in standard deviations of the sensor noise.
 const STILL_SIGMAS: f64 = 8.0;
-/// Relative error above which a pixel shows another surface.
+/// Relative depth error above which a pixel counts as showing another surface.
 const SAME_SURFACE: f32 = 0.02;
-/// Relative error above which a pixel is an outlier.
+/// Relative depth error above which a pixel counts as an outlier.
 const OUTLIER: f32 = 0.05;
-/// End of the near range in metres.
+/// Upper depth limit of the near range, in metres.
 const NEAR_M: f32 = 0.9;
-/// Start of the far range in metres.
+/// Lower depth limit of the far range, in metres.
 const FAR_M: f32 = 2.0;
-/// Minimum change of a moving surface per frame, in metres. The maximum is [`SAME_SURFACE`].
+/// Minimum depth change of a moving surface per frame, in metres. The maximum is [`SAME_SURFACE`] times its depth.
 const LEAST_MOTION_M: f32 = 0.0002;
-/// Minimum change of a moving surface per frame without ground truth, in metres; it exceeds the noise.
+/// Minimum depth change of a moving surface per frame if there is no ground truth, in metres; it exceeds the noise.
 const LEAST_SEEN_MOTION_M: f32 = 0.004;
 
-/// Scores in a range of depth, in millimetres.
+/// Scores within one depth range, in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct VideoRange {
-    /// Number of pixels that were still in two thirds of the frames, for 10 frames or longer at a time.
+    /// Number of pixels that were still during at least two thirds of the frames, in periods of 10 frames or longer.
     pub still_pixels: usize,
-    /// Median over the still pixels of the standard deviation of differences between frames, divided by the root of
-    /// 2.
+    /// Median over the still pixels of the root mean square difference between consecutive frames, divided by √2.
     pub jitter_mm: Option<f64>,
     /// 95th percentile of the jitter over the still pixels.
     pub jitter_95_mm: Option<f64>,
-    /// Median over the still pixels of the standard deviation of depth while a pixel is still.
+    /// Median over the still pixels of the standard deviation of depth within their still periods.
     pub wander_mm: Option<f64>,
     /// 95th percentile of the wander over the still pixels.
     pub wander_95_mm: Option<f64>,
-    /// Root mean square of the error of depth on flat surfaces, after the first 8 frames; errors over 5 % are left out.
+    /// Root mean square depth error on flat surfaces, after the first 8 frames; errors over 5 % are excluded.
     pub rms_mm: Option<f64>,
 }
 
-/// Scores of one way to smooth a video.
+/// Scores of one method of smoothing a video.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct VideoReport {
-    /// Name of the way.
+    /// Name of the method.
     pub name: String,
     /// Scores below 0.9 m.
     pub near: VideoRange,
     /// Scores beyond 2 m.
     pub far: VideoRange,
-    /// Share of the measured pixels of the moving object that are within 2 % of its depth.
+    /// Share of the measured pixels on the moving object whose smoothed depth is within 2 % of the truth.
     pub found_share: Option<f64>,
-    /// Share of the pixels newly covered by the moving object that do not show it. Without a truth: share of the
-    /// jumps over 2 % and 8 sigmas after which a pixel is nearer to its previous depth.
+    /// Share of the pixels newly covered by the moving object that do not show it yet. Without ground truth: the share
+    /// of depth jumps over 2 % and 8 sigmas after which a smoothed pixel is still nearer to its previous depth, or a
+    /// hole.
     pub late_share: Option<f64>,
-    /// Share of the pixels just left by the moving object that do not show the surface behind it.
+    /// Share of the pixels just uncovered by the moving object that do not show the surface behind it yet.
     pub left_share: Option<f64>,
-    /// Mean distance by which moving surfaces lag behind, in millimetres; without a truth only below 0.9 m.
+    /// Mean distance by which moving surfaces lag behind, in millimetres. Without ground truth, it is relative to the
+    /// first method, and measured only below 0.9 m.
     pub lag_mm: Option<f64>,
     /// Share of the points whose depth was carried over from earlier frames.
     pub carried_share: f64,
-    /// Share of the carried points that are off by over 5 %.
+    /// Share of the carried-over points whose depth is off by more than 5 %.
     pub carried_wrong_share: Option<f64>,
-    /// Median distance in millimetres of points from the plane of their tile of 8x8 pixels, in every tenth frame; for
-    /// frames of a camera.
+    /// Flatness in millimetres: the median over tiles of 8x8 pixels of the RMS distance of their points from a plane,
+    /// averaged over every tenth frame. Measured for camera frames only.
     pub flatness_mm: Option<f64>,
 }
 
-/// A frame of a video, smoothed in one way.
+/// A video frame smoothed by one method.
 #[derive(Debug, Clone, Copy)]
 pub struct VideoDepth<'a> {
     /// Depth in metres, row by row; NaN or 0 for holes.
     pub depth_m: &'a [f32],
-    /// Mask of the pixels that are carried over from earlier frames; empty for none.
+    /// Mask of the pixels whose depth is carried over from earlier frames; empty if there are none.
     pub carried: &'a [bool],
 }
 
-/// Measures several ways to smooth one video on the same pixels.
+/// Scores several methods of smoothing one video on the same pixels.
 pub struct VideoEvaluation {
     sensor: SensorModel,
     frames: u64,
     methods: Vec<Method>,
-    /// The previous frame, smoothed in space.
+    /// The previous frame, as smoothed by the first method, in metres.
     before_m: Vec<f32>,
-    /// The frame before the previous one, smoothed in space.
+    /// The frame before the previous frame, as smoothed by the first method, in metres.
     before_that_m: Vec<f32>,
     truth_before: Option<(Truth, Option<u16>)>,
 }
 
-/// Sums of a pixel over its current still period, and over all its finished still periods.
+/// A pixel's sums over its current still period, and over all its finished still periods.
 #[derive(Clone, Copy, Default)]
 struct Pixel {
     /// Number of frames in the current still period.
@@ -145,16 +146,16 @@ impl Share {
 }
 
 impl VideoEvaluation {
-    /// Creates an evaluation of several ways to smooth. The first must smooth each frame alone; it decides which
-    /// pixels are still.
+    /// Creates an evaluation of the named smoothing methods. The first must smooth each frame on its own; its result
+    /// determines which pixels are still.
     pub fn new(sensor: SensorModel, names: &[&str]) -> Self {
         let methods = names.iter().map(|name| Method { name: (*name).to_owned(), ..Method::default() }).collect();
         let (before_m, before_that_m) = Default::default();
         Self { sensor, frames: 0, methods, before_m, before_that_m, truth_before: None }
     }
 
-    /// Measures how flat every tenth frame is, on the tiles that are flat after the first way. Call it before
-    /// [`add`](Self::add).
+    /// Measures the flatness of every tenth frame, on the tiles that are flat in the result of the first method. Call
+    /// it before [`add`](Self::add).
     pub fn add_flatness(&mut self, camera: &Camera, depths: &[VideoDepth<'_>]) {
         let Some(alone) = depths.first().filter(|_| self.frames % FLATNESS_EVERY == FLATNESS_EVERY - 1) else { return };
         let points = |depth: &VideoDepth<'_>| camera.deproject_m(depth.depth_m.iter().copied());
@@ -169,7 +170,8 @@ impl VideoEvaluation {
         }
     }
 
-    /// Adds a frame: one depth image per way, all of the same size, and its truth with the moving object, if known.
+    /// Adds a frame: one depth image per method, all of the same size, and the ground truth with the id of the moving
+    /// object, if known.
     pub fn add(&mut self, depths: &[VideoDepth<'_>], truth: Option<(&Truth, Option<u16>)>) {
         let Some(alone) = depths.first() else { return };
         let len = alone.depth_m.len();
@@ -184,7 +186,7 @@ impl VideoEvaluation {
         for i in 0..len {
             let sigma_m = self.sensor.sigma_m(f64::from(alone.depth_m[i])).max(5e-4) as f32;
             let change_m = (alone.depth_m[i] - self.before_m[i]).abs();
-            // False for holes.
+            // NaN compares as false, so a NaN hole is never still.
             let is_still = change_m <= STILL_SIGMAS as f32 * sigma_m && !has_moved(i);
             for (method, depth) in self.methods.iter_mut().zip(depths) {
                 let pixel = &mut method.pixels[i];
@@ -254,7 +256,7 @@ impl VideoEvaluation {
         }
     }
 
-    /// Compares with the first way, which shows every change at once.
+    /// Compares with the first method, which shows every change immediately.
     fn against_first(&mut self, depths: &[VideoDepth<'_>]) {
         for (i, &now_m) in depths[0].depth_m.iter().enumerate() {
             let (change_m, before_m) = (now_m - self.before_m[i], self.before_m[i] - self.before_that_m[i]);
@@ -279,7 +281,7 @@ impl VideoEvaluation {
         }
     }
 
-    /// Returns the scores of every way.
+    /// Returns a report for each method.
     pub fn reports(mut self) -> Vec<VideoReport> {
         for method in &mut self.methods {
             method.pixels.iter_mut().for_each(Pixel::finish);
@@ -388,7 +390,7 @@ mod tests {
         let mut random = Random::new(1, 0);
         let mut mean_m = vec![0.7; 4096];
         for frame in 0..60 {
-            // A jump in the middle, for one half of the pixels.
+            // Half of the pixels jump in the middle of the video.
             let centre_m = |i: usize| if frame >= 30 && i.is_multiple_of(2) { 0.8 } else { 0.7 };
             let now: Vec<f32> = (0..4096).map(|i| centre_m(i) + 0.0005 * random.normal() as f32).collect();
             for (i, mean_m) in mean_m.iter_mut().enumerate() {
@@ -402,7 +404,7 @@ mod tests {
         assert!((alone.jitter_mm.unwrap() / 0.5 - 1.0).abs() < 0.03, "{alone:?}");
         assert!((alone.wander_mm.unwrap() / 0.5 - 1.0).abs() < 0.03, "{alone:?}");
         assert!(alone.jitter_95_mm.unwrap() > 1.1 * alone.jitter_mm.unwrap());
-        // An exponential mean of 1/4: 0.25/sqrt(1.75) of the jitter, sqrt(1/7) of the noise.
+        // An exponential mean with weight 1/4 leaves 0.25/sqrt(1.75) of the jitter and sqrt(1/7) of the noise.
         assert!((mean.jitter_mm.unwrap() / 0.5 / 0.189 - 1.0).abs() < 0.05, "{mean:?}");
         assert!((mean.wander_mm.unwrap() / 0.5 / 0.378 - 1.0).abs() < 0.2, "{mean:?}");
         assert_eq!(reports[1].late_share, Some(0.0));

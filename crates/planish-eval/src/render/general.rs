@@ -1,28 +1,28 @@
-//! Pictures of unorganized clouds: an orthographic view from a direction.
+//! Pictures of unorganized clouds: orthographic views from a given direction.
 
 use glam::{DMat3, DVec3};
 
 use planish_core::{FrameError, OrganizedCloud, ParamError, PointCloud, Xyz};
 
-/// Share of the points on either side that is ignored when the extent of the picture is determined.
+/// Share of the points ignored at each side when the extent of the picture is determined.
 const STRAY_SHARE: f64 = 0.002;
-/// Empty space around the points, as a share of the picture.
+/// Width of the empty margin around the points, as a share of the picture.
 const MARGIN: f64 = 0.02;
-/// Maximum distance from the nearest point of a pixel to points of the same surface, in pixel widths; the picture
-/// shows their mean.
+/// Maximum difference in depth between a pixel's nearest point and other points of the same surface, in pixel widths,
+/// or in spacings of the points if these are wider. The picture shows the mean depth of the surface's points.
 const SURFACE_PIXELS: f32 = 3.0;
 const NORMALS: [&str; 3] = ["normal_x", "normal_y", "normal_z"];
-/// Maximum distance in pixels that a point of a sparse cloud covers around its own pixel.
+/// Maximum distance, in pixels, to which a point of a sparse cloud covers pixels around its own.
 const MOST_SPREAD: i64 = 8;
 /// Maximum number of pixels per point, so that a picture of few points is small.
 const PIXELS_A_POINT: f64 = 40.0;
 
-/// Projects a cloud orthographically in a direction (from the points towards the viewer) to a grid of points in the
-/// viewer's frame: x to the right, y down, z away, in metres.
+/// Projects a cloud orthographically along a direction (from the points towards the viewer) onto a grid of points in
+/// the viewer's frame: x to the right, y down, z away, in metres.
 ///
-/// The longer side has at most `longest_side` pixels. Each pixel has the mean depth of the front surface's points and
-/// the fields of the nearest point. `normal_x`, `normal_y` and `normal_z` are the cloud's if it has normals,
-/// otherwise computed from the picture's positions.
+/// The longer side has at most `longest_side` pixels. Each pixel has the weighted mean depth of the front surface's
+/// points, and the fields of the point nearest to the pixel. `normal_x`, `normal_y` and `normal_z` are those of the
+/// cloud if it has normals; otherwise they are computed from the picture's positions.
 ///
 /// # Errors
 /// If the direction is zero or not finite, or the cloud is empty.
@@ -30,11 +30,11 @@ pub fn seen_from(cloud: &PointCloud, direction: [f64; 3], longest_side: usize) -
     DistantView::of(cloud, direction, longest_side)?.see(cloud)
 }
 
-/// An orthographic view framed on one cloud; other clouds with the same origin appear where they lie in it.
+/// An orthographic view framed on one cloud. Other clouds with the same origin are shown at their true position in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DistantView {
     viewer_from_cloud: DMat3,
-    /// The picture's upper left corner in the viewer's frame, in metres.
+    /// Upper left corner of the picture in the viewer's frame, in metres.
     left: [f64; 2],
     pixel_m: f64,
     width: usize,
@@ -52,7 +52,7 @@ impl DistantView {
             FrameError::BadPose(ParamError { field: "from", value: format!("{direction:?}"), allowed })
         })?;
         let away = -towards;
-        // z is up in the picture, or y where the view is along z.
+        // z points up in the picture, or y if the view is along z.
         let up = if away.z.abs() > 0.9 { DVec3::Y } else { DVec3::Z };
         let right = away.cross(up).normalize();
         let viewer_from_cloud = DMat3::from_cols(right, away.cross(right), away).transpose();
@@ -78,7 +78,7 @@ impl DistantView {
         Ok(Self { viewer_from_cloud, left, pixel_m, width, height })
     }
 
-    /// Renders what is visible of a cloud.
+    /// Renders the visible points of a cloud.
     ///
     /// # Errors
     /// If a field's length does not match the number of points.
@@ -86,11 +86,11 @@ impl DistantView {
         let Self { viewer_from_cloud, left, pixel_m, width, height } = *self;
         let seen = in_frame(&viewer_from_cloud, cloud);
         let valid: Vec<usize> = (0..seen.len()).filter(|&i| cloud.positions.is_finite(i)).collect();
-        // Places far outside the picture are clamped; they do not matter.
+        // Coordinates far outside the picture are clamped so that they fit an integer; they are not drawn.
         let pixel = |place: f64| place.floor().clamp(-1e9, 1e9) as i64;
         let pixel_of = |i: usize| [0, 1].map(|axis| pixel((f64::from(seen[i][axis]) - left[axis]) / pixel_m));
 
-        // The distance between the points of an even sheet, in pixels.
+        // The distance between the points if they were spread evenly over the picture, in pixels.
         let spacing = ((width * height) as f64 / valid.len().max(1) as f64).sqrt();
         let spread = ((1.25 * spacing) as i64).min(MOST_SPREAD);
         let mut front = vec![f32::INFINITY; width * height];
@@ -98,7 +98,7 @@ impl DistantView {
             let [u, v] = pixel_of(i);
             let inside = |u: i64, v: i64| (0..width as i64).contains(&u) && (0..height as i64).contains(&v);
             let around = (-spread..=spread).flat_map(move |dv| (-spread..=spread).map(move |du| (du, dv)));
-            // The weight of a point decreases with the distance of the pixel.
+            // The weight of a point decreases with its distance from the pixel.
             let pixel = move |(du, dv): (i64, i64)| {
                 let weight = (1.0 - ((du * du + dv * dv) as f64).sqrt() / (spread as f64 + 1.0)).max(1e-3).powi(2);
                 inside(u + du, v + dv).then(|| ((v + dv) as usize * width + (u + du) as usize, weight))
@@ -111,7 +111,8 @@ impl DistantView {
             }
         }
         let behind = SURFACE_PIXELS * (pixel_m * spacing.max(1.0)) as f32;
-        // Sums of weighted depths and of weights for each pixel; the point with the largest weight, and this weight.
+        // `sums`: sums of weighted depths and of weights, per pixel. `shown`: the point with the largest weight, and
+        // this weight, per pixel.
         let mut sums = vec![(0.0f64, 0.0f64); width * height];
         let mut shown = vec![(cloud.len(), 0.0f64); width * height];
         for &i in &valid {
@@ -150,7 +151,7 @@ fn in_frame(viewer_from_cloud: &DMat3, cloud: &PointCloud) -> Vec<[f32; 3]> {
     cloud.positions.iter().map(seen).collect()
 }
 
-/// Returns the cloud's own normals in the viewer's frame, NaN for empty pixels; `None` if the cloud has no normals.
+/// Returns the points' own normals in the viewer's frame, NaN for empty pixels; `None` if there are no normals.
 fn own_normals(points: &PointCloud, viewer_from_cloud: DMat3) -> Option<Xyz> {
     let values = |name: &str| points.attribute(name).filter(|field| field.count == 1).map(|field| &field.values);
     let [x, y, z] = NORMALS.map(values);
@@ -168,7 +169,7 @@ mod tests {
     use crate::render::normals_of;
     use planish_core::AttributeValues;
 
-    /// Returns a sheet that rises by 1 in 2 along x, with a label, and one point far above it.
+    /// Returns a labelled sheet that rises by 1 in 2 along x, and one point far above it.
     fn sheet() -> PointCloud {
         let sheet = (0..6400).map(|i| [(i % 80) as f32 / 79.0, (i / 80) as f32 / 79.0, (i % 80) as f32 / 158.0]);
         let mut cloud = PointCloud::new(sheet.chain([[0.5, 0.5, 9.0]]).collect());
@@ -184,7 +185,7 @@ mod tests {
             let normals = normals_of(&picture);
             let middle = (picture.height() / 4) * picture.width() + picture.width() / 4;
             let [x, y, z] = normals.get(middle);
-            // x stays to the right from above, and is to the left from below; z points away.
+            // Seen from above, x points to the right; from below, to the left. z points away.
             assert!(
                 (x - expected_x * from[2].signum() as f32).abs() < 0.02 && y.abs() < 0.02 && z < -0.8,
                 "{x} {y} {z}"
@@ -201,7 +202,7 @@ mod tests {
         assert!(seen_from(&PointCloud::new(Xyz::filled(5, f32::NAN)), [0.0, 0.0, 1.0], 200).is_err());
         let one = seen_from(&PointCloud::new(Xyz::filled(1, 2.0)), [1.0, 1.0, 0.0], 200).unwrap();
         assert!(one.points.valid_points() > 0);
-        // Two patches with nothing between them: no field of any point there.
+        // Two patches with a gap between them: pixels in the gap get no point's fields.
         let mut patches = sheet().select(&(0..6400).filter(|i| !(20..60).contains(&(i % 80))).collect::<Vec<_>>());
         patches.set_attribute("label", vec![7u8; patches.len()]);
         let picture = seen_from(&patches, [0.0, 0.0, 1.0], 400).unwrap();

@@ -1,4 +1,4 @@
-//! Pictures of clouds: relief shaded by normals, colour, and errors against a truth.
+//! Pictures of clouds: relief shading by normals, colours, and errors against a ground truth.
 
 mod general;
 
@@ -10,12 +10,14 @@ use planish_io::RgbImage;
 
 pub use general::{DistantView, seen_from};
 
-/// Returns normals from differences of neighbouring pixels, towards the sensor; they show every bump of the points.
+/// Returns normals computed from differences between neighbouring pixels, pointing towards the sensor. They show every
+/// bump of the points.
 ///
-/// NaN for a hole, and for a pixel without a valid neighbour on either side along x or y.
+/// A normal is NaN for a hole, and for a pixel that has no valid neighbour along x or along y.
 pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     let point = |u: usize, v: usize| Vec3::from_array(positions.get(v * width + u));
-    // From the previous neighbour to the next; from the pixel at borders and next to holes.
+    // Difference between the next and the previous neighbour; at borders and next to holes, the pixel itself replaces
+    // the missing one.
     let difference = |before: Option<Vec3>, at: Vec3, behind: Option<Vec3>| {
         let (before, behind) = (before.filter(|p| p.is_finite()), behind.filter(|p| p.is_finite()));
         behind.unwrap_or(at) - before.unwrap_or(at)
@@ -47,7 +49,7 @@ pub fn normals_of(cloud: &OrganizedCloud) -> Xyz {
     fields().unwrap_or_else(|| difference_normals(cloud.width(), cloud.height(), cloud.positions()))
 }
 
-/// Renders relief: each pixel lit from the upper left by its normal; black for pixels without one.
+/// Renders relief: each pixel is lit from the upper left according to its normal, and black if it has none.
 pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     let light = Vec3::new(-0.5, -0.6, -0.6).normalize();
     let shade = |normal: [f32; 3]| {
@@ -62,14 +64,14 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     RgbImage { width, height, rgb: normals.iter().flat_map(shade).collect() }
 }
 
-/// Renders the colours of a cloud; `None` for a cloud without colours.
+/// Renders the colours of a cloud; `None` if it has no colours.
 pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
     let rgb = cloud.points.shown_rgb()?.into_iter().flatten().collect();
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })
 }
 
-/// Renders the distance of the points from the truth along its normal: blue in front of the surface, red behind it,
-/// white on it, saturated at `full_scale_m`; black for holes.
+/// Renders the distance of the points from the true surface along its normal: white on the surface, blue in front of
+/// it, red behind it, saturated at `full_scale_m`; black for holes.
 pub fn error_map(truth: &Truth, points: &Xyz, full_scale_m: f32) -> RgbImage {
     let colour = |i: usize| {
         if truth.objects[i] == NO_OBJECT || !points.is_finite(i) {
@@ -106,12 +108,12 @@ pub fn side_by_side(pictures: &[RgbImage]) -> RgbImage {
     RgbImage { width: total, height, rgb }
 }
 
-/// Halves a picture: each pixel is the mean of four. An odd last column or row is left out.
+/// Halves a picture in width and height: each pixel is the mean of four. An odd last column or row is dropped.
 pub fn half_size(picture: &RgbImage) -> RgbImage {
     let (width, height) = (picture.width / 2, picture.height / 2);
     let mean = |i: usize| {
         let (u, v, channel) = (i / 3 % width, i / 3 / width, i % 3);
-        // Outside the picture is black.
+        // Pixels outside the picture are black.
         let at = |u, v| u32::from(*picture.rgb.get(3 * (v * picture.width + u) + channel).unwrap_or(&0));
         let sum = at(2 * u, 2 * v) + at(2 * u + 1, 2 * v) + at(2 * u, 2 * v + 1) + at(2 * u + 1, 2 * v + 1);
         ((sum + 2) / 4) as u8

@@ -1,8 +1,8 @@
-//! Frames with known truth: seeded scenes, ray-cast without noise, and a model of a sensor's noise on top: a Kinect v1,
-//! a stereo or a time-of-flight camera.
+//! Simulated frames with known ground truth: seeded scenes, ray-cast without noise, to which a noise model of a sensor
+//! is applied (a Kinect v1, a stereo or a time-of-flight camera).
 //!
-//! As with real sensors, the noise is correlated between pixels, quantized, and grows with range. On independent
-//! noise, filters look far better than they are.
+//! As with real sensors, the noise is correlated between pixels, quantized, and grows with range. On noise that is
+//! independent between pixels, filters look far better than they are.
 //!
 //! ```
 //! use planish_core::Camera;

@@ -1,18 +1,18 @@
-//! Random numbers that are the same on every machine and in every version: PCG32 and the Box-Muller transform.
+//! Random numbers that are the same on every machine and in every version, from PCG32 and the Box-Muller transform.
 
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 
-/// A random number generator for one purpose: `stream` separates the uses of one seed.
+/// A random number generator for one purpose. The `stream` separates different uses of one seed.
 pub struct Random {
     generator: Pcg32,
     spare_normal: Option<f64>,
 }
 
 impl Random {
-    /// Creates the generator of a seed for one use of the seed.
+    /// Creates the generator for one use (`stream`) of a seed.
     pub fn new(seed: u64, stream: u64) -> Self {
-        // Neighbouring streams of PCG with equal states resemble each other, so the state is mixed too.
+        // With equal states, neighbouring streams of PCG resemble each other, so the state also depends on the stream.
         let state = seed.wrapping_add(stream.wrapping_mul(0x9e37_79b9_7f4a_7c15)) ^ (stream << 32);
         Self { generator: Pcg32::new(state.wrapping_mul(0xbf58_476d_1ce4_e5b9), stream), spare_normal: None }
     }

@@ -1,4 +1,4 @@
-//! Simulated rigs of cameras around a table, and the poses that a calibration with errors would state.
+//! Simulated camera rigs around a table, and the poses that an inexact calibration would state.
 
 use std::f64::consts::TAU;
 
@@ -7,13 +7,13 @@ use glam::{DMat3, DVec3};
 use super::random::Random;
 use super::scene::{Pose, Scene};
 
-/// Point that the cameras look at, in metres. The cameras are at y = 0, above it.
+/// Point at which the cameras look, in metres. The cameras are above it, at y = 0.
 const CENTRE: DVec3 = DVec3::new(0.0, 0.40, 1.05);
-/// Horizontal distance of the cameras from the point that they look at, in metres.
+/// Horizontal distance between each camera and the point at which it looks, in metres.
 const DISTANCE_M: f64 = 1.0;
-/// Maximum angle between adjacent cameras, seen from the table, in degrees.
+/// Maximum angle between adjacent cameras as seen from the table, in degrees.
 const MOST_APART_DEG: f64 = 50.0;
-/// Index of the wall of [`Scene::tabletop`], behind which cameras stand.
+/// Index of the wall in [`Scene::tabletop`], which is removed from the rig's scene.
 const WALL: usize = 1;
 const STREAM_POSES: u64 = 1 << 40;
 
@@ -23,29 +23,30 @@ const STREAM_POSES: u64 = 1 << 40;
 pub struct RigScene {
     /// The scene.
     pub scene: Scene,
-    /// Pose of each camera: world_from_camera.
+    /// Pose of each camera in the world (world_from_camera).
     pub poses: Vec<Pose>,
 }
 
-/// The errors of poses.
+/// The size of calibration errors in camera poses.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct PoseErrors {
-    /// Angle of a rotation about a random axis, in degrees.
+    /// Angle of the rotation about a random axis, in degrees.
     pub angle_deg: f64,
-    /// Length of a shift in a random direction, in metres.
+    /// Length of the shift in a random direction, in metres.
     pub shift_m: f64,
 }
 
 impl PoseErrors {
-    /// Creates errors of this angle in degrees and this length in metres.
+    /// Creates errors with a rotation angle in degrees and a shift in metres.
     pub const fn new(angle_deg: f64, shift_m: f64) -> Self {
         Self { angle_deg, shift_m }
     }
 }
 
 impl RigScene {
-    /// Creates the table of [`Scene::tabletop`] without its wall, seen by `cameras` cameras on an arc, up to 50° apart.
+    /// Creates the table of [`Scene::tabletop`] without its wall, seen by `cameras` cameras on an arc, at most 50°
+    /// apart.
     pub fn tabletop(seed: u64, cameras: usize) -> Self {
         let (mut scene, _) = Scene::tabletop(seed);
         scene.objects.remove(WALL);
@@ -60,8 +61,8 @@ impl RigScene {
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }
 
-    /// Returns the poses of a calibration with these errors. The first camera's pose is exact; each other is rotated
-    /// about a random axis and shifted in a random direction.
+    /// Returns the poses that a calibration with `errors` would state. The first camera's pose is exact; all others
+    /// are rotated about a random axis and shifted in a random direction.
     pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
         let mut random = Random::new(seed, STREAM_POSES);
         let mut direction = || {
@@ -96,7 +97,7 @@ mod tests {
             assert_eq!(rig.poses.len(), cameras);
             for pose in &rig.poses {
                 let truth = rig.scene.render(&camera, pose);
-                // The table is the second object without the wall, things on it come after.
+                // Without the wall, the table is the second object; the objects on it follow.
                 let on_table = truth.objects.iter().filter(|&&object| object != super::super::NO_OBJECT && object >= 1);
                 assert!(on_table.count() > truth.objects.len() / 3);
                 let z = truth.points.z()[30 * 80 + 40];

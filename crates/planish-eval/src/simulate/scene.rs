@@ -16,7 +16,7 @@ pub enum Shape {
     Plane {
         /// Any point on it, in metres.
         point_m: [f64; 3],
-        /// Its unit normal, either way.
+        /// Its unit normal, with either sign.
         normal: [f64; 3],
     },
     /// A sphere.
@@ -32,7 +32,7 @@ pub enum Shape {
         centre_m: [f64; 3],
         /// Half its extent along each of its axes, in metres.
         half_extent_m: [f64; 3],
-        /// Its axes in the world, unit vectors at right angles.
+        /// Its axes in world coordinates: three orthogonal unit vectors.
         axes: [[f64; 3]; 3],
     },
     /// A cylinder with flat ends.
@@ -46,7 +46,7 @@ pub enum Shape {
         /// Half its length in metres.
         half_height_m: f64,
     },
-    /// A ring: a circle swept by a disc.
+    /// A ring: a disc swept along a circle.
     Torus {
         /// Its centre in metres.
         centre_m: [f64; 3],
@@ -57,8 +57,8 @@ pub enum Shape {
         /// Radius of the disc in metres.
         tube_radius_m: f64,
     },
-    /// The part of the saddle z = (x² - y²)/(2 r) within a distance of its centre, with x, y and z along the world's
-    /// axes.
+    /// The part of the saddle z = (x² - y²)/(2 r) up to `extent_m` from its centre, where x, y and z are parallel to
+    /// the world axes.
     Saddle {
         /// Its centre in metres.
         centre_m: [f64; 3],
@@ -69,8 +69,8 @@ pub enum Shape {
     },
 }
 
-/// Intersection of a ray and a surface: distance in units of the direction's length, and the surface's normal (either
-/// sign).
+/// Intersection of a ray and a surface: the distance in units of the direction vector's length, and the surface normal
+/// with either sign.
 type Hit = (f64, DVec3);
 
 impl Shape {
@@ -123,13 +123,13 @@ impl Shape {
             }
             Self::Torus { centre_m, axis, radius_m, tube_radius_m } => {
                 let (from_centre, axis) = (origin - DVec3::from(centre_m), DVec3::from(axis));
-                // From the nearest point of the circle.
+                // The vector from the nearest point on the circle to `point`.
                 let off_circle = |point: DVec3| {
                     let across = point - point.dot(axis) * axis;
                     point - radius_m * across.normalize_or(axis.any_orthonormal_vector())
                 };
                 let distance = |point: DVec3| off_circle(point).length() - tube_radius_m;
-                // A step as long as the distance cannot pass the surface.
+                // A step as long as the distance to the surface cannot pass through the surface.
                 let (length, mut t) = (direction.length(), 0.0);
                 let farthest = (from_centre.length() + radius_m + tube_radius_m) / length;
                 for _ in 0..MOST_STEPS {
@@ -161,10 +161,11 @@ impl Shape {
     }
 }
 
-/// Maximum number of steps of a ray towards a torus. A ray that has not hit it by then touches it at most.
+/// Maximum number of steps along a ray towards a torus. A ray that has not hit the torus by then at most grazes it,
+/// and counts as a miss.
 const MOST_STEPS: usize = 1000;
 
-/// Returns true if a hit is in front of the ray's origin; false for NaN, a ray that misses.
+/// Returns true if a hit at distance `t` is in front of the ray's origin; false for NaN, which means a miss.
 fn in_front(t: f64) -> bool {
     t > 1e-3 && t.is_finite()
 }
@@ -179,13 +180,14 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Returns a camera at `position_m`, turned by `yaw_rad` to the right and then by `pitch_rad` downwards.
+    /// Returns the pose of a camera at `position_m`, turned by `yaw_rad` to the right and then by `pitch_rad`
+    /// downwards.
     pub fn looking(position_m: [f64; 3], yaw_rad: f64, pitch_rad: f64) -> Self {
         let world_from_camera = DMat3::from_rotation_y(yaw_rad) * DMat3::from_rotation_x(-pitch_rad);
         Self { position: position_m.into(), world_from_camera }
     }
 
-    /// Returns the camera moved by an offset in its frame, in metres.
+    /// Returns the pose moved by `offset_m`, an offset in camera coordinates.
     pub fn moved(self, offset_m: [f64; 3]) -> Self {
         Self { position: self.position + self.world_from_camera * DVec3::from(offset_m), ..self }
     }
@@ -195,10 +197,10 @@ impl Pose {
         (self.world_from_camera * DVec3::from(point_m) + self.position).to_array()
     }
 
-    /// Converts to the pose type of clouds and rigs, with the world as their frame.
+    /// Converts to the pose type used by clouds and rigs, whose frame is then the world.
     ///
     /// # Errors
-    /// If its matrix is not a rotation, or its position not finite.
+    /// If the matrix is not a rotation, or the position is not finite.
     pub fn sensor_pose(&self) -> Result<SensorPose, FrameError> {
         let rows = self.world_from_camera.transpose().to_cols_array_2d();
         SensorPose::from_rotation(self.position.to_array(), rows).ok_or_else(|| {
@@ -215,7 +217,7 @@ pub struct Scene {
     pub objects: Vec<Shape>,
 }
 
-/// The frame of a perfect camera, row by row, in camera coordinates.
+/// Noise-free image of a scene, row by row, in camera coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// The camera.
@@ -224,7 +226,7 @@ pub struct Truth {
     pub points: Xyz,
     /// Unit normals towards the camera; NaN for pixels that see no surface.
     pub normals: Xyz,
-    /// Index of the object, or [`NO_OBJECT`].
+    /// Index of the object that each pixel sees, or [`NO_OBJECT`].
     pub objects: Vec<u16>,
 }
 
@@ -244,7 +246,7 @@ impl Scene {
         }
     }
 
-    /// Returns point, normal and object seen by one pixel.
+    /// Returns the point, the normal and the object that one pixel sees.
     fn cast(&self, camera: &Camera, pose: &Pose, u: usize, v: usize) -> (DVec3, DVec3, u16) {
         // With z = 1 the distance along the ray is the depth.
         let ray = DVec3::new((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy, 1.0);
@@ -267,8 +269,8 @@ impl Truth {
         -n.dot(p) / p.length()
     }
 
-    /// Returns true if the surface jumps between two pixels: each is off the other's tangent plane by more than a
-    /// hundredth of their distance, or only one of them has a surface.
+    /// Returns true if the surface jumps between two pixels: each is off the other's tangent plane by more than 1 % of
+    /// the smaller depth, or only one of them has a surface.
     pub fn is_step(&self, i: usize, j: usize) -> bool {
         let seen = |k: usize| self.objects[k] != NO_OBJECT;
         if !(seen(i) && seen(j)) {
@@ -287,7 +289,7 @@ mod tests {
     use super::*;
     use crate::simulate::CURVES_RANGES_M;
 
-    /// Returns the point and the normal at which a ray from the origin hits.
+    /// Returns the point and the normal where a ray from the origin hits the shape.
     fn probe(shape: Shape, direction: DVec3) -> Option<(DVec3, DVec3)> {
         shape.intersect(DVec3::ZERO, direction).map(|(t, n)| (t * direction, n))
     }

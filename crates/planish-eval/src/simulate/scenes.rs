@@ -1,4 +1,4 @@
-//! The seeded scenes: a table with objects seen by a camera over it, a room, and shapes of known size.
+//! Scenes generated from seeds: a table with objects seen from above, a room, and shapes of known size.
 
 use glam::{DMat3, DVec3};
 
@@ -11,8 +11,8 @@ const TABLE_HEIGHT_M: f64 = 0.75;
 const CAMERA_OVER_TABLE_M: f64 = 0.45;
 
 impl Scene {
-    /// Returns a table at 0.6 to 1.5 m with spheres, boxes and cylinders on it, in front of a wall; the camera looks
-    /// down on it.
+    /// Returns a table 0.6 to 1.5 m away, with spheres, boxes and cylinders on it, in front of a wall. The camera
+    /// looks down on it.
     pub fn tabletop(seed: u64) -> (Self, Pose) {
         let mut random = Random::new(seed, 1);
         let floor_y = TABLE_HEIGHT_M + CAMERA_OVER_TABLE_M;
@@ -40,7 +40,8 @@ impl Scene {
         (Self { objects }, pose)
     }
 
-    /// Returns a room of 4 m with boxes, pillars and balls at 1.2 to 3.5 m, seen by a camera at 1.2 m height.
+    /// Returns a room about 4 m wide and deep, with boxes, pillars and balls 1.2 to 3.5 m away. The camera is 1.2 m
+    /// above the floor.
     pub fn room(seed: u64) -> (Self, Pose) {
         let mut random = Random::new(seed, 2);
         let floor_y = 1.2;
@@ -58,15 +59,15 @@ impl Scene {
         (Self { objects }, Pose::looking([0.0; 3], random.between(-0.2, 0.2), random.between(0.1, 0.25)))
     }
 
-    /// Creates shapes of known size in front of a wall: the 90° edge of a box at 1 m, a sphere and a cylinder of 60 to
-    /// 100 mm radius at 0.8 to 1.4 m. The camera is at the origin and looks along z.
+    /// Returns shapes of known size in front of a wall: the 90° edge of a box at 1 m, and a sphere and a cylinder with
+    /// radii of 60 to 100 mm at 0.8 to 1.4 m. The camera is at the origin and looks along z.
     pub fn gauges(seed: u64) -> (Self, Pose, Gauge) {
         let mut random = Random::new(seed, u64::MAX);
         let turn = std::f64::consts::FRAC_PI_4 + random.between(-0.2, 0.2);
         let lean = DMat3::from_rotation_z(random.between(-0.15, 0.15));
         let world_from_box = lean * DMat3::from_rotation_y(turn);
         let half_m = 0.12;
-        // Turned by about 45°, this is the edge nearest to the camera.
+        // Because the box is turned by about 45°, this is the edge nearest to the camera.
         let to_edge = world_from_box * DVec3::new(half_m, 0.0, -half_m);
         let wedge = Shape::Cuboid {
             centre_m: (DVec3::new(0.0, 0.0, 1.0) - to_edge).to_array(),
@@ -113,13 +114,13 @@ pub struct Curve {
     pub object: u16,
     /// `cylinder`, `sphere`, `torus`, `saddle`, or, for comparison, the flat `board`.
     pub name: &'static str,
-    /// Smallest radius of curvature in metres; infinite for the board.
+    /// Smallest radius of curvature of the surface, in metres; infinite for the board.
     pub radius_m: f64,
 }
 
 impl Scene {
-    /// Returns curved surfaces of known radius with their centres at one range, and a wall behind them: cylinders of
-    /// 1.5 to 10 cm, spheres of 3 to 10 cm, a torus, a saddle, and a flat board. The camera is at the origin and looks
+    /// Returns curved surfaces of known radius in front of a wall: cylinders of 1.5 to 10 cm, spheres of 3 to 10 cm, a
+    /// torus, a saddle, and a flat board. Their centres are at depth `range_m`. The camera is at the origin and looks
     /// along z.
     pub fn curves(seed: u64, range_m: f64) -> (Self, Pose, Vec<Curve>) {
         let mut random = Random::new(seed, 3);
@@ -130,7 +131,7 @@ impl Scene {
             objects.push(shape);
         };
         let (above_m, below_m) = (-0.17, 0.17);
-        // A randomly shifted place at this distance from the camera's axis.
+        // A randomly shifted position at this offset from the camera's axis.
         let mut place = |x_m: f64, y_m: f64| {
             let jitter_m = [random.between(-0.004, 0.004), random.between(-0.004, 0.004)];
             DVec3::new(x_m + jitter_m[0], y_m + jitter_m[1], range_m)
@@ -168,10 +169,10 @@ impl Scene {
     }
 }
 
-/// The shapes of [`Scene::gauges`], in the camera's coordinates.
+/// The shapes of [`Scene::gauges`], in camera coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauge {
-    /// Index of the object with the 90° edge, which stands upright in front of the camera at 1 m.
+    /// Index of the object with the 90° edge, which is upright and 1 m in front of the camera.
     pub wedge: u16,
     /// Index of the sphere.
     pub sphere: u16,
@@ -189,7 +190,7 @@ pub struct Gauge {
     pub cylinder_radius_m: f64,
 }
 
-/// Creates a sphere, box or cylinder on `base`, with a size of a few centimetres times `scale`.
+/// Returns a sphere, box or cylinder standing on `base`, with a size of a few centimetres times `scale`.
 fn standing_object(random: &mut Random, base: DVec3, scale: f64) -> Shape {
     let radius_m = scale * random.between(0.05, 0.08);
     let half_height_m = scale * random.between(0.05, 0.11);

@@ -1,11 +1,11 @@
-//! A model of a depth sensor's noise; each part is a parameter.
+//! A noise model for depth sensors; each noise source has its own parameter.
 //!
 //! Triangulating sensors (structured light, stereo) have noise in disparity: D = 1/(step z) in units of one disparity
-//! step, so an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012). Other sensors have noise in
-//! depth. A pixel gets a fixed pattern correlated over a few pixels (most of the error of a single frame, which
-//! averaging frames does not remove) and temporal noise; disparities are rounded. At depth steps the sensor looks past
-//! the edge, mixes both sides, and misses regions hidden from its projector or second camera. Output: u16 millimetres,
-//! 0 for no measurement.
+//! step, so an error of one unit is step * z² metres of depth (Khoshelham & Elberink 2012). Other sensors have noise
+//! in depth. Each pixel's error is the sum of temporal noise and a fixed pattern that is correlated over a few pixels.
+//! The pattern makes up most of the error of a single frame, and averaging frames does not remove it. Disparities are
+//! rounded. At depth steps the sensor looks past the edge, mixes both sides, and misses regions hidden from its
+//! projector or second camera. Output: u16 millimetres, 0 for no measurement.
 
 use rayon::prelude::*;
 
@@ -17,36 +17,36 @@ use planish_core::{Camera, DepthFrame, FrameError, SensorModel};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ErrorUnit {
-    /// Steps of disparity, to which depth is rounded.
+    /// Disparity steps, to which measurements are rounded.
     Disparity {
-        /// One step as depth at 1 m, in metres; it grows with z².
+        /// Depth error in metres of a one-step disparity error at 1 m; it grows with z².
         step_at_1m: f64,
     },
     /// Standard deviations of depth, which is not rounded.
     Depth {
-        /// One standard deviation in metres: coefficients of 1, z and z².
+        /// Coefficients of 1, z and z² of the standard deviation in metres.
         sigma: [f64; 3],
     },
 }
 
-/// The parameters of the noise. The default is a Kinect v1; [`DepthNoise::NONE`] only rounds to millimetres.
+/// Noise parameters. The default is a Kinect v1; [`DepthNoise::NONE`] only rounds to millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthNoise {
     /// The unit of the errors.
     pub unit: ErrorUnit,
-    /// RMS of the fixed pattern in units.
+    /// Root mean square of the fixed pattern, in multiples of [`unit`](Self::unit).
     pub fixed_pattern_rms: f64,
     /// Distance in pixels at which the fixed pattern's correlation has fallen to 1/e.
     pub fixed_pattern_correlation_px: f64,
-    /// RMS of the temporal noise in units.
+    /// Root mean square of the temporal noise, in multiples of [`unit`](Self::unit).
     pub temporal_rms: f64,
     /// Distance in pixels at which the temporal noise's correlation has fallen to 1/e; 0 for independent pixels.
     pub temporal_correlation_px: f64,
-    /// Standard deviation in pixels of the distance from its ray at which a pixel at a step samples.
+    /// Standard deviation of the sampling offset of a pixel near a depth step, along each image axis, in pixels.
     pub edge_jitter_px: f64,
-    /// Probability that a pixel at a step floats between the two surfaces.
+    /// Probability that a pixel at a depth step floats between the two surfaces.
     pub flying_pixel_probability: f64,
-    /// Distance from the camera to the projector or the second camera in metres, to the right; 0 casts no shadow.
+    /// Distance from the camera to the projector or second camera on its right, in metres; 0 disables shadows.
     pub projector_baseline_m: f64,
     /// Angle of incidence in degrees at which measurements begin to drop out; all are lost at 90°.
     pub dropout_incidence_deg: f64,
@@ -75,7 +75,7 @@ impl Default for DepthNoise {
 }
 
 impl DepthNoise {
-    /// No noise at all.
+    /// No noise; depth is only rounded to millimetres.
     pub const NONE: Self = Self {
         unit: ErrorUnit::Depth { sigma: [0.0; 3] },
         fixed_pattern_rms: 0.0,
@@ -90,13 +90,14 @@ impl DepthNoise {
         max_range_m: f64::INFINITY,
     };
 
-    /// Returns noise for the sensor's type: a Kinect v1; a stereo camera if noise grows with z² alone; otherwise a
-    /// time-of-flight camera. A model without noise gives none.
+    /// Returns noise parameters for a sensor model. The Kinect v1 has its own. A model whose noise grows with z² alone
+    /// is treated as a stereo camera, any other as a time-of-flight camera. Returns [`NONE`](Self::NONE) for a model
+    /// without noise.
     ///
-    /// The standard deviation comes from the model. Correlation and behaviour at steps are assumptions. Stereo matches
-    /// windows of about 7 pixels, so errors are correlated over 3 pixels and edges fray; it resolves 1/32 of a pixel
-    /// with noise of 0.08 (RealSense D400). Time of flight has almost independent pixels, no shadow, and mixes both
-    /// sides of an edge.
+    /// The standard deviation comes from the model. Correlation and behaviour at depth steps are assumptions. Stereo
+    /// cameras match windows of about 7 pixels, so errors are correlated over 3 pixels and edges fray; they resolve
+    /// 1/32 pixel of disparity, with a noise of 0.08 pixels (RealSense D400). Time-of-flight cameras have almost
+    /// independent pixels and no shadow, and mix both sides of an edge.
     pub fn of_sensor(sensor: &SensorModel) -> Self {
         let sigma = sensor.sigma.map(f64::from);
         match sigma {
@@ -133,7 +134,7 @@ impl DepthNoise {
 }
 
 impl DepthNoise {
-    /// Returns the standard deviation of a measurement at a range, in metres, rounding included.
+    /// Returns the standard deviation of a measurement at `range_m`, in metres, including the error of rounding.
     pub fn deviation_m(&self, range_m: f64) -> f64 {
         let squares = self.fixed_pattern_rms.powi(2) + self.temporal_rms.powi(2);
         match self.unit {
@@ -143,7 +144,7 @@ impl DepthNoise {
     }
 }
 
-/// Noise of 0.08 pixels of disparity in steps of 1/32 of a pixel.
+/// Stereo disparity noise of 0.08 pixels, in steps of 1/32 pixel.
 const STEREO_NOISE_IN_STEPS: f64 = 0.08 * 32.0;
 
 /// Turns noise-free images of one camera into depth frames.
@@ -151,7 +152,7 @@ pub struct DepthSimulator {
     noise: DepthNoise,
     camera: Camera,
     seed: u64,
-    /// One value per pixel, in units of the noise; constant over all frames.
+    /// One value per pixel, in multiples of the noise unit; the same for all frames.
     fixed_pattern: Vec<f32>,
 }
 
@@ -160,7 +161,7 @@ const STREAM_FRAME: u64 = 4;
 const STREAM_TEMPORAL: u64 = 1 << 48;
 
 impl DepthSimulator {
-    /// Creates a sensor whose fixed pattern is given by the seed.
+    /// Creates a simulator whose fixed pattern is determined by the seed.
     pub fn new(noise: DepthNoise, camera: Camera, seed: u64) -> Self {
         let correlation_px = noise.fixed_pattern_correlation_px;
         let random = Random::new(seed, STREAM_FIXED_PATTERN);
@@ -168,9 +169,9 @@ impl DepthSimulator {
         Self { noise, camera, seed, fixed_pattern }
     }
 
-    /// Returns frame `index` of `truth`; frames differ in their temporal noise only.
+    /// Returns frame `index` of `truth`; frames differ only in their temporal noise.
     ///
-    /// Refuses a truth that was rendered with a camera of another size.
+    /// Returns an error if `truth` was rendered with a camera of a different size.
     pub fn frame(&self, truth: &Truth, index: u64) -> Result<DepthFrame, FrameError> {
         let (width, height) = (self.camera.width, self.camera.height);
         let (frame_width, frame_height) = (truth.camera.width, truth.camera.height);
@@ -191,7 +192,7 @@ impl DepthSimulator {
         Ok(DepthFrame::new(self.camera, raw)?.with_rgb(colours(truth)))
     }
 
-    /// Simulates row `v`. Without a row of temporal noise, draws independent values.
+    /// Simulates row `v`. If `noise` is `None`, draws independent temporal noise for each pixel.
     fn simulate_row(&self, truth: &Truth, v: usize, noise: Option<&[f32]>, random: &mut Random, row: &mut [u16]) {
         let shadow = self.shadow(truth, v);
         for (u, raw) in row.iter_mut().enumerate() {
@@ -216,7 +217,7 @@ impl DepthSimulator {
         }
     }
 
-    /// Returns a depth with an error in units, quantized and limited to the range; 0 if nothing is measured.
+    /// Returns the raw depth for `depth_m` with an `error` in noise units, quantized; 0 if the result is out of range.
     fn measure(&self, depth_m: f64, error: f64) -> u16 {
         let measured = match self.noise.unit {
             ErrorUnit::Disparity { step_at_1m } => 1.0 / (step_at_1m * (1.0 / (step_at_1m * depth_m) + error).round()),
@@ -226,8 +227,9 @@ impl DepthSimulator {
         if in_range { self.camera.raw_depth(measured as f32) } else { 0 }
     }
 
-    /// Marks the pixels of row v that the projector does not light. Away from the projector, light that starts further
-    /// left must also arrive further left; where something nearer has already caught it, there is shadow.
+    /// Marks the pixels of row v that the projector does not light. Going left, away from the projector, the column in
+    /// the projector's image decreases as well; a pixel whose projector column was already passed is in the shadow of
+    /// a nearer surface.
     fn shadow(&self, truth: &Truth, v: usize) -> Vec<bool> {
         let width = self.camera.width;
         let shift = self.noise.projector_baseline_m * self.camera.fx;
@@ -235,14 +237,15 @@ impl DepthSimulator {
         let mut leftmost = f64::INFINITY;
         for u in (0..width).rev() {
             let in_projector = u as f64 - shift / f64::from(truth.points.z()[v * width + u]);
-            // The image of one surface may fold by a fraction of a pixel where it is steep.
+            // On a steep surface, the projector column may run back by a fraction of a pixel without a shadow.
             shadow[u] = shift > 0.0 && in_projector > leftmost + 1.0;
             leftmost = leftmost.min(in_projector);
         }
         shadow
     }
 
-    /// Returns 0 up to the dropout angle, then rising values up to 1 at 90°; 1 without a surface.
+    /// Returns the probability of no measurement: 0 up to the dropout angle, rising linearly to 1 at 90°; 1 without a
+    /// surface.
     fn dropout_probability(&self, incidence_cosine: f64) -> f64 {
         if incidence_cosine.is_nan() {
             return 1.0;
@@ -252,7 +255,7 @@ impl DepthSimulator {
         if angle_deg <= start { 0.0 } else { ((angle_deg - start) / (90.0 - start)).min(1.0) }
     }
 
-    /// Returns the depth at a random place near the ray; `None` unless it is across a step.
+    /// Returns the depth at a randomly offset pixel; `None` unless a depth step separates it from pixel (u, v).
     fn beyond_step(&self, truth: &Truth, u: usize, v: usize, jitter_u: f64, jitter_v: f64) -> Option<f64> {
         let moved = |at: usize, by: f64, size: usize| {
             (at as f64 + self.noise.edge_jitter_px * by).round().clamp(0.0, size as f64 - 1.0) as usize
@@ -280,7 +283,7 @@ fn step_neighbour(truth: &Truth, u: usize, v: usize) -> Option<f64> {
         .map(|j| f64::from(truth.points.z()[j]))
 }
 
-/// Filters white noise by a Gaussian; a deviation of s leaves a correlation of exp(-d²/4s²).
+/// Filters white noise by a Gaussian. With standard deviation s, values at distance d have correlation exp(-d²/4s²).
 fn correlated(rms: f64, correlation_px: f64, camera: &Camera, mut random: Random) -> Vec<f32> {
     let (width, height) = (camera.width, camera.height);
     let sigma = (correlation_px / 2.0).max(0.1);
@@ -371,12 +374,12 @@ mod tests {
             let (sum, n) = pairs.fold((0.0, 0), |(sum, n), (a, b)| (sum + a * b, n + 1));
             sum / f64::from(n) / rms(&frame).powi(2)
         };
-        // A real tripod sequence has 0.65, 0.50, 0.35 and 0.18 at 1, 2, 3 and 5 pixels.
+        // In a real tripod sequence, the correlation is 0.65, 0.50, 0.35 and 0.18 at 1, 2, 3 and 5 pixels.
         assert!((0.4..0.7).contains(&correlation(1)), "{}", correlation(1));
         assert!((0.2..0.5).contains(&correlation(2)), "{}", correlation(2));
         assert!(correlation(5) < 0.1, "{}", correlation(5));
 
-        // The fixed pattern stays when frames are averaged.
+        // The fixed pattern remains when frames are averaged.
         let mut mean = vec![0.0; frame.len()];
         for index in 0..20 {
             for (m, error) in mean.iter_mut().zip(errors(&simulator.frame(&truth, index).unwrap(), 2.0)) {
@@ -420,7 +423,7 @@ mod tests {
         let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
         let frame = DepthSimulator::new(DepthNoise::default(), camera, 1).frame(&truth, 0).unwrap();
         let row = &frame.raw[240 * 640..241 * 640];
-        // The disparities of 1 m and 2 m differ by 0.075 * 525 / 2, 20 pixels.
+        // The disparities at 1 m and 2 m differ by 0.075 * 525 / 2 = 20 pixels.
         let holes = |range: std::ops::Range<usize>| row[range].iter().filter(|&&raw| raw == 0).count();
         assert!(holes(230..275) >= 15, "{}", holes(230..275));
         assert!(holes(380..420) <= 2, "{}", holes(380..420));

@@ -1,4 +1,4 @@
-//! Simulated videos: a table whose objects or camera move, or whose noise changes.
+//! Simulated videos of a table, in which an object or the camera moves, or the noise changes.
 
 use std::str::FromStr;
 
@@ -11,25 +11,25 @@ use planish_core::{Camera, DepthFrame, FrameError, ParamError};
 
 const STREAM_HOLES: u64 = 1 << 40;
 
-/// The event in a simulated video.
+/// An event in a simulated video: the motion of an object or the camera, or a property of the noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event {
     /// No motion.
     Still,
-    /// No motion; 70 % of the noise's variance is a fixed pattern.
+    /// No motion; a fixed pattern makes up 70 % of the noise's variance.
     FixedPattern,
-    /// Blocks of 8x8 pixels, 30 % in each frame, are holes.
+    /// No motion; in each frame, a random 30 % of the blocks of 8x8 pixels are holes.
     Holes,
-    /// A box comes nearer by 2 mm per frame.
+    /// A box approaches the camera by 2 mm per frame.
     SlowObject,
     /// A ball crosses the picture at 25 mm per frame.
     FastObject,
-    /// A pole of 12 mm, six pixels wide, moves sideways by 10 mm per frame.
+    /// A pole 12 mm thick, about six pixels wide, moves sideways by 10 mm per frame.
     ThinPole,
     /// A box is alternately absent and present, for 12 frames each.
     Appearing,
-    /// The camera is carried by hand: 8 mm and 0.3° per frame.
+    /// A handheld camera moves by about 8 mm and turns by about 0.3° per frame.
     MovingCamera,
 }
 
@@ -64,7 +64,7 @@ impl Event {
 impl FromStr for Event {
     type Err = ParamError;
 
-    /// Reads a [`name`](Self::name).
+    /// Parses the [`name`](Self::name) of an event.
     fn from_str(text: &str) -> Result<Self, ParamError> {
         let allowed = "still, fixed-pattern, flickering-holes, slow-object, fast-object, thin-pole, appearing-object or \
                        moving-camera";
@@ -76,13 +76,13 @@ impl FromStr for Event {
 /// A frame of a simulated video.
 #[derive(Debug)]
 pub struct SequenceFrame<'a> {
-    /// The view of a perfect camera.
+    /// The noise-free frame.
     pub truth: &'a Truth,
     /// The noisy frame.
     pub frame: DepthFrame,
     /// The camera's pose in the world.
     pub pose: Pose,
-    /// Index of the moving object; `None` if it is absent.
+    /// Index of the moving object in the scene; `None` if it is absent.
     pub object: Option<u16>,
 }
 
@@ -94,15 +94,16 @@ pub struct Sequence {
     scene: Scene,
     pose: Pose,
     simulator: DepthSimulator,
-    /// Scene, pose and view of the last frame.
+    /// Scene, pose and noise-free image of the last frame.
     rendered: Option<(Scene, Pose, Truth)>,
 }
 
 impl Sequence {
-    /// Creates a video of a table (0.6 to 1.5 m) in front of a wall (2.2 to 2.8 m).
+    /// Creates a video of a table (0.6 to 1.5 m away) in front of a wall (2.2 to 2.8 m away).
     pub fn new(event: Event, camera: Camera, noise: DepthNoise, seed: u64) -> Self {
         let (scene, pose) = Scene::tabletop(seed);
-        // Independent pixels would leave almost no flicker after smoothing in space, unlike in real videos.
+        // If the noise of pixels were independent, smoothing in space would leave almost no flicker, unlike in real
+        // videos.
         let noise = DepthNoise { temporal_correlation_px: noise.fixed_pattern_correlation_px, ..noise };
         let noise = match event {
             Event::FixedPattern => {
@@ -151,7 +152,7 @@ impl Sequence {
         if self.event != Event::MovingCamera {
             return self.pose;
         }
-        // About 8 mm and 0.3° per frame at any time.
+        // The camera moves by about 8 mm and turns by about 0.3° per frame at any time.
         let phase = number as f64 / 12.0;
         let offset = [0.096 * phase.sin(), 0.06 * (1.3 * phase).cos(), 0.05 * (0.7 * phase).sin()];
         let turn = DMat3::from_rotation_y(0.08 * (0.9 * phase).sin()) * DMat3::from_rotation_x(0.05 * phase.cos());
@@ -159,11 +160,11 @@ impl Sequence {
         Pose { world_from_camera: moved.world_from_camera * turn, ..moved }
     }
 
-    /// Returns the object that moves, placed in front of the camera.
+    /// Returns the moving object, placed in front of the camera; `None` if there is none in this frame.
     fn object_at(&self, number: u64) -> Option<Shape> {
         let t = number as f64;
         let place = |x, y, z| self.pose.to_world([x, y, z]);
-        // Back and forth between -1 and 1, by `step` per frame.
+        // Moves back and forth between -1 and 1, by `step` per frame.
         let to_and_fro = |step: f64| 1.0 - ((step * t).rem_euclid(4.0) - 2.0).abs();
         let box_at = |centre_m, half_m| Shape::Cuboid {
             centre_m,

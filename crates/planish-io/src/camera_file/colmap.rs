@@ -1,11 +1,12 @@
-//! COLMAP's `cameras.txt`.
+//! Reads COLMAP's `cameras.txt`.
 
 use super::super::{FormatResult, quoted};
 use super::malformed;
 use planish_core::{Camera, Distortion, FormatError};
 
-/// Reads COLMAP's list of cameras, `ID MODEL WIDTH HEIGHT PARAMETERS`; returns `None` for other text. COLMAP's pixel
-/// centres are at half coordinates.
+/// Reads the camera from a COLMAP camera list with lines `ID MODEL WIDTH HEIGHT PARAMETERS`; returns `None` for other
+/// text. If there are several cameras, only those with the given shape are considered. In COLMAP, pixel centres are at
+/// half-integer coordinates.
 pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<FormatResult<Camera>> {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let is_colmap = |line: &str| {
@@ -32,7 +33,7 @@ pub(super) fn from_colmap(text: &str, shape: Option<(usize, usize)>) -> Option<F
     }))
 }
 
-/// Parses the camera in a line of COLMAP's `cameras.txt`.
+/// Parses one camera line of COLMAP's `cameras.txt`.
 pub fn colmap_camera(line: &str) -> FormatResult<Camera> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed = |range: std::ops::RangeFrom<usize>| {

@@ -1,10 +1,10 @@
-//! Intrinsics as a matrix, by rows or by columns.
+//! Intrinsics stored as a matrix, in row-major or column-major order.
 
-/// Focal lengths fx and fy, and the principal point cx and cy.
+/// Focal lengths [fx, fy] and principal point [cx, cy], in pixels.
 pub(crate) type Intrinsics = ([f64; 2], [f64; 2]);
 
 /// Returns the intrinsics in a 3x3, 3x4 or 4x4 matrix; `None` if it is not the matrix of a camera without skew. The
-/// positions of its zeros show whether it is stored by rows or by columns.
+/// positions of its zeros determine whether it is stored in row-major or column-major order.
 pub(crate) fn intrinsics_of(numbers: &[f64]) -> Option<Intrinsics> {
     let columns = match numbers.len() {
         9 => 3,

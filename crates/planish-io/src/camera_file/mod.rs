@@ -1,5 +1,6 @@
-//! Camera files: JSON (planish's own, Open3D's, NeRF's, BOP's, Replica's), the YAML of a ROS camera_info, OpenCV's YAML
-//! and XML, a matrix as text, COLMAP's `cameras.txt`, ScanNet's. Detected from their contents.
+//! Reads camera files: JSON (planish's own, Open3D's, NeRF's, BOP's, Replica's), the YAML of a ROS camera_info,
+//! OpenCV's YAML and XML, a matrix as text, COLMAP's `cameras.txt`, and ScanNet's text files. The format is detected
+//! from the contents.
 
 mod colmap;
 mod matrix;
@@ -26,27 +27,27 @@ const MAX_BYTES: u64 = 16 << 20;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CameraFile {
-    /// The camera; its shape is 0x0 if the file states none and none was given.
+    /// The camera; its shape is 0x0 if neither the file nor the caller states one.
     pub camera: Camera,
     /// True if the file states the depth unit.
     pub states_units: bool,
-    /// Guesses and contradictions, one clause each, for users.
+    /// Notes for users on guesses and contradictions, one clause each.
     pub notes: Vec<String>,
 }
 
-/// Reads a camera file for frames of `shape` (width, height); a file of another shape is refused.
+/// Reads a camera file for frames of `shape` (width, height). A file that states another shape is an error.
 ///
-/// With `None`, the camera has the shape stated in the file, or 0x0.
+/// If `shape` is `None`, the camera has the shape stated in the file, or 0x0.
 pub fn read_camera(path: &Path, shape: Option<(usize, usize)>) -> Result<Camera, IoError> {
     read_camera_file(path, shape).map(|file| file.camera)
 }
 
-/// Same as [`read_camera`], but also returns the guesses made.
+/// Same as [`read_camera`], but also returns notes, and whether the file states the depth unit.
 pub fn read_camera_file(path: &Path, shape: Option<(usize, usize)>) -> Result<CameraFile, IoError> {
     read_text(path).and_then(|text| parse_camera_file(&text, shape)).map_err(IoError::at(path))
 }
 
-/// Returns the text of a camera file.
+/// Reads the text of a camera file.
 pub fn read_text(path: &Path) -> FormatResult<String> {
     let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
     let bytes = bytes.map_err(|error| match error {
@@ -61,12 +62,12 @@ pub fn read_text(path: &Path) -> FormatResult<String> {
     }
 }
 
-/// Same as [`read_camera`], for the text of a file.
+/// Same as [`read_camera`], for the text of a camera file.
 pub fn parse_camera(text: &str, shape: Option<(usize, usize)>) -> FormatResult<Camera> {
     parse_camera_file(text, shape).map(|file| file.camera)
 }
 
-/// Same as [`read_camera_file`], for the text of a file.
+/// Same as [`read_camera_file`], for the text of a camera file.
 pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatResult<CameraFile> {
     let mut file = match from_colmap(text, shape) {
         Some(camera) => CameraFile { camera: camera?, states_units: false, notes: Vec::new() },
@@ -78,13 +79,13 @@ pub fn parse_camera_file(text: &str, shape: Option<(usize, usize)>) -> FormatRes
         Some(shape) => *camera = camera.with_shape(shape),
         None => {}
     }
-    // Whatever the shape turns out to be, the rest must describe a camera.
+    // The shape may still be unknown, but the rest must describe a valid camera.
     let (width, height) = (camera.width.max(1), camera.height.max(1));
     camera.with_shape((width, height)).validate()?;
     Ok(file)
 }
 
-/// Returns a key that camera files do not have, such as a misspelt one; `None` if all keys are known.
+/// Returns the first unknown key of a camera file, such as a misspelt one; `None` if all keys are known.
 ///
 /// # Errors
 /// If the text cannot be parsed as JSON, YAML, XML or numbers.
@@ -92,7 +93,7 @@ pub fn unknown_camera_key(text: &str) -> FormatResult<Option<String>> {
     Ok(value::unknown_key(&text::parse(text)?))
 }
 
-/// Returns the camera as JSON, as [`parse_camera`] reads it.
+/// Returns the camera as JSON that [`parse_camera`] can read.
 pub fn camera_to_json(camera: &Camera) -> String {
     let Camera { width, height, fx, fy, cx, cy, depth_units_per_metre, distortion, .. } = camera;
     let mut json = serde_json::json!({
@@ -178,7 +179,7 @@ mod tests {
     fn files_of_other_programs_describe_the_same_camera() {
         let kinect = Camera::kinect_v1();
         let files = [
-            // A matrix by rows where Open3D has columns, and by columns where OpenCV has rows.
+            // A row-major matrix where Open3D is column-major, and a column-major one where OpenCV is row-major.
             r#"{"width":640,"height":480,"intrinsic_matrix":[525.0,0,319.5,0,525.0,239.5,0,0,1]}"#,
             r#"{"K":[525,0,0,0,525,0,319.5,239.5,1]}"#,
             r#"{"K":[[525,0,319.5],[0,525,239.5],[0,0,1]]}"#,

@@ -1,4 +1,4 @@
-//! The text of a camera file as a JSON value, whatever its syntax.
+//! Parses the text of a camera file to a JSON value, whatever its syntax.
 
 #[cfg(feature = "more-formats")]
 use serde_json::Map;
@@ -10,7 +10,7 @@ use super::malformed;
 #[cfg(feature = "more-formats")]
 use super::value::names;
 
-/// Parses JSON, YAML, OpenCV's XML, lines of `name = value`, or numbers alone.
+/// Parses JSON, YAML, OpenCV's XML, lines of `name = value`, or bare numbers.
 pub(super) fn parse(text: &str) -> FormatResult<Value> {
     let text = text.trim();
     let not_a_camera =
@@ -25,15 +25,15 @@ pub(super) fn parse(text: &str) -> FormatResult<Value> {
     if let Some(numbers) = numbers(text) {
         return Ok(numbers);
     }
-    // `topic echo` ends a message with the mark of a new document; OpenCV begins with a directive that YAML lacks, and
-    // marks its matrices.
+    // `topic echo` ends a message with the YAML mark of a new document. OpenCV begins its files with a directive that
+    // is not valid YAML, and tags its matrices.
     let lines = text.lines().filter(|line| !line.starts_with('%')).map(as_yaml);
     let yaml = lines.collect::<Vec<_>>().join("\n").replace("!!opencv-matrix", "");
     let first = yaml.trim_start().trim_start_matches("---").split("\n---").next().unwrap_or_default();
     parse_yaml(first).map_err(|error| not_a_camera(&error))
 }
 
-/// Converts a line `name = value`, as in ScanNet, to YAML; returns other lines unchanged.
+/// Converts a line `name = value`, which ScanNet uses, to YAML; returns other lines unchanged.
 fn as_yaml(line: &str) -> String {
     let is_name = |name: &str| name.chars().all(|c| c.is_alphanumeric() || c == '_');
     match line.split_once('=') {
@@ -51,11 +51,11 @@ fn numbers(text: &str) -> Option<Value> {
     (!numbers.is_empty()).then(|| numbers.into())
 }
 
-/// Returns the values in OpenCV's XML by their names: `<name>1</name>`, or a matrix with an element `<data>`.
+/// Returns the named values in OpenCV's XML: either `<name>1</name>`, or a matrix with an element `<data>`.
 #[cfg(feature = "more-formats")]
 fn xml(text: &str) -> Map<String, Value> {
     let value = |name: &str| {
-        // The name may be followed by the type of a matrix.
+        // In the opening tag, the name may be followed by the type of a matrix.
         let (_, behind) =
             [format!("<{name}>"), format!("<{name} ")].iter().find_map(|tag| text.split_once(tag.as_str()))?;
         let (content, _) = behind.split_once(&format!("</{name}>"))?;
@@ -63,7 +63,7 @@ fn xml(text: &str) -> Map<String, Value> {
         let content = data.map_or(content, |(data, _)| data).trim();
         let number = content.parse::<u64>().ok().filter(|_| data.is_none());
         let value = number.map(Value::from).or_else(|| numbers(content));
-        // The model of the lens is a word.
+        // The lens model is a word.
         let word = || name.ends_with("model").then(|| Value::from(content.trim_matches('"')));
         Some((name.to_owned(), value.or_else(word)?))
     };

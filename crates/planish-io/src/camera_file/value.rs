@@ -1,4 +1,4 @@
-//! Extraction of the camera from the parsed contents of a file, with the names that programs give its numbers.
+//! Extracts the camera from the parsed contents of a file, using the names that various programs use for its numbers.
 
 use serde_json::{Map, Value};
 
@@ -14,7 +14,7 @@ const FX: &[&str] = &["fx", "fl_x", "fx_depth", "Camera.fx", "Camera1.fx"];
 const FY: &[&str] = &["fy", "fl_y", "fy_depth", "Camera.fy", "Camera1.fy"];
 const CX: &[&str] = &["cx", "ppx", "mx_depth", "Camera.cx", "Camera1.cx"];
 const CY: &[&str] = &["cy", "ppy", "my_depth", "Camera.cy", "Camera1.cy"];
-/// Names of a list of fx, fy, cx and cy.
+/// Names under which a list of fx, fy, cx and cy is stored.
 const FOUR: &[&str] = &["intrinsics"];
 const MATRIX: &[&str] = &[
     "intrinsic_matrix",
@@ -51,9 +51,9 @@ const MODEL_OF_REALSENSE: (&str, &str) = ("model", "distortion.");
 /// Keys that mark a fisheye lens.
 const FISHEYE: [&str; 2] = ["is_fisheye", "fisheye_model"];
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
-/// Names of the number of depth units per metre.
+/// Names under which the number of depth units per metre is stored.
 const UNITS: &[&str] = &["depth_units_per_metre"];
-/// Names of the number of depth units per metre, or of its inverse.
+/// Names under which a depth scale is stored; [`units_of_scale`] interprets its value.
 const SCALE: &[&str] = &[
     "depth_scale",
     "depthScale",
@@ -62,14 +62,14 @@ const SCALE: &[&str] = &[
     "DepthMapFactor",
     "Camera.RGBD.DepthMapFactor",
 ];
-/// Replica's name of the depth scale, within `camera`; elsewhere it is the scale of a scene.
+/// Replica's name for the depth scale, within `camera`; elsewhere, this name means the scale of a scene.
 const REPLICA_SCALE: &str = "scale";
 const REGION: &str = "roi";
 const BINNING: [&[&str]; 2] = [&["binning_x"], &["binning_y"]];
-/// Keys of nested cameras.
+/// Keys under which a camera may be nested.
 const NESTED: [&str; 4] = ["intrinsic", "intrinsics", "camera", "depth"];
 
-/// Named numbers of a camera, and of the object around it, which may state the depth unit.
+/// The named values of a camera, and of the object that contains it, which may state the depth unit.
 struct Names<'a> {
     own: &'a Map<String, Value>,
     outer: Option<&'a Map<String, Value>>,
@@ -99,7 +99,7 @@ impl<'a> Names<'a> {
         if is_whole { Ok(Some(number as usize)) } else { Err(what()) }
     }
 
-    /// Returns the numbers of a list, of a list of lists, or of the `data` of OpenCV's matrix.
+    /// Returns the numbers in a list, in a list of lists, or in the `data` of an OpenCV matrix.
     fn numbers(&self, names: &[&str]) -> FormatResult<Option<Vec<f64>>> {
         let Some((name, value)) = self.value(names) else { return Ok(None) };
         let value = value.get("data").unwrap_or(value);
@@ -115,7 +115,7 @@ fn flat(value: &Value) -> Option<Vec<f64>> {
     }
 }
 
-/// Returns the camera that a file describes.
+/// Returns the camera that a file's contents describe.
 pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
     let lacking = || malformed("the camera file lacks intrinsics: fx, fy, cx and cy, or a matrix".into());
     if let Value::Array(_) = value {
@@ -151,7 +151,7 @@ pub(super) fn camera_of(value: &Value) -> FormatResult<CameraFile> {
     of_names(&names, lacking)
 }
 
-/// Returns true if an object directly contains a focal length or a matrix.
+/// Returns true if an object directly contains a focal length, a matrix or a list of intrinsics.
 fn has_intrinsics(map: &Map<String, Value>) -> bool {
     [FX, MATRIX, FOUR]
         .iter()
@@ -231,7 +231,7 @@ fn distortion(names: &Names<'_>) -> FormatResult<Distortion> {
         value => value.as_bool() == Some(true),
     };
     let is_fisheye = FISHEYE.iter().any(|name| names.get(name).is_some_and(|(_, value)| is_true(value)));
-    // The camera model pinhole does not specify the lens distortion.
+    // The camera model "pinhole" does not specify the lens distortion.
     let of_camera = CAMERA_MODEL.iter().filter_map(|key| text(key)).filter(|name| !is_pinhole(name));
     let mut models: Vec<&str> = text(MODEL).into_iter().chain(of_realsense).chain(of_camera).collect();
     if is_fisheye {
@@ -266,7 +266,8 @@ fn is_pinhole(name: &str) -> bool {
     ["pinhole", "simple_pinhole", "rectified"].iter().any(|pinhole| name.eq_ignore_ascii_case(pinhole))
 }
 
-/// Converts a depth scale to depth units per metre. The scale may be this number, or millimetres or metres per unit.
+/// Converts a depth scale to depth units per metre. Depending on its size, the scale is read as units per metre,
+/// millimetres per unit, or metres per unit.
 fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
     let (units, convention) = match scale {
         100.0.. => return Ok(scale),
@@ -279,13 +280,13 @@ fn units_of_scale(scale: f64, notes: &mut Vec<String>) -> FormatResult<f64> {
             )));
         }
     };
-    // Removes the rounding error of the division.
+    // Remove the rounding error of the division.
     let units = (units * 1e6).round() / 1e6;
     notes.push(format!("depth_scale {scale} is read as {convention}: {units} units per metre"));
     Ok(units)
 }
 
-/// Returns the camera of the region of interest, whose pixels may be binned.
+/// Returns the camera restricted to the region of interest, whose pixels may be binned.
 fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
     let binning = [names.pixels(BINNING[0])?.unwrap_or(0).max(1), names.pixels(BINNING[1])?.unwrap_or(0).max(1)];
     let (mut offset, mut size) = ([0, 0], (camera.width, camera.height));
@@ -301,14 +302,14 @@ fn part_of(names: &Names<'_>, camera: Camera) -> FormatResult<Camera> {
     Ok(camera.of_region(offset, size, binning))
 }
 
-/// Iterates over the names of a camera's numbers.
+/// Iterates over the names that a camera file's values may have.
 #[cfg(feature = "more-formats")]
 pub(super) fn names() -> impl Iterator<Item = &'static str> {
     let all = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     all.into_iter().flatten().copied().chain(SINGLE).chain(FISHEYE).chain([MODEL]).chain(CAMERA_MODEL)
 }
 
-/// Returns a key that camera files do not have.
+/// Returns the first unknown key of a camera file.
 pub(super) fn unknown_key(value: &Value) -> Option<String> {
     let known = [WIDTH, HEIGHT, RESOLUTION, FX, FY, CX, CY, FOUR, MATRIX, PROJECTION, DISTORTION, UNITS, SCALE];
     let is_known = |name: &str| {

@@ -1,7 +1,7 @@
-//! ASTM E57: the scans of one file as one cloud in the file's frame, each point with the number of its scan.
+//! ASTM E57. All scans of a file become one cloud in the file's frame; each point has the number of its scan.
 //!
-//! Metadata of a scan (name, pose, sensor, times) are kept with the cloud and written back. Spherical coordinates
-//! become Cartesian. Images and sections of extensions are dropped, except for the extensions' point fields.
+//! A scan's metadata (name, pose, sensor, times) are stored with the cloud and written back. Spherical coordinates
+//! become Cartesian. Images and the sections of extensions are dropped, except for point fields of extensions.
 
 mod scans;
 
@@ -17,13 +17,13 @@ use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, brief};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
-/// The field with the number of each point's scan, in files of several scans.
+/// Name of the field with the number of each point's scan, in files with several scans.
 const SCAN: &str = "scan";
 /// Maximum number of different fields in all scans.
 const MOST_COLUMNS: usize = 1000;
-/// The field that marks points without a colour.
+/// Name of the field that marks points without a colour.
 const COLOUR_INVALID: &str = "color_invalid";
-/// Standard E57 fields, with our names.
+/// Our names for the standard E57 fields.
 const FIELDS: [(&str, RecordName); 12] = [
     ("intensity", RecordName::Intensity),
     ("intensity_invalid", RecordName::IsIntensityInvalid),
@@ -38,17 +38,17 @@ const FIELDS: [(&str, RecordName); 12] = [
     ("timestamp", RecordName::TimeStamp),
     ("timestamp_invalid", RecordName::IsTimeStampInvalid),
 ];
-/// Components of normals in the standard's extension, with our names.
+/// Our names for the components of normals in the standard's extension.
 const NORMALS: [(&str, &str); 3] = [("normal_x", "normalX"), ("normal_y", "normalY"), ("normal_z", "normalZ")];
 const OF_NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
-/// Namespace and URL of our extension, which stores all other fields.
+/// Namespace and URL of our own extension, which stores all fields that are not standard.
 const OWN: (&str, &str) = ("planish", "https://github.com/planish/planish");
 
 fn damaged(error: e57::Error) -> FormatError {
     FormatError::Malformed(format!("damaged E57: {}", brief(&error.to_string())))
 }
 
-/// The type of a column, and its default for scans that lack it.
+/// The type of a column. It determines the default value for scans that lack the column.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Integer { min: i64, max: i64 },
@@ -65,7 +65,7 @@ impl Kind {
         }
     }
 
-    /// Returns a type that can represent the values of both.
+    /// Returns a type that can represent the values of both types.
     fn union(self, other: Self) -> Self {
         match (self, other) {
             (Self::Integer { min: a, max: b }, Self::Integer { min: c, max: d }) => {
@@ -97,7 +97,7 @@ impl Kind {
 /// Indices of a point's coordinates among its values.
 enum Position {
     Cartesian([usize; 3]),
-    /// Range, azimuth, elevation.
+    /// Indices of range, azimuth and elevation.
     Spherical([usize; 3]),
 }
 
@@ -128,7 +128,7 @@ impl Position {
     }
 }
 
-/// Returns our name of a field; `None` for coordinates and for flags of invalid points.
+/// Returns our name for a field; `None` for coordinates and for flags that mark invalid points.
 fn name_of(name: &RecordName) -> Option<String> {
     if let Some((own, _)) = FIELDS.iter().find(|(_, standard)| standard == name) {
         return Some((*own).to_owned());
@@ -142,11 +142,10 @@ fn name_of(name: &RecordName) -> Option<String> {
     })
 }
 
-/// Returns true if a cloud was read from E57.
 /// Maximum number of attributes of an XML element.
 const MOST_ATTRIBUTES: usize = 1000;
 
-/// Returns the largest number of quoted values, which are those of attributes, in a tag.
+/// Returns the largest number of attributes in any XML tag, counted as quoted values.
 fn most_attributes(xml: &[u8]) -> usize {
     let (mut rest, mut most) = (xml, 0);
     while let Some(start) = rest.iter().position(|&byte| byte == b'<') {
@@ -177,6 +176,7 @@ fn most_attributes(xml: &[u8]) -> usize {
     most
 }
 
+/// Returns true if a cloud was read from E57.
 pub(super) fn has_scans(cloud: &PointCloud) -> bool {
     cloud.provenance.get::<Scans>().is_some()
 }
@@ -298,7 +298,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(cloud)
 }
 
-/// Returns the fields that the standard requires together with this one.
+/// Returns the fields that the standard requires together with the field `name`.
 fn needed_beside(name: &RecordName) -> &'static [&'static str] {
     match name {
         RecordName::ColorRed | RecordName::ColorGreen | RecordName::ColorBlue | RecordName::IsColorInvalid => {
@@ -311,7 +311,7 @@ fn needed_beside(name: &RecordName) -> &'static [&'static str] {
     }
 }
 
-/// Returns the E57 record for one of a cloud's fields: a standard record if possible, otherwise one of an extension.
+/// Returns the E57 record for one of a cloud's fields: a standard record if possible, otherwise an extension's.
 fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
     let is_float = matches!(attribute.values, AttributeValues::F32(_) | AttributeValues::F64(_));
     let is_allowed = |name: &RecordName| {
@@ -329,7 +329,7 @@ fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
             let (namespace, name) = normal.map_or((OWN.0, attribute.name.as_str()), |(_, name)| (OF_NORMALS.0, *name));
             let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
             let mut name: String = name.chars().map(|c| if is_allowed(c) { c } else { '_' }).collect();
-            // No name in XML begins with a digit or a hyphen.
+            // XML names cannot begin with a digit or a hyphen.
             if !name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_') {
                 name.insert(0, '_');
             }
@@ -369,7 +369,7 @@ fn value_of(attribute: &Attribute, i: usize) -> RecordValue {
     }
 }
 
-/// Encodes each scan of the cloud in its own frame, or one scan with all points.
+/// Encodes each scan of the cloud in its own frame, or all points as one scan.
 pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let cannot = |error: e57::Error| {
         FormatError::Unsupported(format!("cannot encode this cloud as E57: {}", brief(&error.to_string())))
@@ -414,7 +414,7 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     let normals = NORMALS.map(|(name, _)| cloud.attributes.iter().position(|attribute| attribute.name == name));
     for (scan_number, scan) in scans.iter().enumerate() {
         let is_of_scan = |i: &usize| number.as_ref().is_none_or(|of| of.values.get_f64(*i) as usize == scan_number);
-        // Other readers fail on scans without points.
+        // Skip empty scans, because other readers fail on them.
         if scans.len() > 1 && !(0..cloud.len()).any(|i| is_of_scan(&i)) {
             continue;
         }
@@ -467,7 +467,7 @@ pub(super) fn encode(cloud: &PointCloud) -> FormatResult<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// Returns an identifier computed from the points, so that the same cloud gives the same file.
+/// Returns an identifier computed from the points, so that encoding the same cloud twice gives the same file.
 fn guid(cloud: &PointCloud, number: usize) -> String {
     let values = cloud.positions.iter().flatten().map(|value| u64::from(value.to_bits()));
     // FNV-1a, over 64 bits.

@@ -1,4 +1,4 @@
-//! Metadata of an E57 file's scans: scanner poses, and the ranges of measured values.
+//! Metadata of the scans in an E57 file: scanner poses, and the ranges of measured values.
 
 use std::io::{Read, Seek, Write};
 
@@ -8,18 +8,18 @@ use e57::{
 };
 use glam::{DQuat, DVec3};
 
-/// Metadata of a file.
+/// Metadata of an E57 file.
 #[derive(Debug, Clone)]
 pub(super) struct Scans {
     pub(super) scans: Vec<e57::PointCloud>,
     pub(super) creation: Option<DateTime>,
-    /// The coordinate system, as well-known text.
+    /// The coordinate system of the file, as well-known text.
     pub(super) coordinate_metadata: Option<String>,
 }
 
 impl Scans {
-    /// Returns the scanner position of each scan, if there are several scans and one has a pose. The identity counts
-    /// as no pose.
+    /// Returns each scan's scanner position in metres, if there are several scans and at least one has a pose. The
+    /// identity does not count as a pose.
     pub(super) fn scanners_m(&self) -> Option<Vec<Option<[f64; 3]>>> {
         let scanner = |scan: &e57::PointCloud| {
             let (rotation, position) = pose_of(scan);
@@ -37,7 +37,7 @@ impl PartialEq for Scans {
     }
 }
 
-/// Returns the transform from a scan's frame to the file's.
+/// Returns the transform from a scan's frame to the file's frame.
 pub(super) fn pose_of(scan: &e57::PointCloud) -> (DQuat, DVec3) {
     scan.transform.as_ref().map_or((DQuat::IDENTITY, DVec3::ZERO), |transform| {
         let Quaternion { w, x, y, z } = transform.rotation;
@@ -47,7 +47,7 @@ pub(super) fn pose_of(scan: &e57::PointCloud) -> (DQuat, DVec3) {
     })
 }
 
-/// Returns a limit of a field's values in the type that the field is written with.
+/// Returns a limit for a field's values, converted to the type in which the field is written.
 fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option<RecordValue> {
     let value = value?.to_f64(&read.data_type).ok()?;
     Some(match written.data_type {
@@ -57,8 +57,8 @@ fn limit(value: Option<&RecordValue>, read: &Record, written: &Record) -> Option
     })
 }
 
-/// Sets the sensor's range of intensities and colours, if the scan states it; otherwise the writer states the range
-/// of the type.
+/// Sets the sensor's range of intensities and colours, if the scan states it. Otherwise, the writer states the full
+/// range of the type.
 pub(super) fn set_limits<T: Read + Write + Seek>(
     points: &mut PointCloudWriter<'_, T>,
     scan: &e57::PointCloud,

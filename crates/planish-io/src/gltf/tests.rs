@@ -1,8 +1,8 @@
-//! Tests of glTF.
+//! Tests of the glTF reader.
 
 use super::*;
 
-/// Two triangles' corners with normals and colours, in a scene of two nodes.
+/// Returns a document with two vertices with normals and colours, which the nodes of its scene place twice.
 fn document(buffer: &str) -> String {
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0,1]}}],
@@ -37,7 +37,7 @@ fn read(bytes: &[u8]) -> FormatResult<PointCloud> {
 #[test]
 fn vertices_stand_where_their_nodes_place_them() {
     let cloud = read(&glb(&document(r#"{"byteLength":56}"#), &data())).unwrap();
-    // The scene's nodes are read from the last to the first.
+    // The nodes of the scene are visited from the last to the first.
     let expected = [[0.0, 2.0, 0.0], [-4.0, 0.0, 0.0], [11.0, 0.0, 0.0], [10.0, 2.0, 0.0]];
     for (i, place) in expected.iter().enumerate() {
         let off = (0..3).map(|axis| (cloud.coordinate(axis, i) - place[axis]).abs()).fold(0.0, f64::max);

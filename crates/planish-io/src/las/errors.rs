@@ -1,4 +1,4 @@
-//! Errors of LAS and LAZ.
+//! Conversion of errors from the las crate to format errors.
 
 use planish_core::FormatError;
 

@@ -7,25 +7,25 @@ use super::super::columns::{EXACT_INTEGERS, with_values};
 use super::super::quoted;
 use planish_core::{Attribute, AttributeValues, FormatError};
 
-/// User ID and record ID of the records that describe extra bytes.
+/// User ID and record ID of the variable-length records that describe extra bytes.
 const EXTRA_BYTES: (&str, u16) = ("LASF_Spec", 4);
 /// Size of the description of an extra field in bytes.
 const DESCRIPTION: usize = 192;
-/// Offset of the type in a description.
+/// Byte offset of the type number in a description.
 const TYPE_AT: usize = 2;
-/// Offset of the options in a description.
+/// Byte offset of the options in a description.
 const OPTIONS_AT: usize = 3;
-/// Range of the name in a description.
+/// Byte range of the name in a description.
 const NAME_AT: std::ops::Range<usize> = 4..36;
-/// Offset of the scales of three values in a description.
+/// Byte offset of the scales in a description, which has room for three.
 const SCALES_AT: usize = 112;
-/// Offset of the offsets of three values in a description.
+/// Byte offset of the offsets in a description, which has room for three.
 const OFFSETS_AT: usize = 136;
 /// Option bit that marks the scales as present.
 const HAS_SCALE: u8 = 8;
 /// Option bit that marks the offsets as present.
 const HAS_OFFSET: u8 = 16;
-/// Name of extra bytes without a description.
+/// Name of the column for extra bytes without a description.
 const UNDESCRIBED: &str = "extra_bytes";
 
 /// The storage type of a field.
@@ -41,9 +41,9 @@ enum Stored {
     I64,
     F32,
     F64,
-    /// Some bits of a byte: the lowest bit, and the number of bits.
+    /// A bit range of a byte: its lowest bit, and its number of bits.
     Bits(u32, u32),
-    /// A number of undescribed bytes.
+    /// Undescribed bytes, with their number.
     Bytes(usize),
 }
 
@@ -58,8 +58,8 @@ impl Stored {
         }
     }
 
-    /// Returns the storage type and the number of values of an extra field, which is 2 or 3 for the deprecated types.
-    /// Returns `None` for an invalid type number.
+    /// Returns the storage type and the number of values of an extra field. The number is 2 or 3 for the deprecated
+    /// types. Returns `None` for an invalid type number.
     fn of_extra(number: u8, options: u8) -> Option<(Self, usize)> {
         const SCALARS: [Stored; 10] = [
             Stored::U8,
@@ -81,7 +81,7 @@ impl Stored {
         }
     }
 
-    /// Returns the type number of a column in the description of an extra field.
+    /// Returns the type number that describes a column stored as an extra field.
     fn number_of(values: &AttributeValues) -> u8 {
         match values {
             AttributeValues::U8(_) => 1,
@@ -99,7 +99,7 @@ impl Stored {
 }
 
 impl Stored {
-    /// Returns true if a column of this type matches the field's storage.
+    /// Returns true if the column has this storage type.
     fn is_type_of(self, values: &AttributeValues) -> bool {
         Self::of_extra(Self::number_of(values), 0).is_some_and(|(own, _)| own == self)
     }
@@ -109,16 +109,16 @@ impl Stored {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Field {
     pub(super) name: String,
-    /// Offset in the record in bytes.
+    /// Offset in the point record, in bytes.
     at: usize,
     stored: Stored,
-    /// Number of consecutive values.
+    /// Number of consecutive values per point.
     count: usize,
-    /// Scale and offset of each value, if the file states them.
+    /// Scale and offset for each value, if the file states them.
     scales: Option<[Scale; 3]>,
 }
 
-/// The scale and offset of a stored integer, which represents integer * scale + offset.
+/// The scale and offset of a stored integer, whose value is integer * scale + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scale {
     scale: f64,
@@ -126,7 +126,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// Reads scale and offset of an extra field; `None` if they are missing or invalid.
+    /// Reads the scales and offsets of an extra field; `None` if they are missing or invalid.
     fn of_extra(description: &[u8], stored: Stored) -> Option<[Self; 3]> {
         let options = description[OPTIONS_AT];
         let is_integer = !matches!(stored, Stored::F32 | Stored::F64 | Stored::Bytes(_));
@@ -141,12 +141,13 @@ impl Scale {
             |k| Self { scale: number(HAS_SCALE, SCALES_AT, k, 1.0), offset: number(HAS_OFFSET, OFFSETS_AT, k, 0.0) };
         let all = [0, 1, 2].map(of_value);
         let is_useful = |of: &Self| of.scale.is_normal() && of.offset.is_finite();
-        // Unused entries may be zero.
+        // Entries for absent values may be zero.
         is_useful(&all[0]).then(|| all.map(|of| if is_useful(&of) { of } else { all[0] }))
     }
 
     fn number(&self, stored: f64) -> f64 {
-        // Dividing by 100 gives 535.06, multiplying by 0.01 gives 535.0600000000001.
+        // For 53506 and a scale of 0.01, dividing by 100 gives 535.06, but multiplying by 0.01 gives
+        // 535.0600000000001.
         let inverse = (1.0 / self.scale).round();
         let is_inverse = inverse.abs() >= 1.0 && inverse.is_finite() && 1.0 / inverse == self.scale;
         self.offset + if is_inverse { stored / inverse } else { stored * self.scale }
@@ -157,7 +158,7 @@ impl Scale {
     }
 }
 
-/// Returns the fields of a point format, without x, y and z.
+/// Returns the fields of a point format, except x, y and z.
 pub(super) fn fields_of(format: &point::Format) -> Vec<Field> {
     let mut fields = Vec::new();
     let mut at = 12;
@@ -232,7 +233,7 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
                 || standard.iter().chain(&fields).any(|field| field.name == name)
         };
         let numbered = (0..).map(|number| format!("extra_{number}"));
-        // There are more numbers than taken names, so a name is always found.
+        // The numbers are unbounded and the taken names are not, so a name is always found.
         let name = [name].into_iter().chain(numbered).find(|name| !is_taken(name)).unwrap_or_default();
         fields.push(Field { name, at, stored, count, scales: Scale::of_extra(description, stored) });
         at += count * stored.size();
@@ -280,7 +281,7 @@ pub(super) fn decode_field(field: &Field, raw: &[u8], record: usize) -> Attribut
     Attribute { name: name.clone(), count, values }
 }
 
-/// Applies scale and offset to integers; `None` if a value would not be written back unchanged.
+/// Applies scales and offsets to integers; `None` if a result would not convert back to its integer.
 fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues> {
     let number = |i: usize| {
         let (stored, scale) = (values.get_f64(i), scales[i % scales.len()]);
@@ -290,7 +291,7 @@ fn scaled(values: &AttributeValues, scales: &[Scale]) -> Option<AttributeValues>
     (0..values.len()).map(number).collect::<Option<Vec<f64>>>().map(Into::into)
 }
 
-/// Describes the remaining extra bytes, so that descriptions of fields after them can follow.
+/// Describes the extra bytes that have no description, so that descriptions of added fields can follow.
 pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResult<()> {
     let Some(Field { at, stored, .. }) = all.iter().find(|field| field.name == UNDESCRIBED) else { return Ok(()) };
     let described = all.iter().filter(|field| field.at >= usize::from(base_len(builder)) && field.at < *at).count();
@@ -307,12 +308,12 @@ pub(super) fn describe_rest(builder: &mut Builder, all: &[Field]) -> FormatResul
     }
 }
 
-/// Returns the size of a record in bytes, without its extra bytes.
+/// Returns the size of a point record in bytes, without its extra bytes.
 fn base_len(builder: &Builder) -> u16 {
     builder.point_format.len() - builder.point_format.extra_bytes
 }
 
-/// Appends a description to the last record of descriptions, or to a new one.
+/// Appends a description to the last variable-length record of descriptions, or to a new record.
 fn push_description(builder: &mut Builder, name: &str, number: u8, options: u8) {
     let mut description = vec![0u8; DESCRIPTION];
     (description[TYPE_AT], description[OPTIONS_AT]) = (number, options);
@@ -357,7 +358,7 @@ pub(super) fn add_extra_field(builder: &mut Builder, all: &mut Vec<Field>, attri
     Ok(())
 }
 
-// The code is written once for all types, so some casts have no effect for one of them.
+// The macro expands to the same code for all types, so some casts have no effect for one of them.
 #[allow(clippy::unnecessary_cast)]
 pub(super) fn encode_field(
     field: &Field,
@@ -377,7 +378,7 @@ pub(super) fn encode_field(
     if attribute.count != values_a_point {
         return Err(out_of_range());
     }
-    // Values of the stored type itself were read without scaling, since scaled numbers would not have been exact.
+    // Values that have the stored type were read without scaling, because scaled numbers would not have been exact.
     let unscaled = scales.filter(|_| !stored.is_type_of(&attribute.values)).map(|scales| {
         let of_value = |i: usize| scales[i % count].stored(attribute.values.get_f64(i));
         AttributeValues::F64((0..attribute.values.len()).map(of_value).collect())
@@ -391,7 +392,7 @@ pub(super) fn encode_field(
                 macro_rules! put {
                     ($number:ty) => {{
                         let stored = value as $number;
-                        // The cast may have changed a value of another type.
+                        // The cast changes values that the type cannot represent.
                         if stored as f64 != number && !(number.is_nan() && stored as f64 != 0.0) {
                             return Err(out_of_range());
                         }

@@ -1,5 +1,5 @@
-//! LAS 1.0 to 1.4, and LAZ. Every field of a point is a column, and so are described extra bytes. Everything else in
-//! the file, such as its coordinate system, is kept with the cloud and written back.
+//! LAS 1.0 to 1.4, and LAZ. Every field of a point becomes a column, and so do described extra bytes. Everything else
+//! in the file, such as its coordinate system, is stored with the cloud and written back.
 
 mod errors;
 mod fields;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 use las::{Builder, Header, Reader, Transform, Version, Vlr, point};
 
 use super::format::las_or_laz;
-use super::length_unit::{LengthUnit, unit_of_geo_keys, unit_of_wkt};
+use super::length_unit::{HEIGHT_UNIT, LINEAR_UNIT, LengthUnit, height_unit_of_wkt, unit_of_geo_keys, unit_of_wkt};
 use super::{Format, FormatResult, ReadOptions};
 use crate::guarded::guarded;
 use planish_core::{Attribute, AttributeValues, CoordinateSteps, FormatError, PointCloud, Precision, Provenance, Xyz};
@@ -26,14 +26,15 @@ use fields::{Field, add_extra_field, decode_field, describe_rest, encode_field, 
 use repair::{Overlaid, Repaired, WithHead};
 use validate::{Claims, FileBytes, check_chunks, check_header, claims, extended_records};
 
-/// Resolution of coordinates in new files in metres, if it fits. It is finer than any scanner's.
+/// Resolution of coordinates in new files in metres, if all coordinates fit. It is finer than the resolution of any
+/// scanner.
 const SCALE_M: f64 = 1e-5;
-/// Maximum number of points in the sample for the median.
+/// Maximum number of points in the sample from which the median position is taken.
 const SAMPLE: usize = 1000;
-/// Maximum coordinate in steps in new files. It leaves room within 32 bits for points to move.
+/// Maximum coordinate in new files, in steps. It leaves room within 32 bits for points to move.
 const LARGEST_INTEGER: f64 = 2e9;
 
-/// Offset of the number of variable-length records in the header.
+/// Byte offset of the number of variable-length records in the header.
 const RECORDS_AT: usize = 100;
 /// Minimum size of a variable-length record in bytes.
 const LEAST_RECORD: usize = 54;
@@ -42,10 +43,10 @@ const MOST_RECORDS: usize = 1 << 16;
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let Checked { points, record, extended, repaired } = Checked::of(bytes, las_or_laz(bytes))?;
-    // The records, and positions and columns.
+    // Memory for the records, positions and columns.
     options.check(points, 2 * record + 12)?;
     let identity = identity_of(&repaired.head);
-    // The decoder of compressed points trusts its input: on damaged points it may divide by zero.
+    // The LAZ decoder trusts its input: on damaged points it may divide by zero.
     let decoded = guarded(|| {
         let mut reader = Reader::new(WithHead::new(repaired.head, Cursor::new(bytes.to_vec()))?)?;
         let mut builder = Builder::from(reader.header().clone());
@@ -60,10 +61,11 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         )));
     }
     notes.extend(repaired.notes);
+    notes.extend(note_on_heights(&header));
     cloud_of(Arc::new(FileHeader { header, identity }), found.raw_bytes())
 }
 
-/// Contents of a header after checks against the file.
+/// Contents of a header that has been checked against the file.
 struct Checked {
     points: usize,
     /// Size of a point record in bytes.
@@ -108,7 +110,7 @@ impl Checked {
     }
 }
 
-/// Refuses scales and offsets that do not give usable coordinates.
+/// Returns an error if scales and offsets do not yield usable coordinates.
 fn check_transforms(header: &Header) -> FormatResult<()> {
     let las::Vector { x, y, z } = *header.transforms();
     let is_usable = |t: &Transform| {
@@ -122,7 +124,7 @@ fn check_transforms(header: &Header) -> FormatResult<()> {
     }
 }
 
-/// Returns the cloud of records from a file with this header.
+/// Decodes the point records of a file into a cloud.
 fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
     let header = &of_file.header;
     check_transforms(header)?;
@@ -134,8 +136,8 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
             .map(|point| i32::from_le_bytes([point[at], point[at + 1], point[at + 2], point[at + 3]]));
         let (low, high) =
             integers.clone().fold((i32::MAX, i32::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        // The origin is the median point in whole metres: f32 is most precise near it, and stray points do not move
-        // it.
+        // The origin is the median point, rounded to whole metres: f32 is most precise near it, and stray points do
+        // not move it.
         let step = (raw.len() / record).div_ceil(SAMPLE).max(1);
         let mut sample: Vec<i32> = integers.clone().step_by(step).collect();
         sample.sort_unstable();
@@ -168,8 +170,8 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
 #[derive(Debug, PartialEq)]
 pub(crate) struct FileHeader {
     pub(crate) header: Header,
-    /// The raw bytes of the system and program that wrote the file, the day and the year. The las crate keeps neither
-    /// text in encodings other than UTF-8 nor a year without a day.
+    /// The raw header bytes with the system and program that wrote the file, and the day and year. The las crate loses
+    /// text in encodings other than UTF-8, and a year without a day.
     identity: Identity,
 }
 
@@ -179,7 +181,7 @@ fn identity_of(head: &[u8]) -> Identity {
     head.get(repair::IDENTITY).and_then(|bytes| bytes.try_into().ok()).unwrap_or([0; _])
 }
 
-/// The header of the cloud's LAS file.
+/// The header of the LAS file that a cloud was read from.
 #[derive(Debug, PartialEq)]
 struct LasHeader(Arc<FileHeader>);
 
@@ -200,17 +202,35 @@ pub(super) fn has_header(cloud: &PointCloud) -> bool {
 
 /// Returns the length unit of the coordinate system of a cloud that was read from LAS or LAZ.
 pub(super) fn length_unit(cloud: &PointCloud) -> Option<LengthUnit> {
+    let LasHeader(of_file) = cloud.provenance.get()?;
+    units(&of_file.header)[0]
+}
+
+/// Returns the units of x and y, and of z, as far as the header states them.
+fn units(header: &Header) -> [Option<LengthUnit>; 2] {
     const PROJECTION: &str = "LASF_Projection";
     const WKT: u16 = 2112;
     const GEO_KEYS: u16 = 34735;
-    let LasHeader(of_file) = cloud.provenance.get()?;
-    let header = &of_file.header;
-    let record = |id: u16| header.all_vlrs().find(|vlr| vlr.user_id == PROJECTION && vlr.record_id == id);
-    let of_wkt = || unit_of_wkt(&String::from_utf8_lossy(&record(WKT)?.data));
-    of_wkt().or_else(|| unit_of_geo_keys(&record(GEO_KEYS)?.data))
+    let record = |id: u16| {
+        let found = header.all_vlrs().find(|vlr| vlr.user_id == PROJECTION && vlr.record_id == id);
+        found.map(|vlr| &vlr.data[..]).unwrap_or_default()
+    };
+    let (wkt, geo_keys) = (String::from_utf8_lossy(record(WKT)), record(GEO_KEYS));
+    [
+        unit_of_wkt(&wkt).or_else(|| unit_of_geo_keys(geo_keys, LINEAR_UNIT)),
+        height_unit_of_wkt(&wkt).or_else(|| unit_of_geo_keys(geo_keys, HEIGHT_UNIT)),
+    ]
 }
 
-/// Largest return number that headers before LAS 1.4 count.
+/// Returns a note if the header states another unit for z than for x and y.
+fn note_on_heights(header: &Header) -> Option<String> {
+    let [Some(plan), Some(height)] = units(header) else { return None };
+    (plan != height).then(|| {
+        format!("x and y are in {plan}, but z is in {height}; planish expects one unit, so convert z or x and y first")
+    })
+}
+
+/// Largest return number that headers before LAS 1.4 can count.
 const MOST_RETURNS: u8 = 5;
 
 /// The colour channels of a record.
@@ -220,12 +240,12 @@ const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 pub(crate) struct Records {
     header: Header,
     fields: Vec<Field>,
-    /// The identity of the cloud's file.
+    /// The identity of the file that the cloud was read from.
     identity: Option<Identity>,
 }
 
 impl Records {
-    /// Prepares to encode the `kept` points of clouds with the columns of `cloud`.
+    /// Creates an encoder for the `kept` points of clouds that have the columns of `cloud`.
     fn new(cloud: &PointCloud, kept: &[usize], compressed: bool) -> FormatResult<Self> {
         let has_colour = cloud.rgb().is_some();
         let of_file = cloud.provenance.get::<LasHeader>().map(|LasHeader(of_file)| of_file);
@@ -237,7 +257,7 @@ impl Records {
                 builder
             }
         };
-        // Drops records that describe the old compression, and COPC's index.
+        // Drop records that describe the old compression, and the COPC index.
         builder.vlrs.retain(|vlr| !["laszip encoded", "copc"].contains(&vlr.user_id.as_str()));
         builder.evlrs.retain(|vlr| vlr.user_id != "copc");
         builder.point_format.is_compressed = compressed;
@@ -248,7 +268,7 @@ impl Records {
         }
         let known = builder.clone().into_header().map_err(cannot)?;
         let mut fields: Vec<Field> = fields_of(&builder.point_format).into_iter().chain(extra_fields(&known)).collect();
-        // Every other column is an extra field.
+        // Every other column becomes an extra field.
         let mut rest_is_described = false;
         let attributes = cloud.attributes.iter().filter(|attribute| attribute.name != "_");
         for attribute in attributes.filter(|attribute| !(has_colour && is_colour(&attribute.name))) {
@@ -263,21 +283,21 @@ impl Records {
         Ok(Self { header: builder.into_header().map_err(cannot)?, fields, identity })
     }
 
-    /// Raises the version to 1.4, whose headers count the points of every return.
+    /// Raises the version to at least 1.4, whose headers count the points of every return.
     fn count_all_returns(builder: &mut Builder) {
         if builder.version < Version::new(1, 4) {
             builder.version = Version::new(1, 4);
         }
     }
 
-    /// Raises the version to 1.4, for files with points of a return beyond the fifth.
+    /// Returns the records with the version raised to at least 1.4, for files with points beyond the fifth return.
     fn with_all_returns(self) -> FormatResult<Self> {
         let mut builder = Builder::from(self.header.clone());
         Self::count_all_returns(&mut builder);
         Ok(Self { header: builder.into_header().map_err(cannot)?, ..self })
     }
 
-    /// Returns the size of a record in bytes.
+    /// Returns the size of a point record in bytes.
     fn len(&self) -> usize {
         usize::from(self.header.point_format().len())
     }
@@ -294,7 +314,7 @@ impl Records {
                 point[at..at + 4].copy_from_slice(&integer.to_le_bytes());
             }
         }
-        // 8-bit colours; 16-bit channels are ordinary columns.
+        // Only 8-bit colours are converted here; 16-bit channels are ordinary columns.
         let colour = cloud.rgb();
         for field in self.fields.iter().filter(|field| colour.is_none() || !is_colour(&field.name)) {
             if let Some(attribute) = cloud.attribute(&field.name) {
@@ -317,9 +337,9 @@ fn is_colour(name: &str) -> bool {
     ["rgb", "rgba"].contains(&name) || CHANNELS.contains(&name)
 }
 
-/// Refuses coordinates that 32-bit steps would round by more than half a millimetre.
+/// Returns an error if 32-bit steps would round coordinates by more than half a millimetre.
 fn check_steps(builder: &Builder, cloud: &PointCloud, kept: &[usize]) -> FormatResult<()> {
-    /// Maximum step that rounds by at most half a millimetre, in metres.
+    /// Maximum coordinate step that rounds by at most half a millimetre, in metres.
     const FINE_M: f64 = 1e-3;
     let las::Vector { x, y, z } = builder.transforms;
     for (axis, Transform { scale, offset }) in [x, y, z].into_iter().enumerate() {
@@ -351,7 +371,7 @@ fn new_builder(cloud: &PointCloud, kept: &[usize], has_colour: bool) -> Result<B
     builder.generating_software = concat!("planish ", env!("CARGO_PKG_VERSION")).to_owned();
     let transform = |values: &[f32], origin: f64| {
         let largest = kept.iter().map(|&i| f64::from(values[i]).abs()).fold(0.0, f64::max);
-        // For small clouds, a millionth of their size, rounded down to a power of ten.
+        // Small clouds get a step of a millionth of their size, rounded down to a power of ten.
         let small = 10f64.powf((largest * 1e-6).log10().floor());
         let mut scale = if small > 0.0 { SCALE_M.min(small) } else { SCALE_M };
         while largest / scale > LARGEST_INTEGER {

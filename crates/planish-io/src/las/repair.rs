@@ -1,4 +1,4 @@
-//! Corrects wrong headers of other programs for the decoder, and reports the corrections.
+//! Corrects invalid headers of files written by other programs before decoding, and reports the corrections.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -6,46 +6,46 @@ use super::validate::{FileBytes, extended_records, read_at};
 use crate::FormatResult;
 use planish_core::FormatError;
 
-/// Offset of the global encoding in the header.
+/// Byte offset of the global encoding in the header.
 const ENCODING: usize = 6;
-/// Offset of the major and minor version.
+/// Byte offset of the major and minor version in the header.
 const VERSION: usize = 24;
-/// Offset of the header's size.
+/// Byte offset of the header's size in the header.
 const SIZE: usize = 94;
-/// Offset of the position of the points in the file.
+/// Byte offset, in the header, of the field that states where the points begin.
 pub(super) const POINTS_AT: usize = 96;
-/// Offset of the number of records ahead of the points.
+/// Byte offset, in the header, of the number of variable-length records.
 const RECORDS: usize = 100;
-/// Offset of the point format.
+/// Byte offset of the point format in the header.
 const FORMAT: usize = 104;
-/// Offset of the size of a point record.
+/// Byte offset, in the header, of the point record's size.
 const RECORD: usize = 105;
-/// Offset of the 32-bit number of points.
+/// Byte offset, in the header, of the 32-bit number of points.
 const LEGACY_POINTS: usize = 107;
-/// Offset of the position of the waveforms in the file.
+/// Byte offset, in the header, of the field that states where the waveforms begin.
 const WAVEFORMS_AT: usize = 227;
-/// Offset of the position of the extended records in the file.
+/// Byte offset, in the header, of the field that states where the extended records begin.
 const EXTENDED_AT: usize = 235;
-/// Offset of the number of extended records.
+/// Byte offset, in the header, of the number of extended records.
 const EXTENDED: usize = 243;
-/// Offset of the 64-bit number of points.
+/// Byte offset, in the header, of the 64-bit number of points.
 const POINTS: usize = 247;
-/// Range of the system and program that wrote the file, the day and the year.
+/// Byte range, in the header, of the writing system and program, the day and the year.
 pub(super) const IDENTITY: std::ops::Range<usize> = 26..94;
 
-/// Size of a record's header in bytes, before its data.
+/// Size in bytes of the header of a variable-length record, which precedes its data.
 const RECORD_HEADER: usize = 54;
-/// Bits of the global encoding for waveforms in the file and in a separate file.
+/// Bits of the global encoding that mark waveforms in the file or in a separate file.
 const WAVEFORMS: u16 = 1 << 1 | 1 << 2;
 /// Bit of the point format that marks compressed points.
 const COMPRESSED: u8 = 0x80;
-/// First version with extended records, LAS 1.4.
+/// First version with extended variable-length records, LAS 1.4.
 const EXTENDED_SINCE: [u8; 2] = [1, 4];
-/// Latest version that is read, LAS 1.5, which only adds to the header.
+/// Latest supported version, LAS 1.5, which only adds fields to the header.
 const LATEST: [u8; 2] = [1, 5];
-/// Bit of the global encoding for GPS times with a stated offset.
+/// Bit of the global encoding that marks GPS times with an explicit offset.
 const TIME_OFFSET: u16 = 1 << 6;
-/// Offset in the header of the GPS time offset, which is in millions of seconds.
+/// Byte offset, in the header, of the GPS time offset, which is in millions of seconds.
 const TIME_OFFSET_AT: usize = 391;
 
 /// A corrected header, and notes on the corrections.
@@ -96,7 +96,7 @@ impl Repaired {
         }
     }
 
-    /// Corrects the number of records ahead of the points; some scanners state one too many.
+    /// Corrects the number of variable-length records before the points; some scanners state one too many.
     fn count_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let stated = u32::from_le_bytes(read_at(file, RECORDS)?);
         let points_at = u32::from_le_bytes(read_at(file, POINTS_AT)?) as usize;
@@ -115,8 +115,8 @@ impl Repaired {
         Some(())
     }
 
-    /// Corrects the 32-bit number of points of LAS 1.4. Only older programs read it, and it may be left from an
-    /// earlier version of the file.
+    /// Corrects the 32-bit number of points of LAS 1.4. Only older programs read this field, and it may be left over
+    /// from an earlier version of the file.
     fn count_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let legacy = u32::from_le_bytes(read_at(file, LEGACY_POINTS)?);
         let points = u64::from_le_bytes(read_at(file, POINTS)?);
@@ -128,8 +128,8 @@ impl Repaired {
         Some(())
     }
 
-    /// Compares the number of points that an uncompressed file states with its size, and corrects the number if it is
-    /// 0.
+    /// Compares the number of points stated by an uncompressed file with the file's size, and corrects a stated number
+    /// of 0.
     fn compare_points(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let [format] = read_at(file, FORMAT)?;
         let record = u64::from(u16::from_le_bytes(read_at(file, RECORD)?));
@@ -159,7 +159,7 @@ impl Repaired {
         Some(())
     }
 
-    /// Reduces the number of extended records to those that can be read.
+    /// Reduces the stated number of extended records to the number that can be read.
     fn count_extended_records(&mut self, file: &(impl FileBytes + ?Sized)) -> Option<()> {
         let stated = u32::from_le_bytes(read_at(file, EXTENDED)?);
         let at = u64::from_le_bytes(read_at(file, EXTENDED_AT)?);
@@ -179,7 +179,7 @@ impl Repaired {
     }
 }
 
-/// A reader of a file whose header is replaced.
+/// A reader of a file, with the header replaced by `head`.
 #[derive(Debug)]
 pub(super) struct WithHead<R> {
     pub(super) head: Vec<u8>,
@@ -217,7 +217,7 @@ impl<R: Read + Seek> Seek for WithHead<R> {
     }
 }
 
-/// The bytes of a file whose header is replaced.
+/// The bytes of a file, with the header replaced by `head`.
 pub(super) struct Overlaid<'a, B: ?Sized> {
     pub(super) head: &'a [u8],
     pub(super) file: &'a B,

@@ -1,4 +1,4 @@
-//! The records of a file, read and written in batches, for clouds that do not fit in memory.
+//! Reads and writes the records of LAS and LAZ files in batches, for clouds that do not fit in memory.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter};
@@ -17,10 +17,10 @@ use super::{Checked, FileHeader, MOST_RETURNS, Records, identity_of};
 use crate::guarded::guarded;
 use planish_core::{FormatError, PointCloud};
 
-/// Offset of the return number in records before LAS 1.4, in the lowest three bits.
+/// Byte offset, in the point formats before LAS 1.4, of the return number, which is in the lowest three bits.
 const RETURNS_AT: usize = 14;
 
-/// Reads records in their order.
+/// Reads point records in file order.
 pub(crate) struct LasReader {
     reader: Reader,
     header: Arc<FileHeader>,
@@ -37,7 +37,7 @@ impl RecordReader for LasReader {
 
     fn open(path: &Path) -> FormatResult<Self> {
         let file = File::open(path)?;
-        // A shorter file is refused in any case.
+        // A file too short for this read is rejected in any case.
         let head = super::validate::FileBytes::read(&file, 0, 107).unwrap_or_default();
         let Checked { points, extended, repaired, .. } = Checked::of(&file, las_or_laz(&head))?;
         let identity = identity_of(&repaired.head);
@@ -52,7 +52,8 @@ impl RecordReader for LasReader {
         super::check_transforms(&header)?;
         let buffer = PointDataBuilder::new().for_header(&header).build();
         let header = Arc::new(FileHeader { header, identity });
-        let notes = repaired.notes;
+        let mut notes = repaired.notes;
+        notes.extend(super::note_on_heights(&header.header));
         Ok(Self { reader, header, notes, points, read: 0, has_late_returns: false, buffer })
     }
 
@@ -92,7 +93,7 @@ impl RecordReader for LasReader {
         Ok(records)
     }
 
-    /// Returns true if points of a return beyond the fifth were read, which headers before LAS 1.4 do not count.
+    /// Returns true if points beyond the fifth return were read; headers before LAS 1.4 do not count such points.
     fn needs_latest_version(&self) -> bool {
         self.has_late_returns
     }

@@ -1,4 +1,4 @@
-//! Checks the claims of a header against the file before the decoder relies on them.
+//! Checks a header's claims against the file, before the decoder relies on them.
 
 use std::fs::File;
 use std::io::{Cursor, Read, Seek, SeekFrom};
@@ -16,10 +16,10 @@ pub(super) trait FileBytes {
     /// Returns the size of the file in bytes.
     fn size(&self) -> usize;
 
-    /// Returns `len` bytes from an offset. Returns `None` without allocating if the file ends before their end.
+    /// Returns the `len` bytes at offset `at`; `None`, without allocating, if the file ends before them.
     fn read(&self, at: usize, len: usize) -> Option<Vec<u8>>;
 
-    /// Returns a reader of the bytes from an offset to the end of the file.
+    /// Returns a reader for the bytes from offset `at` to the end of the file.
     fn reader(&self, at: u64) -> Option<impl Read + Seek>;
 }
 
@@ -61,11 +61,11 @@ impl FileBytes for File {
     }
 }
 
-/// Claims of a header that the decoder would rely on.
+/// A header's claims that the decoder would rely on.
 pub(super) struct Claims {
     pub(super) points: u64,
     pub(super) record: usize,
-    /// Offset and number of extended records.
+    /// Byte offset and number of the extended variable-length records.
     pub(super) extended: Option<(usize, u32)>,
 }
 
@@ -82,8 +82,8 @@ pub(super) fn claims(bytes: &(impl FileBytes + ?Sized)) -> Option<Claims> {
     Some(Claims { points, record, extended })
 }
 
-/// Refuses headers shorter than their version requires: the decoder would read the following data at an offset other
-/// than [`check_chunks`] does.
+/// Returns an error if the header is shorter than its version requires: the decoder would then read the following data
+/// at a different offset than [`check_chunks`]. Returns `None` if the file ends within the header.
 pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatResult<()>> {
     let [major, minor] = read_at(bytes, 24)?;
     let (size, needed) = (u16::from_le_bytes(read_at(bytes, 94)?), las::Version::new(major, minor).header_size());
@@ -95,19 +95,19 @@ pub(super) fn check_header(bytes: &(impl FileBytes + ?Sized)) -> Option<FormatRe
     })
 }
 
-/// Refuses chunk sizes that the file cannot hold: the decoder allocates the claimed size. `None` if the file is
-/// truncated.
+/// Returns an error if the file cannot hold chunks of the stated sizes, because the decoder allocates these sizes.
+/// Returns `None` if the file is truncated.
 pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Option<FormatResult<()>> {
-    /// Maximum number of points per chunk that is accepted regardless of the number of points in the file.
+    /// Number of points per chunk that is accepted even if the file has fewer points.
     const LARGEST_CHUNK: u64 = 1 << 20;
-    /// Size of a record's header in bytes.
+    /// Size in bytes of the header of a variable-length record.
     const RECORD_HEADER: usize = 54;
     /// First LASzip compressor that writes chunks.
     const CHUNKED: u16 = 2;
     let u32_at = |at: usize| read_at(bytes, at).map(u32::from_le_bytes);
     let mut at = usize::from(u16::from_le_bytes(read_at(bytes, 94)?));
     let mut descriptions = Vec::new();
-    // Every record ahead of the points has 54 bytes plus the length it states.
+    // Each variable-length record before the points has 54 bytes plus the length it states.
     for _ in 0..u32_at(100)? {
         let user = bytes.read(at.checked_add(2)?, 16)?;
         if user.starts_with(b"laszip encoded") {
@@ -117,7 +117,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
                     "the LASzip record states chunks of {chunk} points, but the file has only {points}"
                 ))));
             }
-            // Versions of LASzip before 2 wrote points one after the other.
+            // LASzip compressors before version 2 wrote points without chunks.
             if u16::from_le_bytes(read_at(bytes, at + RECORD_HEADER)?) < CHUNKED {
                 let text =
                     "LAZ without chunks, from an old LASzip, is not supported; decompress it with laszip or PDAL";
@@ -129,7 +129,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
         at += 54 + usize::from(u16::from_le_bytes(read_at(bytes, at + 20)?));
     }
     let table = i64::from_le_bytes(read_at(bytes, u32_at(96)? as usize)?);
-    // The offset of the table is at the end of the file if the writer could not seek.
+    // If the writer could not seek, the offset of the chunk table is at the end of the file.
     let at_end = || i64::from_le_bytes(read_at(bytes, bytes.size().checked_sub(8)?)?).try_into().ok();
     let table: usize = table.try_into().ok().or_else(at_end)?;
     let chunks = u32_at(table.checked_add(4)?)? as usize;
@@ -141,7 +141,7 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
             bytes.size()
         ))));
     }
-    // If there are several descriptions, the decoder may use another one.
+    // If there were several descriptions, the decoder might use a different one.
     let Ok([description]) = <[LazVlr; 1]>::try_from(descriptions) else {
         return Some(Err(FormatError::Malformed("expected exactly one LASzip record".into())));
     };
@@ -154,8 +154,8 @@ pub(super) fn check_chunks(bytes: &(impl FileBytes + ?Sized), points: u64) -> Op
     check_table(bytes, &description, record, points)
 }
 
-/// Returns the size of an item of a compressed point as the decoder reads it, regardless of the size that the file
-/// states.
+/// Returns the size in bytes that the decoder reads for an item of a compressed point. The file may state a different
+/// size.
 fn item_bytes(item: &LazItem) -> usize {
     match item.item_type() {
         LazItemType::Byte(count) | LazItemType::Byte14(count) => count.into(),
@@ -167,9 +167,9 @@ fn item_bytes(item: &LazItem) -> usize {
     }
 }
 
-/// Refuses chunks whose bytes or points the file does not have, and chunks that differ in size from their layers. The
-/// decoder allocates what the table states. From version 3 on, each chunk begins with a point, the number of points,
-/// and the sizes of the layers that contain the other points.
+/// Returns an error if the file does not have the bytes or points of a chunk, or if a chunk's size differs from the
+/// sum of its layers, because the decoder allocates the stated sizes. From version 3 on, each chunk begins with a
+/// point, the number of points, and the sizes of the layers that contain the other points.
 fn check_table(
     bytes: &(impl FileBytes + ?Sized),
     description: &LazVlr,
@@ -185,7 +185,7 @@ fn check_table(
     };
     let layers: usize = description.items().iter().map(layers).sum();
     let points_at = u64::from(u32::from_le_bytes(read_at(bytes, 96)?));
-    // The decoder of the table trusts its input, like the decoder of the points.
+    // The chunk table decoder trusts its input, like the point decoder.
     let table = guarded(|| ChunkTable::read_from(bytes.reader(points_at)?, description).ok());
     let table = table??;
     let (mut at, mut stated) = (points_at + ChunkTable::OFFSET_SIZE as u64, 0u64);
@@ -209,7 +209,7 @@ fn check_table(
         at = end;
         stated = stated.saturating_add(chunk.point_count);
     }
-    // Chunks of a fixed size may state more points than they have.
+    // The table of fixed-size chunks may state more points than the chunks have.
     if description.uses_variable_size_chunks() && stated != points {
         let text = format!("the header states {points} points, but its chunk table states {stated}");
         return Some(Err(FormatError::Malformed(text)));
@@ -217,8 +217,8 @@ fn check_table(
     Some(Ok(()))
 }
 
-/// Returns the extended records from an offset on, up to the first that is not in the file. The las crate reads only
-/// one.
+/// Returns the extended records from offset `at` on, up to the first that the file does not contain. The las crate
+/// reads only one.
 pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (at, count): (usize, u32)) -> Vec<Vlr> {
     let record = |at: &mut usize| {
         let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;

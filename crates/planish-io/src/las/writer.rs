@@ -1,4 +1,4 @@
-//! Writing LAS records.
+//! Writes LAS records.
 
 use std::fmt;
 use std::io::{Seek, SeekFrom, Write};
@@ -11,16 +11,16 @@ use super::repair::IDENTITY;
 use crate::FormatResult;
 use planish_core::FormatError;
 
-/// Writes records in their order.
+/// Writes point records in the given order.
 pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static> {
-    /// `None` after an error: the las crate panics if it drops a writer that it cannot close.
+    /// `None` after an error, because the las crate panics if it drops a writer that it cannot close.
     writer: Option<Writer<W>>,
     header: Header,
     identity: Option<Identity>,
 }
 
 impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
-    /// Begins a file with this header; count and bounds are updated from the written points.
+    /// Begins a file with this header. Its number of points and its bounds are updated from the written points.
     pub(super) fn new(to: W, header: Header, identity: Option<Identity>) -> FormatResult<Self> {
         let writer = Writer::new(to, header.clone()).map_err(written)?;
         Ok(Self { writer: Some(writer), header, identity })
@@ -40,7 +40,7 @@ impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
         self.with_writer(|writer| writer.write_points(&points))
     }
 
-    /// Writes the data after the points, then the header again.
+    /// Writes the data that follow the points, and rewrites the header.
     pub(super) fn finish(mut self) -> FormatResult<W> {
         self.with_writer(Writer::close)?;
         let writer = self.writer.take().ok_or_else(|| FormatError::Malformed("nothing was written".into()))?;
@@ -61,7 +61,8 @@ impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> Drop for LasWriter<W>
     }
 }
 
-/// Converts an error of the writer; a full disk is not the cloud's fault.
+/// Converts an error of the las writer. I/O errors, such as a full disk, become [`FormatError::Os`], because the cloud
+/// did not cause them.
 fn written(error: las::Error) -> FormatError {
     match error {
         las::Error::Io(error) => FormatError::Os(error),

@@ -1,4 +1,4 @@
-//! An array in NumPy's format (versions 1 to 3): a header, which is a Python dict, and the values.
+//! An array in NumPy's file format (versions 1 to 3): a header that contains a Python dict, followed by the values.
 
 #[cfg(feature = "more-formats")]
 use super::half;
@@ -12,7 +12,7 @@ use planish_core::{Attribute, AttributeValues};
 
 /// A number type with a NumPy name.
 pub(crate) trait NpyNumber: LittleEndian {
-    /// NumPy's name of the type, the `descr` of a header.
+    /// NumPy's name for the type, as in the `descr` of a header.
     const DESCR: &'static str;
 }
 
@@ -25,14 +25,14 @@ macro_rules! npy_numbers {
 }
 npy_numbers!(i8: "|i1" u8: "|u1" i16: "<i2" u16: "<u2" i32: "<i4" u32: "<u4" i64: "<i8" u64: "<u8" f32: "<f4" f64: "<f8");
 
-/// An array with all its values present.
+/// A parsed array, all of whose values are present.
 pub(crate) struct Array<'a> {
     pub(crate) header: Header,
     data: &'a [u8],
 }
 
 impl<'a> Array<'a> {
-    /// Reads the header, and checks that all values are present.
+    /// Parses the header, and checks that all values are present.
     ///
     /// # Errors
     /// If the file is damaged or truncated, or its values are not numbers.
@@ -59,7 +59,7 @@ impl<'a> Array<'a> {
         let mut values = Vec::with_capacity(count);
         let mut index = vec![0usize; shape.len()];
         for _ in 0..count {
-            // Position of the value with this index in Fortran order, where the first index varies fastest.
+            // Position of the value at this index in Fortran order, in which the first index varies fastest.
             let place = index.iter().zip(shape).rev().fold(0, |place, (&i, &n)| place * n + i);
             values.push(read(&self.data[size * place..size * (place + 1)]));
             for (i, &n) in index.iter_mut().zip(shape).rev() {
@@ -73,7 +73,7 @@ impl<'a> Array<'a> {
         values
     }
 
-    /// Returns the columns of an array of records.
+    /// Returns the fields of an array of records as columns.
     #[cfg(feature = "more-formats")]
     pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {
         if self.header.is_fortran && self.header.shape.len() > 1 {
@@ -84,7 +84,7 @@ impl<'a> Array<'a> {
         let mut at = 0;
         let mut columns = Vec::new();
         for field in &self.header.fields {
-            // Padding has no name.
+            // Padding is skipped.
             if field.kind != 'V' {
                 columns.push(self.column(field, at)?);
             }
@@ -129,7 +129,7 @@ impl<'a> Array<'a> {
     }
 }
 
-/// Encodes an array as `numpy.save` does.
+/// Encodes an array in the format of `numpy.save`.
 pub(crate) fn encode<T: NpyNumber>(shape: &[usize], values: impl Iterator<Item = T>) -> Vec<u8> {
     let mut bytes = Header::encode(T::DESCR, shape);
     bytes.reserve(size_of::<T>() * shape.iter().product::<usize>());

@@ -1,6 +1,6 @@
-//! 16-bit floats.
+//! Conversion of 16-bit floats.
 
-/// Converts the bits of a 16-bit float (IEEE 754 binary16).
+/// Converts the bits of a 16-bit float (IEEE 754 binary16) to f32.
 pub(super) fn to_f32(bits: u16) -> f32 {
     let (sign, exponent, fraction) = (u32::from(bits >> 15) << 31, u32::from(bits >> 10 & 31), u32::from(bits & 1023));
     let magnitude = match exponent {

@@ -1,25 +1,25 @@
-//! The header of an array: `{'descr': '<f4', 'fortran_order': False, 'shape': (480, 640), }`.
+//! The header of a NumPy array: `{'descr': '<f4', 'fortran_order': False, 'shape': (480, 640), }`.
 
 use crate::quoted;
 use planish_core::FormatError;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Maximum size of a header in bytes; NumPy writes about a hundred.
+/// Maximum size of a header in bytes; NumPy writes about 100 bytes.
 const MAX_BYTES: usize = 16 * 1024;
 
-/// Maximum number of dimensions, NumPy's limit.
+/// Maximum number of dimensions, the same as NumPy's limit.
 const MAX_DIMENSIONS: usize = 64;
 
-/// Alignment of the values in a file, in bytes.
+/// Alignment of the values within a file, in bytes.
 const ALIGNMENT: usize = 64;
 
 /// The element type and shape of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Header {
-    /// The type of the values as NumPy writes it, such as `<f4`.
+    /// Type of the values in NumPy's notation, such as `<f4`; `records` for an array of records.
     pub(crate) descr: String,
-    /// The letter of the kind: `b` for booleans, `i` and `u` for integers, `f` for floats.
+    /// Letter for the type of the values: `b` for booleans, `i` and `u` for integers, `f` for floats, `V` for records.
     pub(crate) kind: char,
     /// Size of a value in bytes.
     pub(crate) size: usize,
@@ -27,24 +27,24 @@ pub(crate) struct Header {
     /// True if the first index varies fastest instead of the last.
     pub(super) is_fortran: bool,
     pub(crate) shape: Vec<usize>,
-    /// The fields of an array of records, whose kind is `V`.
+    /// The fields of each record, if `kind` is `V`; otherwise empty.
     pub(super) fields: Vec<RecordField>,
 }
 
-/// A named field of a record, with one or several numbers.
+/// A named field of a record, which contains one or several numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct RecordField {
     pub(super) name: String,
     pub(super) kind: char,
     /// Size of a number in bytes.
     pub(super) size: usize,
-    /// The number of numbers in the field.
+    /// Number of numbers in the field.
     pub(super) count: usize,
     pub(super) is_big_endian: bool,
 }
 
 impl RecordField {
-    /// Parses a type as NumPy writes it, such as `<f4`; `None` if it is neither a number nor padding.
+    /// Parses a type in NumPy's notation, such as `<f4`; `None` if it is neither a number nor padding.
     fn of(name: &str, descr: &str, count: usize) -> Option<Self> {
         let (order, of_value) = match descr.as_bytes() {
             [order @ (b'<' | b'>' | b'|' | b'='), rest @ ..] => (*order, rest),
@@ -57,7 +57,7 @@ impl RecordField {
         is_number.then(|| Self { name: name.to_owned(), kind, size, count, is_big_endian: order == b'>' })
     }
 
-    /// Returns the size of the field in a record, in bytes.
+    /// Returns the size of the field within a record, in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.size * self.count
     }
@@ -72,7 +72,7 @@ fn cut() -> FormatError {
 }
 
 impl Header {
-    /// Reads the header; returns it and the bytes after it.
+    /// Parses the header; returns it and the bytes that follow it.
     pub(super) fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), FormatError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| damaged("\\x93NUMPY at the beginning"))?;
         let (stated, rest) = match rest {
@@ -89,12 +89,12 @@ impl Header {
         Ok((Dict(dict).header()?, data))
     }
 
-    /// Returns the number of values; `None` if it overflows.
+    /// Returns the number of values in the array; `None` if it overflows.
     pub(crate) fn len(&self) -> Option<usize> {
         self.shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
     }
 
-    /// Encodes a header of version 1, for a shape of few dimensions.
+    /// Encodes a version 1 header, for a shape with few dimensions.
     pub(super) fn encode(descr: &str, shape: &[usize]) -> Vec<u8> {
         let numbers: Vec<String> = shape.iter().map(usize::to_string).collect();
         let comma = if shape.len() == 1 { "," } else { "" };
@@ -117,7 +117,7 @@ enum Descr<'a> {
     Records(Vec<RecordField>),
 }
 
-/// The unparsed rest of the dict.
+/// The part of the header's dict that is not parsed yet.
 struct Dict<'a>(&'a [u8]);
 
 impl<'a> Dict<'a> {
@@ -226,18 +226,18 @@ impl<'a> Dict<'a> {
         Ok(shape)
     }
 
-    /// Parses a number, which Python 2 suffixed with L.
+    /// Parses a whole number. Python 2 appended an L to it.
     fn number(&mut self) -> Result<usize, FormatError> {
         self.skip_blanks();
         let digits = self.0.iter().take_while(|byte| byte.is_ascii_digit()).count();
         let (number, rest) = self.0.split_at(digits);
         self.0 = rest.strip_prefix(b"L").unwrap_or(rest);
         let number = std::str::from_utf8(number).ok().filter(|number| !number.is_empty());
-        // No file has a dimension beyond usize.
+        // Larger numbers become `usize::MAX`, which no file can contain.
         number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
     }
 
-    /// Parses a text between single or double quotes.
+    /// Parses a string in single or double quotes.
     fn text(&mut self) -> Result<&'a str, FormatError> {
         self.skip_blanks();
         let text = match self.0 {

@@ -1,5 +1,5 @@
 //! NumPy arrays: depth as [H, W] of integers (raw) or floats (metres), points as [H, W, 3] or [N, 3] of floats
-//! (metres), points with fields as [N, C], or as records.
+//! (metres), and points with fields as [N, C] of floats or as records.
 
 mod array;
 mod half;
@@ -22,7 +22,7 @@ const LAYOUTS: &str =
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let array = Array::parse(bytes)?;
-    // The file, the values as stored, integers and columns widened to 8 bytes, and the result.
+    // Memory for the file, the values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
     let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
         ('u', 2, _) => 2 * array.header.size,
@@ -33,7 +33,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     };
     options.check(values, bytes_each)?;
     let shape = match array.header.shape[..] {
-        // A single channel.
+        // The array has a single channel.
         [height, width, 1] => vec![height, width],
         [1, height, width] if width > 16 => vec![height, width],
         _ => array.header.shape.clone(),
@@ -95,19 +95,19 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     }
 }
 
-/// Returns true if an array of integers, or a transposed one, is a table rather than an image.
+/// Returns true if an array of integers, or a transposed array of floats, is a table rather than an image.
 fn is_long(rows: usize, columns: usize) -> bool {
     (3..=16).contains(&columns) && rows >= 16 * columns
 }
 
-/// Returns true if an array is a table with a row per point, not an image.
+/// Returns true if an array is a table with one row per point, not an image.
 fn is_table(rows: usize, columns: usize) -> bool {
-    /// Number of columns up to which any array with more rows than columns is a table.
+    /// Maximum number of columns for which any array with more rows than columns counts as a table.
     const NARROW: usize = 8;
     columns <= 16 && rows >= 16 * columns || columns <= NARROW && rows > columns
 }
 
-/// Returns the values of an array of floats of any size.
+/// Returns the values of an array of 2-, 4- or 8-byte floats as f32.
 fn floats(array: &Array<'_>) -> Vec<f32> {
     match array.header.size {
         2 => array.values::<u16>().into_iter().map(half::to_f32).collect(),
@@ -116,7 +116,7 @@ fn floats(array: &Array<'_>) -> Vec<f32> {
     }
 }
 
-/// Returns the values of an array of integers of any size; values beyond 63 bits become the largest i64.
+/// Returns the values of an array of 2-, 4- or 8-byte integers as i64; larger values become the largest i64.
 fn integers(array: &Array<'_>) -> Vec<i64> {
     fn widened<T: Into<i64>>(values: Vec<T>) -> Vec<i64> {
         values.into_iter().map(Into::into).collect()
@@ -131,7 +131,7 @@ fn integers(array: &Array<'_>) -> Vec<i64> {
     }
 }
 
-/// Returns points with fields whose names are guessed from their values.
+/// Returns the points in a table, with fields whose names are guessed from their values.
 #[cfg(feature = "more-formats")]
 fn of_table(
     array: &Array<'_>,
@@ -159,7 +159,7 @@ fn of_table(
     organized_if_grid(Gridded { width, height, points })
 }
 
-/// Returns the points of an array of records.
+/// Returns the points in an array of records.
 #[cfg(feature = "more-formats")]
 fn of_records(array: &Array<'_>, (width, height): (usize, usize)) -> FormatResult<Contents> {
     let points = cloud_from_columns(array.columns()?)?;
@@ -171,7 +171,7 @@ fn points(width: usize, height: usize, values: Vec<f32>) -> Result<Contents, For
     organized_if_grid(Gridded { width, height, points: PointCloud::new(positions) })
 }
 
-/// Returns points of f64. Clouds far from zero get an origin, and are written as f64 again.
+/// Returns points given as f64. Clouds far from zero get an origin, and are written as f64 again.
 fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents, FormatError> {
     let column = |axis: usize| {
         let values: Vec<f64> = values.iter().skip(axis).step_by(3).copied().collect();
@@ -181,7 +181,8 @@ fn points_f64(width: usize, height: usize, values: Vec<f64>) -> Result<Contents,
     organized_if_grid(Gridded { width, height, points })
 }
 
-/// Encodes the positions only, [H, W, 3] or [N, 3]; far clouds as f64, so that no digits are lost.
+/// Encodes only the positions, as [H, W, 3] or [N, 3]. Clouds far from zero are encoded as f64, so that no digits are
+/// lost.
 pub(super) fn encode_points(cloud: CloudRef<'_>) -> Vec<u8> {
     let (width, height) = cloud.grid();
     let shape = match cloud {

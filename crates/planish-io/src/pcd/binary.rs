@@ -1,11 +1,11 @@
-//! The binary bodies of PCD files: point after point, or field after field and compressed.
+//! Reads and writes the binary bodies of PCD files: point by point, or field by field and compressed.
 
 use super::header::{Header, Scalar};
 use super::lzf;
 use crate::{columns::with_values, little_endian::LittleEndian};
 use planish_core::{Attribute, AttributeValues, FormatError};
 
-/// Reads one field: `count` values from `offset` on in every `stride` bytes.
+/// Reads one field: the `count` values at `offset` in each point of `stride` bytes.
 fn read_field(
     scalar: Scalar,
     count: usize,
@@ -37,7 +37,7 @@ fn read_field(
     }
 }
 
-/// Reads the body of `DATA binary`.
+/// Decodes the body after `DATA binary`.
 pub(super) fn decode(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, FormatError> {
     let stride = header.point_bytes();
     let needed = stride.checked_mul(header.points());
@@ -57,7 +57,8 @@ pub(super) fn decode(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, For
     Ok(header.fields.iter().map(read).collect())
 }
 
-/// Reads the body of `DATA binary_compressed`: two sizes as u32, then the compressed fields.
+/// Decodes the body after `DATA binary_compressed`: the compressed and the decompressed size as u32, then the
+/// compressed fields.
 pub(super) fn decode_compressed(header: &Header, body: &[u8]) -> Result<Vec<Attribute>, FormatError> {
     let malformed = |text: String| Err(FormatError::Malformed(text));
     let Some((sizes, compressed)) = body.split_at_checked(8) else {
@@ -89,7 +90,7 @@ pub(super) fn decode_compressed(header: &Header, body: &[u8]) -> Result<Vec<Attr
     Ok(header.fields.iter().map(read).collect())
 }
 
-/// Writes the body of `DATA binary`.
+/// Appends the body after `DATA binary` to `bytes`.
 pub(super) fn encode(header: &Header, columns: &[Attribute], bytes: &mut Vec<u8>) {
     let stride = header.point_bytes();
     let start = bytes.len();
@@ -110,7 +111,7 @@ pub(super) fn encode(header: &Header, columns: &[Attribute], bytes: &mut Vec<u8>
     }
 }
 
-/// Writes the body of `DATA binary_compressed`.
+/// Appends the body after `DATA binary_compressed` to `bytes`.
 pub(super) fn encode_compressed(columns: &[Attribute], bytes: &mut Vec<u8>) -> Result<(), FormatError> {
     let size: usize = columns.iter().map(|column| column.values.len() * column.values.scalar_size()).sum();
     let mut data = Vec::with_capacity(size);

@@ -1,4 +1,4 @@
-//! The header of a PCD file: parsed as untrusted input, written in the order that the format prescribes.
+//! The header of a PCD file: parsed as untrusted input, and written in the order that the format prescribes.
 
 use std::fmt::Write;
 
@@ -15,10 +15,10 @@ impl Encoding {
     }
 }
 
-/// Maximum size of a header in bytes; real headers have a few hundred.
+/// Maximum size of a header in bytes; real headers have a few hundred bytes.
 const MAX_HEADER_BYTES: usize = 64 * 1024;
 
-/// TYPE and SIZE of a field's values.
+/// The TYPE and SIZE of a field's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -83,7 +83,7 @@ impl Scalar {
     }
 }
 
-/// One entry of FIELDS with its SIZE, TYPE and COUNT.
+/// An entry of FIELDS, with its SIZE, TYPE and COUNT.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Field {
     pub(super) name: String,
@@ -118,13 +118,13 @@ impl Field {
         Attribute { name: self.name.clone(), count: self.count, values }
     }
 
-    /// Returns the size of the field in one point, in bytes.
+    /// Returns the size of the field per point, in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.count * self.scalar.size()
     }
 }
 
-/// A checked header: `width * height` points, and sizes that multiply without overflow.
+/// A checked header: it describes `width * height` points, and the product of its sizes does not overflow.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Header {
     pub(super) fields: Vec<Field>,
@@ -139,12 +139,12 @@ impl Header {
         self.width * self.height
     }
 
-    /// Returns the size of one point in a binary file, in bytes.
+    /// Returns the size of a point in a binary file, in bytes.
     pub(super) fn point_bytes(&self) -> usize {
         self.fields.iter().map(Field::bytes).sum()
     }
 
-    /// Parses the header; returns it and the body after it.
+    /// Parses the header; returns it and the body that follows it.
     pub(super) fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), FormatError> {
         let mut entries = Entries::default();
         let mut rest = bytes;
@@ -174,7 +174,7 @@ impl Header {
         }
     }
 
-    /// Returns the header as text, up to and including the line DATA.
+    /// Returns the header as text, up to and including the DATA line.
     pub(super) fn text(&self) -> String {
         let mut text = String::from("# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n");
         let mut line = |key: &str, values: &mut dyn Iterator<Item = String>| {
@@ -198,7 +198,7 @@ impl Header {
     }
 }
 
-/// The entries as read, before they are checked against each other.
+/// The entries of a header, before they are checked against each other.
 #[derive(Default)]
 struct Entries<'a> {
     fields: Vec<&'a str>,
@@ -213,17 +213,17 @@ struct Entries<'a> {
 }
 
 impl<'a> Entries<'a> {
-    /// Parses one line; returns true for the last one, DATA.
+    /// Parses one line; returns true if it is the last one, DATA.
     fn set(&mut self, key: &str, values: Vec<&'a str>) -> Result<bool, FormatError> {
         match key {
             "VERSION" => {
-                // Older versions have fewer lines: no COUNT, or no VIEWPOINT.
+                // Older versions lack some lines, COUNT or VIEWPOINT.
                 if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
                     let version = quoted(&values.join(" "));
                     return malformed(format!("PCD version {version} is unknown; 0.5, 0.6 and 0.7 are supported"));
                 }
             }
-            // Versions up to 0.5 call the fields columns.
+            // Versions up to 0.5 call the fields COLUMNS.
             "FIELDS" | "COLUMNS" => self.fields = values,
             "SIZE" => self.sizes = values,
             "TYPE" => self.kinds = values,
@@ -284,7 +284,7 @@ impl<'a> Entries<'a> {
             if count > 1 << 20 {
                 return malformed(format!("field {} has COUNT {count}; up to 2^20 is allowed", quoted(self.fields[i])));
             }
-            // The field has no values.
+            // Skip fields without values.
             if count == 0 {
                 continue;
             }

@@ -1,22 +1,22 @@
-//! LZF, the compression of binary_compressed PCD files: the stream format of M. Lehmann's LibLZF.
+//! LZF, the compression in binary_compressed PCD files. It is the stream format of M. Lehmann's LibLZF.
 //!
 //! A stream is a sequence of runs. A control byte c < 32 is followed by c + 1 literal bytes. Any other control byte
 //! begins a back-reference. Its upper 3 bits are the length minus 2; if they are 7, the next byte is added to the
 //! length. Its lower 5 bits and the byte that follows are the distance minus 1.
 
-/// A stream that is not LZF, or does not have the stated size.
+/// The error for a stream that is not LZF, or that does not have the stated size when decompressed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the compressed data are damaged: {0}")]
 pub struct LzfError(&'static str);
 
-/// Maximum length of a reference: 7 + 255 + 2 bytes, from 3 bytes of stream.
+/// Maximum length of a back-reference: 7 + 255 + 2 bytes, encoded in 3 bytes.
 pub(super) const MAX_REFERENCE: usize = 264;
 const MAX_DISTANCE: usize = 1 << 13;
 const MAX_LITERALS: usize = 32;
 
-/// Decompresses a stream that holds exactly `size` bytes.
+/// Decompresses a stream that contains exactly `size` bytes of data.
 pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
-    // Checked before anything is allocated: a stream this short cannot expand that far.
+    // Checked before anything is allocated, because a stream this short cannot expand that far.
     if size / MAX_REFERENCE > stream.len() {
         return Err(LzfError("they are shorter than the stated size"));
     }
@@ -57,7 +57,7 @@ pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
     if out.len() == size { Ok(out) } else { Err(LzfError("they decompress to less than the stated size")) }
 }
 
-/// Compresses greedily, with a table of the last position of every 3-byte sequence.
+/// Compresses data greedily, using a table of the last position of each 3-byte sequence.
 pub fn compress(data: &[u8]) -> Vec<u8> {
     const TABLE_BITS: u32 = 16;
     let mut last_place = vec![usize::MAX; 1 << TABLE_BITS];
@@ -116,7 +116,7 @@ mod tests {
     #[test]
     fn known_streams_decompress() {
         assert_eq!(decompress(&[2, b'a', b'b', b'c'], 3).unwrap(), b"abc");
-        // A literal and a reference of 5 bytes at distance 1, which overlaps itself.
+        // One literal byte, and a back-reference of 5 bytes at distance 1, which overlaps itself.
         assert_eq!(decompress(&[0, b'a', 3 << 5, 0], 6).unwrap(), b"aaaaaa");
         assert_eq!(decompress(&[], 0).unwrap(), b"");
     }

@@ -1,9 +1,9 @@
-//! PCD v0.7, the format of the Point Cloud Library: ascii, binary, binary_compressed.
+//! PCD v0.7, the Point Cloud Library's format: ascii, binary and binary_compressed.
 //!
-//! Every field keeps its size, type and count, padding (`_`) included; the grid and the viewpoint are kept too. Binary
-//! values are little-endian, point by point; compressed files store field by field through LZF. Like PCL, ascii files
-//! store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float: the bits of an opaque colour
-//! form a NaN and would be lost.
+//! Every field keeps its size, type and count, including padding (`_`); the grid and the viewpoint are also kept.
+//! Binary values are little-endian, point by point; compressed files store field by field, compressed with LZF. As in
+//! PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float, because the
+//! bits of an opaque colour form a NaN and would be lost.
 
 mod binary;
 mod header;
@@ -17,10 +17,11 @@ use crate::{
 use header::{Field, Header};
 use planish_core::{Attribute, AttributeValues, FormatError, SensorPose};
 
-/// Reads a PCD file.
+/// Decodes a PCD file.
 pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, FormatError> {
     let (header, body) = Header::parse(bytes)?;
-    // Memory for columns and decompressed bytes. If the file is too short for them, that is reported instead.
+    // Memory for the columns and the decompressed bytes. If the file is too short to contain them, the error for a
+    // truncated file is reported instead.
     let (copies, most_bytes) = match header.encoding {
         Encoding::Ascii => (1, body.len().saturating_mul(8)),
         Encoding::Binary => (1, body.len()),
@@ -43,12 +44,12 @@ pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     Ok(Gridded { width: header.width, height: header.height, points })
 }
 
-/// Returns the encoding that a header states.
+/// Returns the encoding that a file's header states.
 pub(crate) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     Header::parse(bytes).ok().map(|(header, _)| header.encoding)
 }
 
-/// Writes a PCD file.
+/// Encodes a cloud as a PCD file.
 pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     let mut columns = columns_from_cloud(cloud.points());
     if encoding == Encoding::Ascii {
@@ -66,7 +67,7 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// Turns packed colours into unsigned integers: as floats in text they could be NaN and lose their bits.
+/// Converts packed colours to unsigned integers. As floats in text, they could be NaN and lose their bits.
 fn float_colours_to_integers(columns: &mut [Attribute]) {
     for column in columns.iter_mut().filter(|column| column.name == "rgb" || column.name == "rgba") {
         if let AttributeValues::F32(values) = &column.values {

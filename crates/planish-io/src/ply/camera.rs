@@ -1,13 +1,13 @@
-//! The element `camera`: the sensor's pose and the grid, as PCL writes them after the vertices.
+//! The element `camera`, in which PCL writes the sensor's pose and the grid, after the vertices.
 //!
-//! PCL stores the rows of cloud_from_sensor's rotation in `x_axis`, `y_axis` and `z_axis`, and width and height in the
-//! viewport. It does not use the other properties and writes 0. MeshLab has an element of the same name with different
-//! axes; its focal length identifies it, and its pose is ignored.
+//! PCL stores the rows of the rotation cloud_from_sensor in `x_axis`, `y_axis` and `z_axis`, and the width and height
+//! in the viewport. It does not use the other properties and writes 0. MeshLab writes an element of the same name with
+//! different axes; it is recognized by its focal length, and its pose is ignored.
 
 use super::header::{Element, Property};
 use planish_core::{Attribute, AttributeValues, SensorPose};
 
-/// The properties in PCL's order: position and rotation, unused ones, width and height, unused ones.
+/// The properties in PCL's order: position and rotation, five unused ones, width and height, two unused ones.
 const PROPERTIES: [&str; 21] = [
     "view_px",
     "view_py",
@@ -36,8 +36,8 @@ const FOCAL_AND_SCALES: std::ops::Range<usize> = 12..15;
 const WIDTH: usize = 17;
 const HEIGHT: usize = 18;
 
-/// Maximum error in metres of positions that are written in f32, as PCL reads them. Other positions are written in
-/// f64.
+/// Maximum rounding error, in metres, for a position to be written in f32, the type that PCL reads. Other positions
+/// are written in f64.
 const MAX_ROUNDING_M: f64 = 1e-4;
 
 /// The contents of the element `camera`.
@@ -50,7 +50,7 @@ pub(super) struct PlyCamera {
 }
 
 impl PlyCamera {
-    /// Decodes the element's properties from their values, in order. Drops a pose that is not PCL's.
+    /// Decodes the values of the element's properties, in order. Drops a pose that was not written by PCL.
     pub(super) fn of(element: &Element, values: &[f64]) -> Self {
         if values.len() != element.properties.len() {
             return Self::default();
@@ -69,7 +69,7 @@ impl PlyCamera {
         Self { pose, grid: pixels(WIDTH).zip(pixels(HEIGHT)) }
     }
 
-    /// Returns the element's properties for a pose, one value each.
+    /// Returns the element's properties for a pose and a grid, as columns of one value each.
     pub(super) fn columns(pose: &SensorPose, (width, height): (usize, usize)) -> Vec<Attribute> {
         let is_exact = |&coordinate: &f64| (f64::from(coordinate as f32) - coordinate).abs() <= MAX_ROUNDING_M;
         let fits = pose.position_m.iter().all(is_exact);

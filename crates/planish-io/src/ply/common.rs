@@ -1,4 +1,4 @@
-//! Code shared by reading and writing PLY.
+//! Code shared by the reader and the writer of PLY files.
 
 use planish_core::{Attribute, FormatError};
 
@@ -6,10 +6,10 @@ pub(super) fn malformed<T>(text: impl Into<String>) -> Result<T, FormatError> {
     Err(FormatError::Malformed(text.into()))
 }
 
-/// Names of normals in PLY files and in PCL.
+/// Names of the components of normals, in PLY files and in PCL.
 pub(super) const NORMALS: [(&str, &str); 3] = [("nx", "normal_x"), ("ny", "normal_y"), ("nz", "normal_z")];
 
-/// Renames the normals of a file to PCL's names, which the rest of the library uses.
+/// Renames a file's normals to PCL's names, which the rest of the library uses.
 pub(super) fn rename_normals(columns: &mut [Attribute]) {
     let has = |name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(ply, pcl)| has(ply) && !has(pcl)) {

@@ -1,4 +1,4 @@
-//! Encoding of PLY files.
+//! Encodes clouds as PLY files.
 
 use super::camera::PlyCamera;
 use super::common::{NORMALS, malformed};
@@ -21,12 +21,12 @@ pub(crate) fn encode(cloud: CloudRef<'_>, encoding: Encoding) -> Result<Vec<u8>,
     Ok(bytes)
 }
 
-/// Returns the columns of a cloud with PLY's names, which are unique.
+/// Returns the columns of a cloud under PLY's names, or an error if two names are equal.
 pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatError> {
     let mut columns = columns_from_cloud(cloud);
     let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
-        // Files of an earlier version have both names; the values under PCL's names are newer.
+        // Files written by an earlier version have both names; the values under PCL's names are newer.
         columns.retain(|column| NORMALS.iter().all(|(ply, _)| column.name != *ply));
         for (ply, pcl) in NORMALS {
             columns.iter_mut().filter(|column| column.name == pcl).for_each(|column| column.name = ply.to_owned());
@@ -48,7 +48,7 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
     Ok(columns)
 }
 
-/// Data before and after the vertices of a file.
+/// The contents of a file before and after its vertices.
 pub(super) struct Around<'a> {
     pub(super) grid: Option<(usize, usize)>,
     pub(super) pose: &'a SensorPose,
@@ -57,7 +57,8 @@ pub(super) struct Around<'a> {
 }
 
 impl Around<'_> {
-    /// Encodes the header for `points` vertices with these columns, and the camera if there is a pose.
+    /// Encodes the header for `points` vertices with these columns, and the camera, which follows the vertices and is
+    /// empty if there is no pose.
     pub(super) fn encode(&self, columns: &[Attribute], points: usize) -> Result<[Vec<u8>; 2], FormatError> {
         let &Self { grid, pose, remarks, encoding } = self;
         let camera =
@@ -81,7 +82,7 @@ impl Around<'_> {
     }
 }
 
-/// Encodes columns as lines or records.
+/// Encodes the rows of the columns, as lines of text or as binary records.
 fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result<Vec<u8>, FormatError> {
     if encoding == Encoding::Ascii {
         let mut lines = Vec::new();
@@ -94,7 +95,7 @@ fn encode_rows(columns: &[Attribute], rows: usize, encoding: Encoding) -> Result
     }
 }
 
-/// Returns the definition of an element with these columns.
+/// Returns the definition of an element that has these columns as properties.
 pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> Element {
     // White space would end the name.
     let name_of = |column: &Attribute| column.name.split_whitespace().collect::<Vec<_>>().join("_");
@@ -103,7 +104,7 @@ pub(super) fn element_of(name: &str, count: usize, columns: &[Attribute]) -> Ele
     Element { name: name.into(), count, properties: columns.iter().map(property).collect() }
 }
 
-/// Converts a column to columns that PLY can store: one property per value, no padding, no 64-bit integers.
+/// Converts a column to columns that PLY can store: one property per value, no padding, and no 64-bit integers.
 fn ply_columns(column: Attribute) -> Result<Vec<Attribute>, FormatError> {
     if column.name == "_" {
         return Ok(Vec::new());

@@ -1,4 +1,4 @@
-//! The header of a PLY file. Names are any text without white space, as CloudCompare writes them.
+//! The header of a PLY file. Names may be any text without white space, because CloudCompare writes such names.
 
 use std::borrow::Cow;
 
@@ -7,10 +7,10 @@ use super::common::malformed;
 use crate::FormatResult;
 use planish_core::{AttributeValues, FormatError};
 
-/// Maximum size of a header in bytes; real headers have a few hundred.
+/// Maximum size of a header in bytes; real headers have a few hundred bytes.
 pub(super) const MAX_BYTES: usize = 64 * 1024;
 
-/// The storage of the values after the header.
+/// The encoding of the values after the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Storage {
     Ascii,
@@ -27,7 +27,7 @@ impl Storage {
     }
 }
 
-/// The type of a number.
+/// The type of a single number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -41,7 +41,7 @@ pub(super) enum Scalar {
 }
 
 impl Scalar {
-    /// Each type with its two names; the first is written.
+    /// Each type with its two names; the first name is written.
     const NAMES: [(Self, [&'static str; 2]); 8] = [
         (Self::I8, ["char", "int8"]),
         (Self::U8, ["uchar", "uint8"]),
@@ -61,7 +61,7 @@ impl Scalar {
         Self::NAMES.iter().find(|(scalar, _)| *scalar == self).map_or("", |(_, [name, _])| name)
     }
 
-    /// Returns the type of a column's values; 64-bit integers are written as double.
+    /// Returns the type in which a column's values are written; 64-bit integers are written as double.
     pub(super) fn of_values(values: &AttributeValues) -> Self {
         match values {
             AttributeValues::I8(_) => Self::I8,
@@ -75,7 +75,7 @@ impl Scalar {
         }
     }
 
-    /// Returns a column of this type without values.
+    /// Returns an empty column of this type.
     pub(super) fn empty(self) -> AttributeValues {
         match self {
             Self::I8 => AttributeValues::I8(Vec::new()),
@@ -98,7 +98,7 @@ impl Scalar {
         }
     }
 
-    /// Converts a little-endian value of this type to f64; `None` if the number of bytes is wrong.
+    /// Converts a little-endian value of this type to f64; `None` if `bytes` has the wrong length.
     pub(super) fn number(self, bytes: &[u8]) -> Option<f64> {
         fn value<const N: usize>(bytes: &[u8]) -> Option<[u8; N]> {
             bytes.try_into().ok()
@@ -116,7 +116,7 @@ impl Scalar {
     }
 }
 
-/// The type of a property: a number, or a list of numbers after their count.
+/// The type of a property: a number, or a list of numbers preceded by their count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Scalar(Scalar),
@@ -153,7 +153,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads the header at the beginning of a file; returns it and the number of its bytes.
+    /// Parses the header at the beginning of a file; returns it and its size in bytes.
     pub(super) fn read(bytes: &[u8]) -> FormatResult<(Self, usize)> {
         let mut header = Self { storage: Storage::Ascii, elements: vec![], comments: vec![], obj_infos: vec![] };
         let mut has_format = false;
@@ -199,7 +199,7 @@ impl Header {
         malformed("the PLY header has no end: a line \"end_header\" is missing in its first 64 KiB")
     }
 
-    /// Refuses ambiguous headers.
+    /// Returns the header and its size, or an error if names are repeated or an element has no properties.
     fn checked(self, bytes: usize) -> FormatResult<(Self, usize)> {
         for (k, element) in self.elements.iter().enumerate() {
             if self.elements[..k].iter().any(|other| other.name == element.name) {
@@ -226,7 +226,7 @@ impl Header {
         self.elements.iter().find(|element| element.name == name)
     }
 
-    /// Encodes the header.
+    /// Encodes the header as text.
     pub(super) fn to_text(&self) -> String {
         let mut text = format!("ply\nformat {} 1.0\n", self.storage.name());
         let mut line = |line: String| {
@@ -249,8 +249,8 @@ impl Header {
     }
 }
 
-/// Iterates over the lines of a header: their numbers from 1, their bytes, and the offset of the next line. All lines
-/// end like the first one.
+/// Iterates over the lines of a header: their numbers from 1, their bytes, and the offset of the next line. The first
+/// line determines the line ending.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8], usize)> {
     let bytes = &bytes[..bytes.len().min(MAX_BYTES)];
     let first = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r'));

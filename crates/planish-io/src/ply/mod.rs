@@ -1,8 +1,8 @@
-//! PLY, ascii and binary: the vertices with all their properties. Faces and other elements are not kept.
+//! PLY, ascii and binary: the vertices with all their numeric properties. Faces and other elements are dropped.
 //!
-//! A grid is stated in one of two ways. Range scanners and PCL write `obj_info num_cols W` and `obj_info num_rows H`,
-//! with a vertex for every pixel, or with an element `range_grid` that lists the pixels with a vertex. PCL's element
-//! [`camera`] states the grid together with the sensor's pose.
+//! A file states a grid in one of two ways. Range scanners and PCL write `obj_info num_cols W` and `obj_info num_rows
+//! H`, either with a vertex for every pixel, or with an element `range_grid` that lists the vertex of each pixel that
+//! has one. PCL also writes an element [`camera`] with the grid and the sensor's pose.
 
 mod camera;
 mod common;
@@ -69,7 +69,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(Gridded { width, height, points })
 }
 
-/// The vertex of each pixel, if there is an element `range_grid`.
+/// Index of the vertex of each pixel, if the file has an element `range_grid`.
 type Cells = Option<Vec<Option<usize>>>;
 
 /// Data after the header, other than vertices.
@@ -79,7 +79,7 @@ struct Body {
     camera: PlyCamera,
 }
 
-/// Iterates over the elements up to the last one of interest. The flag of each is true if it must be complete.
+/// Iterates over the elements up to the last one of interest, each with a flag that is true if it must be complete.
 /// Elements after the vertices and their grid may be truncated, since a camera is only a hint.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&Element, bool)> {
     let last = |names: &[&str]| {
@@ -192,7 +192,7 @@ fn read_binary_element(
     Ok(())
 }
 
-/// Decodes the element `camera`, which starts at the first of these bytes.
+/// Decodes the element `camera`, which starts at the first of `bytes`.
 #[cfg(feature = "scans")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
@@ -204,7 +204,7 @@ fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatErr
     Ok(found.camera)
 }
 
-/// Returns the vertex that a cell of the grid lists, if any.
+/// Returns the vertex listed for a cell of the grid, if any.
 fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
     match indices {
         Some([]) => Ok(None),
@@ -213,13 +213,14 @@ fn cell_of(indices: Option<&[usize]>) -> Result<Option<usize>, FormatError> {
     }
 }
 
-/// Returns the number in a line `obj_info key number`.
+/// Returns the number in the first line `obj_info key number`.
 fn info(header: &Header, key: &str) -> Option<usize> {
     let number = |line: &String| line.trim().strip_prefix(key)?.trim().parse().ok();
     header.obj_infos.iter().find_map(number)
 }
 
-/// Returns the encoding that a header states; big-endian files are binary, and written as little-endian.
+/// Returns the encoding that a file's header states. Big-endian files count as binary, and are written as
+/// little-endian.
 pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     match header::stated_storage(bytes)? {
         Storage::Ascii => Some(Encoding::Ascii),
@@ -227,7 +228,7 @@ pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     }
 }
 
-/// Refuses counts that the file cannot hold, before anything is allocated for them.
+/// Returns an error if the file is too small for the stated count, before anything is allocated for it.
 fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(
@@ -239,7 +240,7 @@ fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     Ok(())
 }
 
-/// Returns an empty column for each property that is a number.
+/// Returns an empty column for each property that is a number, not a list.
 fn empty_columns(vertex: &Element) -> Vec<Attribute> {
     let column = |property: &header::Property| match property.kind {
         Kind::Scalar(scalar) => Some(Attribute { name: property.name.clone(), count: 1, values: scalar.empty() }),
@@ -248,7 +249,7 @@ fn empty_columns(vertex: &Element) -> Vec<Attribute> {
     vertex.properties.iter().filter_map(column).collect()
 }
 
-/// Assigns the values of the vertices to the pixels of the grid.
+/// Spreads the vertices' values over the pixels of the grid; pixels without a vertex become holes.
 fn spread(column: Attribute, cells: &[Option<usize>]) -> Result<Attribute, FormatError> {
     fn on_grid<T: Copy>(values: &[T], hole: T, cells: &[Option<usize>]) -> Result<Vec<T>, FormatError> {
         let value = |cell: &Option<usize>| cell.map_or(Some(hole), |index| values.get(index).copied());

@@ -1,4 +1,4 @@
-//! PLY files, read and written in batches of vertices, for clouds that do not fit in memory.
+//! Reads and writes PLY files in batches of vertices, for clouds that do not fit in memory.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -17,13 +17,13 @@ use super::remarks::Remarks;
 use super::{GRID_INFOS, check_size, empty_columns, info, left_out, read_camera, remarks_of};
 use planish_core::{Attribute, FormatError, PointCloud, SensorPose};
 
-/// Description of the vertices in the header.
+/// The part of a PLY header that describes the vertices.
 pub(crate) struct VertexHeader {
     storage: Storage,
     layout: Layout,
     /// Columns without values.
     columns: Vec<Attribute>,
-    /// Indices of the fields x, y and z.
+    /// Indices of the fields x, y and z in a record.
     axes: [usize; 3],
     pose: SensorPose,
     remarks: Remarks,
@@ -39,7 +39,7 @@ pub(crate) struct PlyReader {
     buffer: Vec<u8>,
 }
 
-/// Maximum size of the line of a vertex, in bytes.
+/// Maximum length of a vertex's line, in bytes.
 const MAX_LINE_BYTES: u64 = 64 * 1024;
 
 impl PlyReader {
@@ -178,7 +178,7 @@ impl RecordReader for PlyReader {
     }
 }
 
-/// Reads the element `camera` after the vertices, which begin at the offset `vertices_at` of the file.
+/// Reads the element `camera` that follows the vertices. `vertices_at` is the byte offset of the vertices in the file.
 fn camera_behind(
     path: &Path,
     vertices_at: usize,
@@ -203,7 +203,7 @@ fn camera_behind(
     }
     let mut behind = Vec::new();
     body.take(MAX_BYTES as u64).read_to_end(&mut behind)?;
-    // The camera is only a hint, as in a file that is read at once.
+    // As in a file that is read at once, the camera is only a hint, so errors in it are ignored.
     Ok(read_camera(header, &behind).unwrap_or_default())
 }
 

@@ -3,18 +3,18 @@
 use super::super::columns::with_values;
 use super::super::{FormatResult, quoted, text};
 use super::common::malformed;
-use super::header::{Element, Kind, Scalar, Storage};
+use super::header::{Element, Kind, Property, Scalar, Storage};
 use planish_core::{Attribute, AttributeValues, FormatError};
 
-/// A value of a record.
+/// A numeric value within a record.
 #[derive(Debug, Clone, Copy)]
 struct Field {
-    /// Offset in the record in bytes.
+    /// Offset in the record, in bytes.
     at: usize,
     scalar: Scalar,
 }
 
-/// The values of a record, in order.
+/// The layout of a record: its values, in order.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
     fields: Vec<Field>,
@@ -23,12 +23,12 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Returns the layout of an element; `None` if it has a list.
+    /// Returns the layout of an element's records; `None` if the element has a list.
     pub(super) fn of(element: &Element) -> Option<Self> {
         (!element.has_lists()).then(|| Self::of_scalars(element))
     }
 
-    /// Returns the layout of an element without its lists.
+    /// Returns the layout of an element's records without their lists.
     pub(super) fn of_scalars(element: &Element) -> Self {
         let mut layout = Self { fields: Vec::new(), record: 0 };
         for property in &element.properties {
@@ -40,13 +40,13 @@ impl Layout {
         layout
     }
 
-    /// Returns the number of values of a record.
+    /// Returns the number of values per record.
     #[cfg(feature = "scans")]
     pub(super) fn values(&self) -> usize {
         self.fields.len()
     }
 
-    /// Reverses the bytes of every value.
+    /// Reverses the byte order of every value in the records.
     pub(super) fn swap(&self, records: &mut [u8]) {
         for record in records.chunks_exact_mut(self.record) {
             for field in &self.fields {
@@ -55,7 +55,7 @@ impl Layout {
         }
     }
 
-    /// Appends the values of records to the columns, one for each field.
+    /// Appends the values of the records to the columns; there is one column for each field.
     pub(super) fn append(&self, columns: &mut [Attribute], records: &[u8]) -> FormatResult<()> {
         fn values<'a, const N: usize>(
             records: &'a [u8],
@@ -83,7 +83,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Encodes some rows of the columns as records; each column is a field.
+    /// Encodes the given rows of the columns as records; there is one column for each field.
     pub(super) fn encode(&self, columns: &[Attribute], rows: impl ExactSizeIterator<Item = usize> + Clone) -> Vec<u8> {
         let mut records = vec![0; self.record * rows.len()];
         for (column, Field { at, .. }) in columns.iter().zip(&self.fields) {
@@ -110,7 +110,7 @@ pub(super) fn pass_over(element: &Element, storage: Storage, body: &mut &[u8]) -
     take_scalars(element, storage, body, |_| ())
 }
 
-/// Splits the records of an element off the front of a binary body. Returns their bytes without lists.
+/// Splits an element's records off the front of a binary body. Returns their bytes without lists.
 pub(super) fn without_lists(element: &Element, storage: Storage, body: &mut &[u8]) -> FormatResult<Vec<u8>> {
     let mut scalars = Vec::new();
     (0..element.count)
@@ -118,7 +118,7 @@ pub(super) fn without_lists(element: &Element, storage: Storage, body: &mut &[u8
     Ok(scalars)
 }
 
-/// Splits one record off the front of a binary body. Visits the bytes of its numbers, and skips its lists.
+/// Splits one record off the front of a binary body. Visits the bytes of each number, and skips lists.
 fn take_scalars(
     element: &Element,
     storage: Storage,
@@ -141,29 +141,36 @@ fn take_scalars(
     Ok(())
 }
 
-/// Takes the lines of an element from a text body, one for each record. Returns them without their lists.
+/// Reads an element's records from a text body; each record has one or several lines of its own. Returns one line per
+/// record, without its lists.
 pub(super) fn text_without_lists(element: &Element, body: &mut text::Body<'_>) -> FormatResult<String> {
     let mut scalars = String::new();
     for _ in 0..element.count {
-        let (number, line) = body.line().ok_or_else(|| ended(element))?;
-        let mut words = line.split_ascii_whitespace();
-        for property in &element.properties {
-            let word = words.next();
-            let is_complete = match property.kind {
-                Kind::Scalar(_) => {
-                    scalars.extend(word.into_iter().flat_map(|word| [word, " "]));
-                    word.is_some()
-                }
-                Kind::List { .. } => word
-                    .and_then(|count| count.parse::<usize>().ok())
-                    .is_some_and(|count| count.checked_sub(1).is_none_or(|last| words.nth(last).is_some())),
-            };
-            if !is_complete {
-                return malformed(format!(
-                    "line {number}: the property {} of a vertex is missing",
-                    quoted(&property.name)
-                ));
+        let (first, line) = body.line().ok_or_else(|| ended(element))?;
+        let (mut words, mut lines) = (line.split_ascii_whitespace(), 1);
+        let missing = |property: &Property| {
+            let name = quoted(&property.name);
+            FormatError::Malformed(format!("line {first}: the property {name} of a vertex is missing"))
+        };
+        let mut next = |property: &Property| loop {
+            if let Some(word) = words.next() {
+                return Ok::<_, FormatError>(word);
             }
+            words = body.line().ok_or_else(|| missing(property))?.1.split_ascii_whitespace();
+            lines += 1;
+        };
+        for property in &element.properties {
+            let word = next(property)?;
+            if matches!(property.kind, Kind::Scalar(_)) {
+                scalars.extend([word, " "]);
+                continue;
+            }
+            let count: usize = word.parse().map_err(|_| missing(property))?;
+            (0..count).try_for_each(|_| next(property).map(drop))?;
+        }
+        // Otherwise a value is missing, and the last line belongs to the next record.
+        if let (2.., Some(_), Some(last)) = (lines, words.next(), element.properties.last()) {
+            return Err(missing(last));
         }
         scalars.push('\n');
     }
@@ -174,7 +181,8 @@ fn ended(element: &Element) -> FormatError {
     FormatError::Malformed(format!("the file is truncated: it ends within element {}", quoted(&element.name)))
 }
 
-/// Splits one record off the front of a binary body. Visits each property with its value or its list of values.
+/// Splits one record off the front of a binary body. Visits each property by its index, with its value or its list of
+/// values.
 pub(super) fn take_values(
     element: &Element,
     storage: Storage,
@@ -210,7 +218,7 @@ fn take_number(scalar: Scalar, storage: Storage, body: &mut &[u8]) -> Option<f64
     scalar.number(little_endian)
 }
 
-/// Splits the records of an element off the front of a binary body, in little-endian order.
+/// Splits an element's records off the front of a binary body. Returns them in little-endian order.
 pub(super) fn take_records<'a>(
     layout: &Layout,
     count: usize,

@@ -1,28 +1,28 @@
-//! Other contents of a PLY header: free text, which is kept, and elements, which are dropped.
+//! The rest of a PLY header: free text, which is kept, and unsupported elements, which are dropped.
 
 use super::super::brief;
 use super::header::{Header, Kind};
 use planish_core::Provenance;
 
-/// Header lines of a PLY file, except lines that state a grid.
+/// Free text lines of a PLY header, except those that state the grid.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Remarks {
     pub(super) comments: Vec<String>,
     pub(super) obj_infos: Vec<String>,
 }
 
-/// Elements that are read, or written anew; others are dropped.
+/// Elements that are read, or written anew; all others are dropped.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
 
 impl Remarks {
-    /// Converts the lines to the provenance of a cloud, which is empty without lines.
+    /// Converts the lines to a cloud's provenance, which is empty if there are no lines.
     pub(super) fn into_provenance(self) -> Provenance {
         if self == Self::default() { Provenance::default() } else { Provenance::new(self) }
     }
 }
 
-/// Returns notes about dropped elements and lists.
+/// Returns notes for users on dropped elements and lists.
 pub(super) fn left_out(header: &Header) -> Vec<String> {
     let properties = header.element("vertex").map_or(&[][..], |vertex| &vertex.properties);
     let lists = properties.iter().filter(|property| matches!(property.kind, Kind::List { .. }));
@@ -36,7 +36,7 @@ pub(super) fn left_out(header: &Header) -> Vec<String> {
     of_elements.into_iter().chain(of_lists).collect()
 }
 
-/// Returns the free text of the header.
+/// Returns the free text of a header, except lines that state the grid.
 pub(super) fn remarks_of(header: &Header) -> Remarks {
     let is_of_grid = |line: &&String| GRID_INFOS.iter().any(|key| line.trim().starts_with(key));
     let obj_infos = header.obj_infos.iter().filter(|line| !is_of_grid(line)).cloned().collect();

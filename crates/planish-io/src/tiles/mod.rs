@@ -1,8 +1,9 @@
 //! Smoothing of LAS, LAZ and PLY files that do not fit in memory, tile by tile.
 //!
-//! The file is read once, and its records are distributed to temporary files, one per tile of cells seen from above.
-//! A tile is smoothed with a halo of surrounding points, wide enough for each point to get the result of the whole
-//! cloud; the records of the tile's points are kept. Finally all records are written in the order of the input.
+//! The file is read once, and its records are distributed to temporary files, one per tile. A tile is a rectangle of
+//! grid cells seen from above. It is smoothed together with a halo of surrounding points, wide enough for its own
+//! points to get the same result as in the whole cloud; only the records of its own points are kept. Finally, all
+//! records are written in input order.
 
 mod plan;
 mod spill;
@@ -22,26 +23,26 @@ use spill::{Spill, too_large};
 
 /// Fraction of a tile's points whose radius may reach beyond the halo before the halo is widened.
 const MAY_REACH_BEYOND: f64 = 1e-4;
-/// Maximum fraction of inexact points if memory does not hold a wider halo, relative to the larger of the tile and an
-/// average tile.
+/// Maximum number of points that reach beyond the halo if a wider one does not fit in memory, as a fraction of the
+/// points in the tile or in an average tile, whichever has more.
 const MAY_BE_INEXACT: f64 = 0.01;
-/// Minimum width of a halo, as a fraction of the width by density.
+/// Minimum halo width when memory is short, as a fraction of the width estimated from the tile's point density.
 const NARROWEST: f64 = 0.01;
 
 /// Options for smoothing in tiles.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TileOptions {
-    /// The settings, as for any unorganized cloud, but with one pass. Choices that they leave open are made for the
-    /// tile with the most points.
+    /// The settings, as for any unorganized cloud, but limited to one pass. Parameters that they leave open are
+    /// estimated from the tile with the most points.
     pub settings: Settings,
-    /// The engine and its options. Radii by density need another engine than the reference.
+    /// The engine and its options. The reference engine does not support radii by density in tiles.
     pub smoother: SmootherOptions,
     /// Outputs to write in addition to the points.
     pub fields: Outputs,
-    /// Pose of the sensor, which normals face; `None` for the pose in the file.
+    /// Pose of the sensor, towards which normals are oriented; `None` for the pose in the file.
     pub pose: Option<SensorPose>,
-    /// The encoding of a PLY file; `None` for the input's.
+    /// The encoding of a PLY file; `None` to keep the input's encoding.
     pub encoding: Option<Encoding>,
     /// Memory limit in bytes; LAZ needs about 100 MB in addition.
     pub max_memory_bytes: u64,
@@ -79,33 +80,33 @@ pub struct TilesReport {
     pub tiles: usize,
     /// The parameters that were used.
     pub params: CloudParams,
-    /// The estimate that decided the number of neighbours, if the settings did not.
+    /// The estimate that determined the number of neighbours; `None` if the settings did.
     pub cloud_estimate: Option<CloudEstimate>,
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
     /// Number of points with each status, indexed by the status code.
     pub status_counts: [usize; Status::ALL.len()],
-    /// Number of points that reach beyond their halo, such as stray points. Their radius may differ from that in the
-    /// whole cloud.
+    /// Number of points whose neighbourhood reaches beyond the halo, such as stray points. Their radius may differ
+    /// from the radius in the whole cloud.
     pub reaching_beyond: usize,
     /// True if the file or the options state the sensor's pose.
     pub has_pose: bool,
     /// Assumed position of the sensor in metres, if neither the file nor the options state it and it cannot have been
     /// the origin of coordinates.
     pub assumed_sensor_m: Option<[f64; 3]>,
-    /// Data of the file that were dropped: one clause each, for users.
+    /// Notes for users on data of the file that were dropped, one clause each.
     pub notes: Vec<String>,
 }
 
-/// Returns true if a file can be smoothed in tiles into another: two LAS or LAZ files, or two PLY files.
+/// Returns true if `input` can be smoothed in tiles to `output`: both are LAS or LAZ files, or both are PLY files.
 pub fn are_tiled(input: &Path, output: &Path) -> bool {
     let is_las = |path| matches!(Format::of_extension(path), Some(Format::Las | Format::Laz));
     let is_ply = |path| Format::of_extension(path) == Some(Format::Ply);
     (is_las(input) && is_las(output)) || (is_ply(input) && is_ply(output))
 }
 
-/// Returns the memory in bytes for smoothing a LAS, LAZ or PLY file at once; `None` for other, organized or unreadable
-/// files.
+/// Returns the memory in bytes that smoothing a LAS, LAZ or PLY file without tiles needs; `None` for other, organized
+/// or unreadable files.
 pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     fn needed<R: RecordReader>(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
@@ -125,11 +126,12 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
 /// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output, it
 /// needs disk space for three times the records.
 ///
-/// With the same number of neighbours, results equal the whole cloud's, relative to an origin in each tile.
+/// With the same number of neighbours, each point gets the same result as in the whole cloud, computed relative to an
+/// origin in its tile.
 ///
 /// # Errors
-/// If settings contradict each other, a file cannot be read or written, an engine fails, or the memory does not hold a
-/// tile.
+/// If settings contradict each other, a file cannot be read or written, an engine fails, or a tile does not fit within
+/// the memory limit.
 pub fn smooth_tiles(
     input: &Path,
     output: &Path,
@@ -172,7 +174,7 @@ fn smooth_records<R: RecordReader>(
     let reader = R::open(input).map_err(IoError::at(input))?;
     progress.begin(3 * reader.points());
     let notes = reader.notes();
-    // System errors are attributed to the file being written.
+    // System errors are attributed to the output, all others to the input.
     let at_either = |problem: FormatError| match problem {
         FormatError::Os(_) => Error::from(IoError::at(output)(problem)),
         _ => IoError::at(input)(problem).into(),
@@ -183,7 +185,7 @@ fn smooth_records<R: RecordReader>(
         TileError::Other(error) => error,
     };
     let report = TilesReport { notes, params, ..TilesReport::default() };
-    // Normals of the measured points do not fit the smoothed points.
+    // The file's normals belong to the measured points, so they are computed anew for the smoothed points.
     let none = R::cloud_of(&spill.header, &[]).map_err(at_either)?;
     let renew = |outputs: Outputs| outputs.renewing(&none);
     let smoother = options.smoother.clone().with_outputs(renew(options.smoother.outputs));
@@ -247,7 +249,7 @@ struct Tiler<'a, R: RecordReader> {
     options: &'a TileOptions,
     params: CloudParams,
     smoother: Option<Smoother>,
-    /// Width of the last tile's halo, as a fraction of the width by density.
+    /// Width of the last tile's halo, as a fraction of the width estimated from point density.
     halo_share: f64,
     report: TilesReport,
     /// The encoder of records, which is the same for every tile.
@@ -263,7 +265,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let cloud = R::cloud_of(&spill.header, &raw)?;
         drop(raw);
         let view = PointsView::from_cloud(&cloud).map_err(Error::from)?;
-        // A tile's halo is wide enough for one pass.
+        // A tile's halo is wide enough for one pass only.
         let mut settings = self.options.settings.clone();
         settings.passes = Some(1);
         let resolved = settings.resolve(Frame::Points(view)).map_err(Error::from)?;

@@ -1,9 +1,9 @@
-//! Assigns points to tiles: rectangles of cells seen from above, each with about as many points as fit into memory.
+//! Assigns points to tiles. A tile is a rectangle of grid cells seen from above, whose points fit in memory.
 
-/// Number of cells along the longer side of a cloud.
+/// Number of grid cells along the longer side of a cloud.
 const CELLS: usize = 2048;
 
-/// A grid of cells over a cloud seen from above, and the number of points in each.
+/// A grid of cells over a cloud seen from above, with the number of points in each cell.
 pub(super) struct Cells {
     low: [f64; 2],
     size_m: f64,
@@ -15,16 +15,16 @@ pub(super) struct Cells {
 /// A rectangle of cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Tile {
-    /// The first cell along each axis.
+    /// Index of the first cell along each axis.
     pub(super) from: [usize; 2],
-    /// The cell after the last along each axis.
+    /// Index of the cell after the last, along each axis.
     pub(super) to: [usize; 2],
     pub(super) points: u64,
 }
 
 impl Cells {
-    /// Creates a plan over a box, given by its smallest and largest coordinates. Points outside count with the border
-    /// cells.
+    /// Creates an empty grid over a box, given by its smallest and largest coordinates. Points outside the box count
+    /// in the border cells.
     pub(super) fn new(low: [f64; 2], high: [f64; 2]) -> Self {
         let longest = (high[0] - low[0]).max(high[1] - low[1]).max(f64::MIN_POSITIVE);
         let size_m = longest / CELLS as f64;
@@ -43,7 +43,7 @@ impl Cells {
         self.counts[row * self.across + column] += 1;
     }
 
-    /// Returns the smallest and largest coordinates of a tile. Tiles at the border extend to all points beyond.
+    /// Returns the smallest and largest coordinates of a tile. Tiles at the border extend to infinity.
     pub(super) fn bounds(&self, tile: &Tile) -> [[f64; 2]; 2] {
         let cells = [self.across, self.down];
         let edge = |axis: usize, cell: usize| match cell {
@@ -60,7 +60,8 @@ impl Cells {
         sides[0] * sides[1]
     }
 
-    /// Returns tiles with at most `most` points each, except for single cells with more. Omits tiles without points.
+    /// Returns tiles with at most `most` points each; only a tile of a single cell may have more. Omits tiles without
+    /// points.
     pub(super) fn tiles(&self, most: u64) -> Vec<Tile> {
         let whole = self.tile([0, 0], [self.across, self.down]);
         let (mut waiting, mut tiles) = (vec![whole], Vec::new());
@@ -76,7 +77,7 @@ impl Cells {
         tiles
     }
 
-    /// Cuts a tile in two across an axis, with a similar number of points on either side.
+    /// Cuts a tile in two across an axis, with a similar number of points in each half.
     fn halves(&self, tile: &Tile, axis: usize) -> [Tile; 2] {
         let mut at = tile.from[axis];
         let mut before = 0;
@@ -97,7 +98,8 @@ impl Cells {
         Tile { from, to, points }
     }
 
-    /// Returns the tile number of every cell, row by row; `tiles` cover all cells that have points.
+    /// Returns the number of the tile that contains each cell, row by row. `tiles` must cover all cells that have
+    /// points.
     pub(super) fn tile_of_cells(&self, tiles: &[Tile]) -> Vec<u16> {
         let mut of_cells = vec![0; self.counts.len()];
         for (number, tile) in (0u16..).zip(tiles) {
@@ -114,12 +116,12 @@ impl Cells {
     }
 }
 
-/// Bytes per point of a tile in addition to its records: positions twice, an engine and its results.
+/// Memory per point of a tile in addition to its records, in bytes: positions twice, an engine and its results.
 const ENGINE_BYTES_A_POINT: u64 = 250;
 /// Number of copies of a tile's records in memory: as read, in columns, and as written.
 const COPIES: u64 = 3;
 
-/// Returns the memory per point of a tile, in bytes.
+/// Returns the memory needed per point of a tile, in bytes.
 pub(super) fn bytes_a_point(record: usize) -> u64 {
     COPIES * record as u64 + ENGINE_BYTES_A_POINT
 }
@@ -144,7 +146,7 @@ mod tests {
             let number = usize::from(of_cells[cells.place(cells.cell_of(x, y))]);
             counts[number] += 1;
             let [low, high] = cells.bounds(&tiles[number]);
-            // Up to the rounding of the border.
+            // Bounds hold up to rounding.
             let within = |value: f64, axis: usize| low[axis] - 1e-9 <= value && value <= high[axis] + 1e-9;
             assert!(within(x, 0) && within(y, 1));
         }

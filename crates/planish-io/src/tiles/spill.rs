@@ -13,14 +13,14 @@ use planish_core::{
     internal::{KIB, OWN_SHARE, assumed_sensor_of_sample, memory, middle, sampling_step},
 };
 
-/// Number of records that are read or written together.
+/// Number of records that are read or written at once.
 const BATCH: usize = 1 << 18;
-/// Maximum number of tiles. Each has two open files, in total fewer than any system allows.
+/// Maximum number of tiles. Each tile has two open files; in total, these are fewer than any system allows.
 const MOST_TILES: usize = 100;
-/// Number of sampled points that determine the extent of a cloud.
+/// Maximum number of sampled points from which a cloud's extent is determined.
 const SAMPLE: usize = 10_000;
 
-/// The records of a file, distributed to tiles.
+/// The records of a file, distributed to one temporary file per tile.
 pub(super) struct Spill<R: RecordReader> {
     pub(super) header: R::Header,
     pub(super) record: usize,
@@ -29,24 +29,24 @@ pub(super) struct Spill<R: RecordReader> {
     pub(super) extent_m: f64,
     /// Assumed position of the sensor in metres, if it cannot be the origin of coordinates.
     pub(super) assumed_sensor_m: Option<[f64; 3]>,
-    /// True if the records need the latest version of the format.
+    /// True if only the latest version of the format can store the records.
     needs_latest_version: bool,
     pub(super) cells: Cells,
     pub(super) tiles: Vec<TileFiles>,
-    /// The tile of each record, in the order of the file.
+    /// The number of each record's tile, in file order.
     sequence: Temporary,
     pub(super) folder: PathBuf,
 }
 
-/// A tile, its original records, and its smoothed records.
+/// A tile with its original and its smoothed records.
 pub(super) struct TileFiles {
     pub(super) tile: Tile,
     records: Temporary,
-    /// For each record, a byte that is 1 if it is kept, and the new record.
+    /// For each record, a byte that is 1 if the point is kept and 0 otherwise, followed by the new record.
     pub(super) smoothed: Option<Temporary>,
 }
 
-/// Returns the error for files whose tiles do not fit the memory limit.
+/// Returns the error for a file whose tiles do not fit within the memory limit.
 pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
     let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record) + KIB - 1));
     FormatError::Unsupported(format!(
@@ -61,7 +61,7 @@ impl<R: RecordReader> Spill<R> {
         let header = reader.header().clone();
         let (record, points) = (reader.record(), reader.points());
         let most_in_memory = max_memory_bytes / bytes_a_point(record);
-        // A copy of all records, so that they are decompressed only once.
+        // A copy of all records, so that a compressed file is decompressed only once.
         let spool = Temporary::new(folder)?;
         let mut sample: [Vec<f64>; 3] = Default::default();
         let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -98,7 +98,8 @@ impl<R: RecordReader> Spill<R> {
         drop(reader);
         let span = |values: &Vec<f64>| middle(values.len(), |i| values[i]).map_or(0.0, |[low, high]| high - low);
         let extent_m = sample.iter().map(|values| span(values).powi(2)).sum::<f64>().sqrt();
-        // The cells cover most points, so that a stray point does not force all others into one cell.
+        // The grid covers most points, but not the farthest ones, so that a stray point does not force all others into
+        // one cell.
         for axis in 0..2 {
             if let Some([low, high]) = middle(sample[axis].len(), |i| sample[axis][i]) {
                 bounds[0][axis] = bounds[0][axis].max(low - (high - low));
@@ -158,7 +159,7 @@ impl<R: RecordReader> Spill<R> {
         })
     }
 
-    /// Returns the records of a tile, followed by those of its halo; `None` if they do not fit in memory.
+    /// Returns a tile's records, followed by the records of its halo; `None` if they do not fit in memory.
     pub(super) fn with_halo(&self, number: usize, halo_m: f64) -> FormatResult<Option<Vec<u8>>> {
         let most = usize::try_from(self.most_in_memory).unwrap_or(usize::MAX).saturating_mul(self.record);
         let mut records = Vec::new();
@@ -192,7 +193,7 @@ impl<R: RecordReader> Spill<R> {
         Ok(Some(records))
     }
 
-    /// Writes the smoothed records, which `encoder` encoded, in the order of the input.
+    /// Writes the smoothed records in input order. `encoder` is the encoder that produced them.
     pub(super) fn put_together(
         &self,
         encoder: R::Encoder,
@@ -216,7 +217,7 @@ impl<R: RecordReader> Spill<R> {
         let mut left = self.points;
         encoder.write(to, self.points, || {
             let mut batch = Vec::new();
-            // An empty batch ends the file, so a batch of holes alone must not be returned.
+            // An empty batch would end the file, so a batch that consists of dropped holes only must not be returned.
             while batch.is_empty() && left > 0 {
                 let read = left.min(BATCH);
                 batch.reserve(read * length);
@@ -241,8 +242,8 @@ fn is_finite(position: [f64; 3]) -> bool {
     position.iter().all(|value| value.is_finite())
 }
 
-/// Assigns positions to points, seen from above. Holes get those of sampled points in turn, so that no tile has too
-/// many.
+/// Assigns each point a position seen from above. Holes get the positions of sampled points in turn, so that they
+/// spread over all tiles.
 struct Places<'a> {
     sample: &'a [Vec<f64>; 3],
     holes: usize,
@@ -260,7 +261,7 @@ impl Places<'_> {
     }
 }
 
-/// Reads a temporary file from its beginning, in batches of items of `size` bytes.
+/// Reads a temporary file from its beginning, in batches of whole items of `size` bytes each.
 fn for_each_batch(mut file: &File, size: usize, mut visit: impl FnMut(&[u8]) -> FormatResult<()>) -> FormatResult<()> {
     let mut left = file.metadata()?.len() as usize;
     file.seek(SeekFrom::Start(0))?;

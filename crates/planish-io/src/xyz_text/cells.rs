@@ -1,24 +1,24 @@
-//! The cells of a line, and their numbers.
+//! Splits lines into cells, and parses the numbers in them.
 
 /// Characters that begin a comment.
 const COMMENTS: [char; 3] = ['#', '/', '%'];
-/// Words for a missing number, in lower case; `nan` is a number.
+/// Words that mean a missing number, in lower case; `nan` is parsed as a number.
 const MISSING: [&str; 6] = ["", "na", "n/a", "null", "none", "-"];
 
-/// Separator of the cells of a line.
+/// The separator between the cells of a line.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Separator {
-    /// Each occurrence ends a cell, which may be empty.
+    /// A single character: each occurrence ends a cell, which may be empty.
     Mark(char),
-    /// Any number of spaces.
+    /// White space of any length.
     Space,
 }
 
 impl Separator {
     pub(super) fn of(line: &str) -> Self {
-        // A comment at the end may have other separators.
+        // A comment at the end of the line may contain other separators.
         let line = line.split(" #").next().unwrap_or_default();
-        // Names may have spaces.
+        // Names separated by tabs may contain spaces.
         if line.contains('\t') && line.split('\t').any(|cell| cell.trim().contains(' ')) {
             return Self::Mark('\t');
         }
@@ -62,7 +62,7 @@ impl Separator {
     }
 }
 
-/// Returns the cells without an empty cell after the last separator.
+/// Removes an empty cell after the last separator.
 pub(super) fn without_empty_end(mut cells: Vec<&str>) -> Vec<&str> {
     if cells.last().is_some_and(|last| last.is_empty()) {
         cells.pop();
@@ -84,7 +84,8 @@ pub(super) fn without_mark(line: &str) -> &str {
     line.trim_start_matches(COMMENTS)
 }
 
-/// Returns the number in a cell, which may have a decimal comma; NaN if it is missing, `None` for other words.
+/// Returns the number in a cell, which may have a decimal comma; NaN for a word that means a missing number, `None`
+/// for other words.
 pub(super) fn number_of(cell: &str) -> Option<f64> {
     let with_comma = || {
         let (whole, decimals) = cell.split_once(',')?;

@@ -1,4 +1,5 @@
-//! Points as lines of numbers: XYZ, TXT, ASC, PTS and CSV, whose columns are named by a line above them or guessed.
+//! Reads and writes points as lines of numbers: XYZ, TXT, ASC, PTS and CSV. Column names come from a line above the
+//! points, or are guessed.
 
 mod cells;
 mod names;
@@ -15,18 +16,18 @@ use super::columns::{EXACT_INTEGERS, cloud_from_columns};
 use super::{FormatResult, ReadOptions, brief, quoted, text_of};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud};
 
-/// Coordinate in metres beyond which f32 loses digits.
+/// Coordinate, in metres, above which coordinates are stored as f64, because f32 loses digits.
 const FAR_M: f64 = 1000.0;
 
-/// Returns true if the beginning of a file with an unknown extension consists of lines of numbers.
+/// Returns true if the beginning of a file consists of lines of numbers; used if the extension is unknown.
 pub(super) fn is_likely(bytes: &[u8]) -> bool {
     const LOOKED_AT: usize = 4096;
     let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
     if bytes.len() > LOOKED_AT {
         let is_end = |byte: &u8| *byte == b'\n';
-        // A line that is cut may have any number of cells.
+        // The last line may be cut, and is dropped.
         head = &head[..head.iter().rposition(is_end).unwrap_or(0)];
-        // PTS begins with the total number of points.
+        // PTS begins with the total number of points, which is more than the beginning contains.
         let first = head.iter().position(is_end).unwrap_or(0);
         if std::str::from_utf8(&head[..first]).is_ok_and(|line| line.trim().parse::<usize>().is_ok()) {
             head = &head[first..];
@@ -35,13 +36,13 @@ pub(super) fn is_likely(bytes: &[u8]) -> bool {
     decode(head, &ReadOptions::default(), &mut Vec::new()).is_ok_and(|cloud| !cloud.is_empty())
 }
 
-/// The values of a column.
+/// The values read for a column.
 #[derive(Default)]
 struct Column {
     values: Vec<f64>,
-    /// True if an integer was rounded.
+    /// True if an integer could not be represented exactly.
     is_rounded: bool,
-    /// True if the column has words instead of numbers.
+    /// True if the column contains words instead of numbers.
     is_text: bool,
 }
 
@@ -51,21 +52,21 @@ impl Column {
             return Ok(());
         }
         let Some(value) = number_of(cell) else {
-            // The column had only missing values so far.
+            // Only missing values preceded this word, so this is a column of words.
             if self.values.iter().all(|value| value.is_nan()) && !is_needed {
                 self.is_text = true;
                 return Ok(());
             }
             return Err(FormatError::Malformed(format!("line {number}: {} is not a number", quoted(cell))));
         };
-        // Numbers with a point or an exponent are rounded by nature.
+        // Only integers are checked: numbers with a decimal point or an exponent are rounded anyway.
         self.is_rounded |= value.abs() >= EXACT_INTEGERS as f64
             && cell.trim_start_matches(['-', '+']).bytes().all(|byte| byte.is_ascii_digit());
         self.values.push(value);
         Ok(())
     }
 
-    /// Returns the values in the narrowest type that keeps them.
+    /// Returns the values in the narrowest type that represents them: u8 for colours, otherwise f32 or f64.
     fn typed(self, name: &str, is_far: bool) -> AttributeValues {
         let Self { values, .. } = self;
         let is_colour = is_colour(name) && values.iter().all(|value| is_byte(*value));
@@ -93,7 +94,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         return Err(FormatError::Malformed("the file is binary; expected lines of numbers".into()));
     }
     let text = text_of(bytes);
-    // Lines from classic Mac OS end with a carriage return only.
+    // In files from classic Mac OS, lines end with a carriage return only.
     let text = if text.contains('\n') { text } else { text.replace('\r', "\n").into() };
     let lines = (1..).zip(text.lines().map(str::trim));
     let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();

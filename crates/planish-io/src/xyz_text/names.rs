@@ -1,15 +1,15 @@
-//! Column names: from the file, or guessed from the number and the values of the columns.
+//! Column names, read from the file or guessed from the number and values of the columns.
 
 use super::super::{FormatResult, LengthUnit};
 use planish_core::FormatError;
 
-/// Lengths of a unit normal that is written with few digits.
+/// Range of lengths that a unit normal may have if it is written with few digits.
 const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 
-/// Maximum number of cells in a line of names.
+/// Maximum number of cells in a line of column names.
 pub(super) const MOST_NAMED: usize = 1000;
 
-/// Other names of x, y and z: maps and surveys, ParaView, CloudCompare.
+/// Other names for x, y and z, used by maps and surveys, ParaView and CloudCompare.
 const AXES: [[&str; 3]; 9] = [
     ["easting", "northing", "elevation"],
     ["easting", "northing", "height"],
@@ -22,17 +22,17 @@ const AXES: [[&str; 3]; 9] = [
     ["position_x", "position_y", "position_z"],
 ];
 
-/// Returns the names of the columns in a line; `None` unless x, y and z are among them.
+/// Returns the column names in a line; `None` unless x, y and z are among them.
 pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     if cells.len() > MOST_NAMED {
         return None;
     }
     let short: Vec<String> = cells.iter().map(|cell| name_of(cell)).collect();
-    // Names may differ only in their brackets, or in their capitals.
+    // Names that differ only in their brackets or capitals are kept in full.
     let is_shared = |name: &String| short.iter().filter(|other| other.eq_ignore_ascii_case(name)).count() > 1;
     let name = |(name, cell): (&String, &&str)| if is_shared(name) { in_one_word(cell) } else { name.clone() };
     let mut names: Vec<String> = short.iter().zip(cells).map(name).collect();
-    // Without g and b, r is a range or a reflectance.
+    // Without g and b, r is a range or a reflectance, not a colour.
     let letters = ["r", "g", "b"];
     if !letters.iter().all(|letter| cells.iter().any(|cell| cell.trim().eq_ignore_ascii_case(letter))) {
         for (name, cell) in names.iter_mut().zip(cells) {
@@ -51,7 +51,7 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
     Some(names)
 }
 
-/// Returns the unit in brackets after the names of x, y and z; `None` if it is missing or the metre.
+/// Returns the unit stated in brackets after the names x, y and z; `None` if it is missing or is the metre.
 pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<LengthUnit>> {
     let in_brackets = |cell: &str| {
         let (_, rest) = cell.split_once(['[', '('])?;
@@ -69,7 +69,7 @@ fn in_one_word(cell: &str) -> String {
     cell.split_whitespace().collect::<Vec<_>>().join("_")
 }
 
-/// Names that mean the same in every format, without regard to capitals and units.
+/// Field names with the same meaning in every format. Capitals and units do not matter.
 const KNOWN: [&str; 25] = [
     "x",
     "y",
@@ -98,7 +98,7 @@ const KNOWN: [&str; 25] = [
     "point_source_id",
 ];
 
-/// Converts a column header to the field name of other formats. Known names lose capitals and units.
+/// Converts a column header to the field name that other formats use. Known names lose their capitals and units.
 fn name_of(cell: &str) -> String {
     let name = in_one_word(cell.split(['[', '(']).next().unwrap_or(cell)).to_ascii_lowercase();
     match name.as_str() {
@@ -117,18 +117,18 @@ pub(super) fn is_byte(value: f64) -> bool {
     (0.0..=255.0).contains(&value) && value.fract() == 0.0
 }
 
-/// Returns true if the first of four columns of bytes is an intensity and not the last one: the channels of a colour
-/// differ less from each other.
+/// Returns true if the intensity is the first of four columns of bytes and not the last. The test is that the channels
+/// of a colour differ less from each other than from the intensity.
 fn is_intensity_first(columns: &[&[f64]]) -> bool {
     let are_bytes = |k: usize| columns[k].iter().all(|value| is_byte(*value));
     let difference = |a: usize, b: usize| columns[a].iter().zip(columns[b]).map(|(a, b)| (a - b).abs()).sum::<f64>();
-    // Alpha is mostly constant.
+    // The last column is mostly constant if it is alpha.
     let is_constant = |k: usize| columns[k].windows(2).all(|pair| pair[0] == pair[1]);
     (1..4).all(are_bytes) && !is_constant(3) && (!are_bytes(0) || difference(2, 3) < 0.5 * difference(0, 1))
 }
 
-/// Guesses the names of columns from their number and values. In a file that states its number of points, such as PTS,
-/// intensity precedes colours.
+/// Guesses column names from the number and values of the columns. If `is_pts`, the file states its number of points,
+/// as PTS does, and intensity precedes colours.
 pub(crate) fn guessed_names(columns: &[&[f64]], is_pts: bool) -> Vec<String> {
     let colours = |from: usize| columns[from..from + 3].iter().copied().flatten().all(|&value| is_byte(value));
     let normals = |from: usize| {

@@ -1,4 +1,4 @@
-//! The lines before the points: comments, the names of the columns, the number of points.
+//! Reads the lines before the points: comments, column names, and the number of points.
 
 use std::iter::Peekable;
 
@@ -7,19 +7,19 @@ use super::cells::{Separator, is_comment, number_of, without_empty_end, without_
 use super::names::{MOST_NAMED, names_of, unit_of};
 use planish_core::FormatError;
 
-/// Maximum number of columns without names.
+/// Maximum number of columns in a file without column names.
 const MOST_UNNAMED: usize = 64;
 
 /// The contents of the lines before the points.
 #[derive(Default)]
 pub(super) struct Title {
     pub(super) names: Option<Vec<String>>,
-    /// The number of points that the file states. PTS begins with it; CloudCompare writes it under the names.
+    /// The number of points that the file states. PTS files begin with it; CloudCompare writes it below the names.
     pub(super) stated: Option<usize>,
     pub(super) comments: usize,
-    /// The unit that the names of x, y and z state.
+    /// The length unit stated in the names of x, y and z.
     pub(super) unit: Option<LengthUnit>,
-    /// True if the names are in a comment, which may be prose.
+    /// True if the names were found in a comment, which may be prose instead.
     is_in_comment: bool,
 }
 
@@ -32,7 +32,7 @@ impl Title {
             let cells = without_empty_end(Separator::of(heading).cells(heading));
             let count = if let [count] = cells[..] { count.parse().ok() } else { None };
             if line.starts_with("sep=") {
-                // Excel's statement of the separator, which is detected from the lines instead.
+                // Excel states the separator here; it is detected from the lines instead.
             } else if count.is_some() && !is_comment(line) {
                 title.stated = count;
             } else if title.names.is_some() && !is_comment(line) {
@@ -63,12 +63,12 @@ impl Title {
         Ok(title)
     }
 
-    /// Returns the number of columns, from the first line of points. Drops names in a comment if they do not fit this
-    /// line.
+    /// Returns the number of columns, determined from the first line of points. If names in a comment do not fit this
+    /// line, they are dropped.
     pub(super) fn columns(&mut self, first: Option<&str>, separator: Separator) -> FormatResult<usize> {
         let first = first.map(|line| {
             let cells = separator.cells(line);
-            // An empty last cell may have a name; otherwise each line ends with a separator.
+            // An empty last cell counts if it has a name; otherwise, the line just ends with a separator.
             let is_named = self.names.as_ref().is_some_and(|names| names.len() == cells.len());
             if is_named { cells.len() } else { without_empty_end(cells).len() }
         });
@@ -92,13 +92,13 @@ impl Title {
         }
     }
 
-    /// Returns true if a column is x, y or z.
+    /// Returns true if the column is x, y or z.
     pub(super) fn is_axis(&self, column: usize) -> bool {
         self.names.as_ref().map_or(column < 3, |names| super::is_axis(&names[column]))
     }
 }
 
-/// Refuses names that are not unique.
+/// Returns an error if names are not unique.
 fn check_names(names: &[String]) -> FormatResult<()> {
     let is_repeated = |(k, name): &(usize, &String)| names[..*k].contains(name);
     match names.iter().enumerate().find(is_repeated) {

@@ -1,4 +1,4 @@
-//! Writing of points as lines of numbers.
+//! Writes points as lines of numbers.
 
 use std::fmt::Write;
 
@@ -6,13 +6,13 @@ use super::super::columns::{columns_from_cloud, with_values};
 use super::super::{CloudRef, FormatResult};
 use planish_core::{Attribute, AttributeValues};
 
-/// Number of decimals of coordinates far from the origin: 0.01 mm.
+/// Number of decimals for coordinates far from the origin, which resolves 0.01 mm.
 const FAR_DIGITS: usize = 5;
-/// Number of decimals to which coordinates of unmoved points are rounded if only rounding noise is lost.
+/// Number of decimals to which an unmoved point's coordinates are rounded, if this removes only rounding noise.
 const UNMOVED_DIGITS: usize = 9;
 
-/// Writes a coordinate far from the origin. Coordinates of unmoved points keep all digits, except for f64 rounding
-/// noise such as that of a LAS file's integer times its scale.
+/// Writes a coordinate far from the origin. Coordinates of unmoved points keep all digits except f64 rounding noise,
+/// such as that of an integer times a scale in a LAS file.
 fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
     if !is_unmoved {
         return write!(text, "{value:.FAR_DIGITS$}");
@@ -23,23 +23,23 @@ fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Resul
     if is_rounding { text.write_str(digits) } else { write!(text, "{value}") }
 }
 
-/// Returns the axis of a coordinate column.
+/// Returns the axis index of a coordinate column: 0, 1 or 2.
 fn axis_of(name: &str) -> Option<usize> {
     ["x", "y", "z"].iter().position(|axis| *axis == name)
 }
 
-/// Lines before the points.
+/// The heading before the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Heading {
-    /// The names in a comment, if there are more columns than x, y and z.
+    /// The column names in a comment, if there are more columns than x, y and z.
     Comment,
     /// The number of points, as in PTS.
     Count,
-    /// The names, with commas between all cells.
+    /// The column names; commas separate the cells of all lines.
     Names,
 }
 
-/// Returns the names as unique words that no reader splits.
+/// Returns the names as unique words without separators, so that no reader splits them.
 fn plain_names(names: &[String]) -> Vec<String> {
     let is_part = |c: char| !(c.is_whitespace() || c.is_control() || ",;\"'#".contains(c));
     let mut plain: Vec<String> = Vec::with_capacity(names.len());

@@ -17,7 +17,7 @@ const MOST_FAILURES: u32 = 100;
 /// Assumed frame rate of a recording without timestamps, in frames per second.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Number of moments that two cameras must each have alone, since the last match, for their clocks to count as
+/// Number of moments since the last match in which each of two cameras must be alone for their clocks to count as
 /// unrelated.
 const UNMATCHED_ARE_TOLD: u32 = 10;
 
@@ -28,7 +28,7 @@ pub(super) struct Arrived {
     pub(super) since: Instant,
 }
 
-/// Output of the inbox.
+/// Result of taking a moment from the inbox.
 pub(super) enum Taken {
     Moment(Moment<Arrived>),
     /// No moment yet.
@@ -37,7 +37,7 @@ pub(super) enum Taken {
     End,
 }
 
-/// Passes frames from the cameras' threads to the stream, which takes moments.
+/// A queue that collects frames from the cameras' threads, and from which the stream takes moments.
 pub(super) struct Inbox {
     names: Vec<String>,
     is_live: bool,
@@ -53,22 +53,22 @@ struct State {
     first_error: Option<Error>,
     /// Number of moments that newer ones replaced.
     skipped: u64,
-    /// Number of moments with each camera alone since two cameras last matched.
+    /// Number of moments in which each camera was alone, since two cameras last matched.
     alone: Vec<u32>,
     has_told_unmatched: bool,
     is_closed: bool,
     started: Instant,
 }
 
-/// Report of a camera's thread.
+/// Counts and state of a camera's thread.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Received {
     pub(super) unreadable: u64,
     pub(super) dropped_by_source: u64,
     pub(super) has_ended: bool,
-    /// Whether it ended with a reported error.
+    /// Whether the camera ended with a reported error.
     pub(super) has_failed: bool,
-    /// Its latest timestamp in seconds, including the time offset.
+    /// The camera's latest timestamp in seconds, including the time offset.
     pub(super) last_s: Option<f64>,
 }
 
@@ -162,7 +162,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// Takes the next moment, or the newest one of live cameras, waiting at most `patience`.
+    /// Takes the next moment (for live cameras, the newest one), waiting at most `patience`.
     pub(super) fn take(&self, patience: Duration) -> Taken {
         let deadline = Instant::now() + patience;
         let mut state = self.lock();
@@ -189,18 +189,18 @@ impl Inbox {
         self.lock().warnings.pop_front()
     }
 
-    /// Wakes the cameras' threads and ends them.
+    /// Closes the inbox, which ends the cameras' threads.
     pub(super) fn close(&self) {
         self.lock().is_closed = true;
         self.changed.notify_all();
     }
 
-    /// Returns true if a warning about unmatched frames was given.
+    /// Returns true if a warning about unmatched frames was issued.
     pub(super) fn has_told_unmatched(&self) -> bool {
         self.lock().has_told_unmatched
     }
 
-    /// Takes the first error that ended a camera.
+    /// Takes the first error that made a camera fail.
     pub(super) fn first_error(&self) -> Option<Error> {
         self.lock().first_error.take()
     }
@@ -246,7 +246,7 @@ impl State {
     }
 }
 
-/// Refuses a timestamp that cannot be compared with others.
+/// Refuses a frame whose timestamp is NaN or too large to compare with others.
 fn checked(frame: Option<OwnedFrame>) -> Result<Option<OwnedFrame>, Error> {
     match frame.as_ref().and_then(OwnedFrame::timestamp_s) {
         Some(seconds) if seconds.is_nan() || seconds.abs() > LARGEST_TIMESTAMP_S => {

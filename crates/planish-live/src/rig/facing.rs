@@ -1,4 +1,4 @@
-//! Surface normals towards the camera, from single samples.
+//! Surface normals that face the camera, estimated from unsmoothed samples.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -15,7 +15,7 @@ const NORMAL_PX: usize = 6;
 /// noise; allows for the bulge of a curved surface.
 const MIDDLE_DEVIATIONS: f64 = 4.0;
 
-/// Computes normals towards the camera, from differences between pixels some distance apart; NaN next to holes and
+/// Computes normals that face the camera, from differences between pixels some distance apart; NaN next to holes and
 /// steps.
 pub(super) fn normals(points: &Xyz, (width, height): (usize, usize), sensor: &SensorModel) -> Xyz {
     let at = |u: usize, v: usize| points.vector(v * width + u);

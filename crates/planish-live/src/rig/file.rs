@@ -40,7 +40,7 @@ struct CameraEntry {
     name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     source: Option<String>,
-    /// Intrinsics in the format of a camera file, or the name of one.
+    /// Intrinsics in the format of a camera file, or the name of such a file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<serde_json::Value>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -253,7 +253,7 @@ pub fn rig_to_json(rig: &Rig) -> String {
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
 }
 
-/// Returns intrinsics as the file stores them, with the depth unit only if it is known.
+/// Returns the entry for intrinsics, with the depth unit only if it is given or is not the millimetre.
 fn intrinsics_entry(camera: &Camera, depth_units_per_metre: Option<f64>) -> Option<serde_json::Value> {
     let mut entry: serde_json::Value = serde_json::from_str(&io::camera_to_json(camera)).ok()?;
     let fields = entry.as_object_mut()?;

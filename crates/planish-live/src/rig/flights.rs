@@ -1,4 +1,4 @@
-//! Moments in flight: while a GPU smooths the frames of one, the next is uploaded and the previous one fused.
+//! Moments in flight: while a GPU smooths the frames of one moment, the next is uploaded and the previous one fused.
 
 use std::borrow::Cow;
 
@@ -13,7 +13,7 @@ use planish_core::{
     internal::{RigidTransform, named_fields},
 };
 
-/// Number of moments in flight with voxels: one is smoothed while the next is sorted into voxels.
+/// Number of moments in flight if points are thinned to voxels: one is smoothed while the next is sorted into voxels.
 const IN_FLIGHT_IN_VOXELS: usize = 2;
 
 /// The transform of each camera's points into the rig's frame, and the results.
@@ -28,8 +28,9 @@ enum Landed {
 impl RigSmoother {
     /// Submits the frames of a moment; moments are received in the order of submission.
     ///
-    /// If a GPU smooths each camera's frames, they are computed asynchronously. All other ways compute them in this
-    /// call.
+    /// If a GPU smooths each camera's frames separately, results are computed asynchronously; otherwise, they are
+    /// computed in this call. Merged points that are thinned to voxels are only sorted into voxels here, and smoothed
+    /// when the moment is received.
     ///
     /// # Errors
     /// Same as [`smooth`](Self::smooth); also if the maximum number of moments is in flight.
@@ -109,9 +110,9 @@ impl RigSmoother {
     }
 
     /// Waits for the oldest moment in flight and fuses its results into `out`, in the rig's frame: the points of all
-    /// cameras, the computed fields, and `camera`. With voxels, there is one point per voxel. Frames that could not
-    /// be smoothed have no points. Returns false if no moment is in flight. Reuses the memory of `out`, except with
-    /// voxels.
+    /// cameras, with the computed fields and a field `camera`. If points are thinned to voxels, there is one point
+    /// per voxel. Frames that could not be smoothed have no points. Returns false if no moment is in flight. Reuses
+    /// the memory of `out`, except with voxels.
     ///
     /// # Errors
     /// Same as [`smooth`](Self::smooth).
@@ -126,13 +127,13 @@ impl RigSmoother {
     }
 
     /// Submits the frames of a moment. Once the useful number of moments ([`max_in_flight`](Self::max_in_flight)) is
-    /// in flight, also receives the oldest, as [`receive_fused`](Self::receive_fused) does, and fuses it while the
-    /// new one is uploaded. Returns false if no moment was received; at the end, call `receive_fused` for the
-    /// remaining ones.
+    /// in flight, also receives the oldest moment, as [`receive_fused`](Self::receive_fused) does, and fuses it while
+    /// the new moment is uploaded. Returns false if no moment was received; at the end, call `receive_fused` for the
+    /// remaining moments.
     ///
     /// # Errors
     /// Same as [`smooth`](Self::smooth). All moments in flight are then lost, including the oldest, and `out` may be
-    /// unchanged or hold the oldest.
+    /// unchanged or contain the oldest moment.
     pub fn next_fused(&mut self, frames: &[Option<Frame<'_>>], out: &mut PointCloud) -> Result<bool, Error> {
         self.check_count(frames)?;
         if let Some(size_m) = self.voxels_merged_m() {
@@ -153,8 +154,8 @@ impl RigSmoother {
         Ok(landed.is_some())
     }
 
-    /// Receives the next moment with voxels: while the oldest is smoothed, the second is sorted into voxels, and the
-    /// points of the third are collected.
+    /// Receives the oldest moment if points are thinned to voxels. While it is smoothed, the second moment is sorted
+    /// into voxels, and the points of the third are collected.
     fn next_in_voxels(
         &mut self,
         frames: &[Option<Frame<'_>>],
@@ -199,9 +200,9 @@ impl RigSmoother {
         self.flights.len()
     }
 
-    /// Returns the useful number of moments in flight: one per slot if a GPU smooths each camera's frames, otherwise 1,
-    /// since [`submit`](Self::submit) then does all the work. [`next_fused`](Self::next_fused) keeps two if points are
-    /// thinned to voxels.
+    /// Returns the useful number of moments in flight: one per slot if a GPU smooths each camera's frames separately,
+    /// otherwise 1, since results are then not computed asynchronously. [`next_fused`](Self::next_fused) keeps two if
+    /// points are thinned to voxels.
     pub fn max_in_flight(&self) -> usize {
         let is_pipelined = self.way == RigWay::Each && self.engine.capabilities().pipelined;
         if is_pipelined { self.options.gpu.slots } else { 1 }

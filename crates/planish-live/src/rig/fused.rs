@@ -28,7 +28,7 @@ pub(super) struct Part<'a> {
     /// Index of the camera in the rig.
     pub(super) camera: usize,
     pub(super) rig_from_points: RigidTransform,
-    /// x, y and z of its points, including holes.
+    /// Coordinates x, y and z of the camera's points, including holes.
     pub(super) positions: [&'a [f32]; 3],
     pub(super) attributes: Vec<Cow<'a, Attribute>>,
 }
@@ -36,11 +36,11 @@ pub(super) struct Part<'a> {
 /// Number of points per task.
 const POINTS_OF_A_TASK: usize = 1 << 14;
 
-/// Fuses clouds in the rig's frame. Each is given with its camera's index, its pose (rig_from_camera) and its points
-/// in the camera's frame.
+/// Fuses clouds in the rig's frame. Each element of `clouds` consists of a camera's index, its pose (rig_from_camera)
+/// and its points in the camera's frame.
 ///
-/// Holes are left out. Fields with the same name are merged, with zeros for points of cameras without the field.
-/// Normals are rotated. The field `camera` has the index of each point's camera. Positions are relative to
+/// Holes are omitted. Fields with the same name are merged, with zeros for points of cameras without the field.
+/// Normals are rotated. The field `camera` contains the index of each point's camera. Positions are relative to
 /// [`PointCloud::origin_m`], which is zero unless a camera is more than 1 km from the rig's origin.
 ///
 /// # Errors
@@ -94,7 +94,7 @@ pub(super) fn fuse_parts(parts: &[Part<'_>], cloud: &mut PointCloud) {
     cloud.set_attribute(CAMERA_FIELD, cameras);
 }
 
-/// Writes the points of all parts without holes, in the rig's frame, and the camera of each point.
+/// Writes the points of all parts, without holes, in the rig's frame, and the camera index of each point.
 fn place(parts: &[Part<'_>], origin: DVec3, positions: &mut Xyz, cameras: &mut Vec<u8>) {
     let ranges = |part| {
         let of_part: &Part<'_> = part;
@@ -130,7 +130,7 @@ impl Part<'_> {
         self.positions.iter().all(|axis| axis[i].is_finite())
     }
 
-    /// Returns the indices of its points, without holes.
+    /// Returns the indices of the part's points, without holes.
     fn points(&self) -> Vec<usize> {
         (0..self.positions[0].len()).filter(|&i| self.is_point(i)).collect()
     }
@@ -153,7 +153,7 @@ impl Part<'_> {
     }
 }
 
-/// Concatenates a field of all points; zero for cameras without it.
+/// Concatenates a field over the points of all parts, with zeros for parts without it.
 fn of_all_parts(field: &Attribute, parts: &[Part<'_>], points: &[Vec<usize>]) -> Attribute {
     let mut values = field.values.emptied();
     for (part, indices) in parts.iter().zip(points) {
@@ -204,7 +204,7 @@ pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>)
 
 impl Rig {
     /// Fuses the results of a moment in the rig's frame: the smoothed points of each camera with all fields of its
-    /// frame, the computed outputs among `fields`, and the index of its camera. Holes are left out.
+    /// frame, the computed outputs among `fields`, and the index of its camera. Holes are omitted.
     pub fn fuse(&self, frames: &[Option<(&OwnedFrame, &Smoothed)>], fields: Outputs) -> Result<PointCloud, FrameError> {
         let placed = self.cameras.iter().zip(frames).enumerate();
         let parts = placed.filter_map(|(i, (camera, frame))| frame.map(|frame| part(i, camera, frame, fields)));
@@ -268,7 +268,7 @@ mod tests {
         let field = |name| &fused.attribute(name).unwrap().values;
         assert_eq!(field("camera"), &AttributeValues::U8(vec![0, 0, 3]));
         assert_eq!(field("normal_x"), &AttributeValues::F32(vec![-1.0, -1.0, 0.0]));
-        // Converted to the first camera's type, clamped to its range.
+        // Values are converted to the first camera's type, clamped to its range.
         assert_eq!(field("label"), &AttributeValues::U16(vec![1, 3, u16::MAX]));
         assert_eq!(field("intensity"), &AttributeValues::F32(vec![0.0, 0.0, 0.5]));
         fused.validate().unwrap();

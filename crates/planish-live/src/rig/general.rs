@@ -1,10 +1,10 @@
-//! The smoother of all points together.
+//! The smoother for the points of all cameras as one cloud.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use planish_core::{CloudParams, Error, FleetDevice, Outputs, Progress, Smoother, SmootherOptions};
 
-/// The smoother of all points together.
+/// The smoother for the points of all cameras as one cloud.
 pub(super) struct General {
     params: CloudParams,
     /// Voxel size in metres for thinning; `None` keeps all points.
@@ -13,8 +13,8 @@ pub(super) struct General {
     stopper: Stopper,
 }
 
-/// A handle that cancels the work on all points together, which takes seconds for millions of points, from another
-/// thread.
+/// A handle with which another thread cancels the smoothing of all points as one cloud, which takes seconds for
+/// millions of points.
 #[derive(Clone, Default)]
 pub(super) struct Stopper(Arc<Mutex<Option<Arc<Progress>>>>);
 

@@ -2,21 +2,21 @@
 //!
 //! Frames of each camera wait in a queue. The earliest waiting frame opens a moment. The first waiting frame of every
 //! other camera belongs to the moment if its timestamp is within the tolerance, and not closer to the next frame of
-//! the camera that opened the moment. The frame of a recording is awaited until it arrives or the recording ends. The
-//! frame of a live camera is awaited at most a given time after the first frame of the moment, and not at all once
-//! the camera has been missing for a while.
+//! the camera that opened the moment. For the frame of a recording, the moment waits until the frame arrives or the
+//! recording ends. For the frame of a live camera, it waits at most a given time after the first frame of the moment,
+//! and not at all once that camera has been missing for several moments.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Step between timestamps, in seconds, beyond which a clock is taken to be reset. A smaller step backwards is a
-/// frame out of order.
+/// Step between timestamps, in seconds, beyond which a clock is assumed to have been reset. A smaller step backwards
+/// is a frame out of order.
 const CLOCK_JUMP_S: f64 = 0.5;
 
-/// Number of consecutive moments without a live camera after which its frames are no longer awaited.
+/// Number of consecutive moments without a live camera after which moments no longer wait for that camera.
 const MISSING_IS_GONE: u32 = 15;
 
-/// Maximum number of waiting frames of a camera.
+/// Maximum number of waiting frames per camera.
 const MOST_WAITING: usize = 8;
 
 /// Assumed time in seconds between frames of a camera that has delivered only one.
@@ -38,11 +38,11 @@ pub struct Moment<T> {
 pub struct MatcherCounts {
     /// Frames received.
     pub received: u64,
-    /// Frames that arrived after their moment.
+    /// Frames that arrived after their moment was taken.
     pub late: u64,
     /// Frames with the timestamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
-    /// Number of jumps of its clock. After a jump, timestamps are shifted to continue the earlier ones.
+    /// Number of jumps of the camera's clock. After a jump, timestamps are shifted to continue the earlier ones.
     pub jumps: u64,
     /// Frames of a live camera that were dropped because its queue was full.
     pub dropped: u64,
@@ -50,14 +50,14 @@ pub struct MatcherCounts {
     pub missing: u64,
 }
 
-/// Groups frames of several cameras by their timestamps.
+/// A matcher that groups frames of several cameras into moments by their timestamps.
 #[derive(Debug)]
 pub struct Matcher<T> {
     cameras: Vec<Queue<T>>,
     tolerance_s: f64,
     /// Maximum time a frame waits for frames of other cameras; `None` for no limit.
     patience: Option<Duration>,
-    /// The time of the last moment.
+    /// Timestamp of the last moment, in seconds.
     last_s: f64,
 }
 
@@ -83,9 +83,9 @@ struct Waiting<T> {
 }
 
 impl<T> Matcher<T> {
-    /// Creates a matcher. Timestamps of one moment differ by at most `tolerance_s`. Its frames wait for each other at
-    /// most `patience` or one frame interval, whichever is shorter; `None` is for recordings, whose frames are never
-    /// dropped.
+    /// Creates a matcher for this number of cameras. Timestamps within one moment differ by at most `tolerance_s`
+    /// seconds. Frames of one moment wait for each other at most `patience` or one frame interval, whichever is
+    /// shorter; a `patience` of `None` is for recordings, whose frames are never dropped.
     pub fn new(cameras: usize, tolerance_s: f64, patience: Option<Duration>) -> Self {
         Self { cameras: (0..cameras).map(|_| Queue::new()).collect(), tolerance_s, patience, last_s: f64::NEG_INFINITY }
     }
@@ -100,13 +100,14 @@ impl<T> Matcher<T> {
         let (is_live, last_s, tolerance_s) = (self.patience.is_some(), self.last_s, self.tolerance_s);
         let Some(queue) = self.cameras.get_mut(camera) else { return };
         queue.counts.received += 1;
-        // A frame without a timestamp belongs to the moment of its arrival.
+        // A frame without a finite timestamp gets the time of the last moment.
         let time_s = if time_s.is_finite() { time_s } else { last_s.max(0.0) };
         let Some(time_s) = queue.corrected(time_s, now, is_live) else {
             queue.counts.out_of_order += 1;
             return;
         };
-        // The last moment was taken without this frame. A frame far earlier than that is from another clock.
+        // A frame is late if the last moment was taken without it. A frame far earlier than that moment is from
+        // another clock.
         let would_have_been = time_s <= last_s + tolerance_s && queue.missing_in_a_row > 0;
         let is_late = (would_have_been || time_s < last_s - tolerance_s) && time_s > last_s - CLOCK_JUMP_S;
         if is_late && is_live {
@@ -318,7 +319,7 @@ mod tests {
         assert_eq!(matcher.take(start + patience).unwrap().frames, [Some('a'), None]);
         matcher.put(1, 0.002, start + patience, 'b');
         assert_eq!((matcher.counts()[1].late, matcher.counts()[1].missing), (1, 1));
-        // The next moment has both again.
+        // The next moment has frames of both cameras again.
         matcher.put(0, 0.033, start + patience, 'c');
         matcher.put(1, 0.035, start + patience, 'd');
         assert_eq!(matcher.take(start + patience).unwrap().frames, [Some('c'), Some('d')]);
@@ -353,7 +354,7 @@ mod tests {
             let mut found = Vec::new();
             for i in 0..8 {
                 matcher.put(0, time_s(i, 0.0), at(i), i);
-                // Set back by an hour after frame 3.
+                // The clock is set back by an hour after frame 3.
                 matcher.put(1, time_s(i, if i > 3 { -3600.0 } else { 0.0 }), at(i), i);
                 if i == 2 {
                     matcher.put(1, time_s(i, 0.0), at(i), 100);

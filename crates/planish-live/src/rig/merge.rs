@@ -9,18 +9,18 @@ use planish_core::{
     Attribute, AttributeValues, FrameError, PointCloud, Precision, SensorPose, Xyz, internal::RigidTransform,
 };
 
-/// Name of the field with the number of each point's scan.
+/// Name of the field with the index of each point's scan.
 const SCAN_FIELD: &str = "scan";
 
 /// Maximum number of clouds, which are numbered by a byte.
 const MOST_CLOUDS: usize = 256;
 
-/// Merges clouds in one frame, each placed by its pose there (`world_from_cloud`; the identity leaves a cloud in
-/// place).
+/// Merges clouds into one coordinate frame, in which each cloud is placed by its pose (`world_from_cloud`; the
+/// identity leaves a cloud in place).
 ///
-/// Holes are left out. Fields with the same name are merged, with zeros for points of clouds without the field.
-/// Fields of different types become f64, and packed colours become red, green and blue. Normals are rotated. The
-/// field `scan` has the index of each point's cloud, or of its scan if a cloud has several. Sensor positions are kept
+/// Holes are omitted. Fields with the same name are merged, with zeros for points of clouds without the field. Fields
+/// of different types become f64, and packed colours become red, green and blue. Normals are rotated. The field
+/// `scan` contains the index of each point's cloud, or of its scan if a cloud has several. Sensor positions are kept
 /// ([`PointCloud::scanners_m`]). The second value is a list of notes for users, one clause each.
 ///
 /// # Errors
@@ -90,7 +90,7 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
         let index = merged.attributes.iter().position(|field| field.name == name)?;
         Some(merged.attributes.remove(index).values)
     };
-    // The fused cloud's field `camera` has the index of the cloud.
+    // The fused cloud's field `camera` contains the index of the cloud.
     let (cloud_of, scan_of) = (take(CAMERA_FIELD), take(KEPT_SCAN));
     if let Some(AttributeValues::U8(cloud_of)) = cloud_of {
         let scan_of = match scan_of {
@@ -128,8 +128,8 @@ fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
     notes
 }
 
-/// Sets the positions of the merged cloud with all digits of the inputs; far from the origin, relative to the middle
-/// of all points.
+/// Sets the positions of the merged cloud with the full precision of the inputs. Far from the origin, they are
+/// relative to the approximate median of all points.
 fn place_exactly(clouds: &[(PointCloud, SensorPose)], merged: &mut PointCloud) -> Result<(), FrameError> {
     let mut exact: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(merged.len()));
     for (cloud, pose) in clouds {

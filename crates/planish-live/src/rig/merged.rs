@@ -1,4 +1,4 @@
-//! Smooths all points of a moment as one unorganized cloud, and returns each camera its points.
+//! Smooths all points of a moment as one unorganized cloud, and returns each camera's points.
 
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ impl RigSmoother {
         Ok(PlacedFrames { frames, rays, lenses })
     }
 
-    /// Calls a function with the engine for all points together, opening it if necessary.
+    /// Calls a function with the engine for merged clouds, which is opened if necessary.
     pub(super) fn with_general<T>(&mut self, work: impl FnOnce(&mut Smoother) -> Result<T, Error>) -> Result<T, Error> {
         let outputs = self.outputs_in_space();
         let Self { options, devices, failed, general, engine, .. } = self;

@@ -1,9 +1,9 @@
 //! Rigs: several cameras as one sensor.
 //!
 //! A [`Rig`] lists cameras and their poses; [`Rig::read`] reads it from a `rig.json`, and [`calibration`] converts
-//! ROS, Kalibr and COLMAP calibrations. [`RigStream`] streams it: each camera has a thread, and [`Matcher`] groups
-//! frames into moments by their timestamps. Each moment is smoothed in the selected [`RigWay`]; [`RigSink`]s receive
-//! each camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
+//! ROS, Kalibr and COLMAP calibrations. [`RigStream`] runs it: each camera has a thread, and [`Matcher`] groups
+//! frames into moments by their timestamps. Each moment is smoothed by the method that [`RigWay`] selects;
+//! [`RigSink`]s receive each camera's frame and one [fused](RigFrame::fused) cloud in the rig's frame.
 
 pub mod calibration;
 mod capture;
@@ -62,11 +62,11 @@ const MOST_VIEWPOINTS: usize = 64;
 /// Maximum number of pixels of all viewpoints together. Each pixel takes about 80 bytes while a moment is smoothed.
 const MOST_VIEWPOINT_PIXELS: usize = 1 << 24;
 
-/// Default radius for merged points, in metres: the reach of a single frame's window at about 1.2 m.
+/// Default radius for merged points, in metres: the radius of a single frame's window at a distance of about 1.2 m.
 const MERGED_RADIUS_M: f32 = 0.03;
 
-/// Minimum radius for points thinned to voxels, in voxels. A surface has about 30 voxels within it, three times the
-/// number of coefficients of a polynomial of degree 3.
+/// Minimum radius for points thinned to voxels, in voxels. A disc of this radius on a surface covers about 30 voxels,
+/// three times the number of coefficients of a polynomial of degree 3.
 const VOXELS_IN_RADIUS: f32 = 3.0;
 
 /// Default maximum distance between two cameras' surfaces due to pose errors, in metres: 0.2° and 2 mm at 1.5 m, plus
@@ -76,7 +76,7 @@ const DEFAULT_REGISTRATION_M: f64 = 0.01;
 /// Maximum absolute time offset in seconds, longer than the time since any clock's epoch.
 const MOST_OFFSET_S: f64 = 1e10;
 
-/// Maximum length of a camera name, which is also used for files and folders.
+/// Maximum length of a camera name in characters; the name is also used for files and folders.
 const LONGEST_NAME: usize = 64;
 
 /// A set of rigidly mounted cameras.
@@ -91,7 +91,7 @@ pub struct Rig {
     pub tolerance_s: f64,
     /// The clock by which frames are matched.
     pub clock: Clock,
-    /// Up to 64 viewpoints without a camera that are smoothed as additional views.
+    /// Up to 64 camera-free viewpoints, smoothed as additional views.
     pub viewpoints: Vec<Viewpoint>,
 }
 
@@ -99,8 +99,8 @@ pub struct Rig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Clock {
-    /// The frames' own timestamps. Frames without a timestamp are matched by their arrival if their camera is live,
-    /// otherwise by their number at 30 frames per second.
+    /// The frames' own timestamps. Frames without a timestamp are matched by arrival time if their camera is live,
+    /// otherwise by their index, assuming 30 frames per second.
     #[default]
     Source,
     /// Time of arrival, for live cameras with unrelated clocks.
@@ -113,27 +113,27 @@ pub enum Clock {
 pub struct RigCamera {
     /// Name of the camera: 1 to 64 letters, digits, `-`, `_` and `.`, not starting with a dot, and not `rig.json`.
     pub name: String,
-    /// Source of its frames, as for [`source::open`](crate::source::open); `None` for a bare calibration.
+    /// Name of the frame source, as passed to [`source::open`](crate::source::open); `None` for a bare calibration.
     pub source: Option<String>,
     /// Intrinsics and distortion; `None` keeps the source's. A width and height of 0 accept frames of any shape.
     pub camera: Option<Camera>,
-    /// Units per metre of its depth images; `None` keeps the source's (5000 for a data set in TUM layout).
+    /// Units per metre of the camera's depth images; `None` keeps the source's (5000 for a data set in TUM layout).
     pub depth_units_per_metre: Option<f64>,
     /// Pose in the rig's frame, rig_from_camera. The camera looks along +z, with x to the right and y down, like the
     /// optical frames of ROS.
     pub pose: SensorPose,
-    /// Sensor model of its depth; `None` keeps the parameters' model.
+    /// Sensor model of the camera's depth; `None` keeps the parameters' model.
     pub sensor: Option<SensorModel>,
-    /// Offset added to its timestamps, in seconds.
+    /// Offset added to the camera's timestamps, in seconds.
     pub time_offset_s: f64,
-    /// The image that depth and colour are mapped to, for RealSense and OpenNI2 cameras.
+    /// The image to which depth and colour are mapped, for RealSense and OpenNI2 cameras.
     pub alignment: Option<Alignment>,
     /// Stream mode, for RealSense and OpenNI2 cameras.
     pub mode: Option<StreamMode>,
 }
 
 impl Rig {
-    /// Returns a rig of these cameras, matched by their timestamps.
+    /// Creates a rig of these cameras, whose frames are matched by their timestamps, with a tolerance of 16 ms.
     pub fn new(cameras: Vec<RigCamera>) -> Result<Self, ParamError> {
         let (tolerance_s, clock) = (DEFAULT_TOLERANCE_S, Clock::Source);
         let rig = Self { cameras, frame: None, tolerance_s, clock, viewpoints: Vec::new() };
@@ -141,7 +141,7 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Sets the tolerance in seconds.
+    /// Sets the maximum difference between timestamps of one moment, in seconds.
     pub fn with_tolerance_s(self, tolerance_s: f64) -> Self {
         Self { tolerance_s, ..self }
     }
@@ -151,13 +151,13 @@ impl Rig {
         Self { clock, ..self }
     }
 
-    /// Sets the viewpoints without a camera that are smoothed as additional views.
+    /// Sets the camera-free viewpoints that are smoothed as additional views.
     pub fn with_viewpoints(self, viewpoints: Vec<Viewpoint>) -> Self {
         Self { viewpoints, ..self }
     }
 
-    /// Returns the rig for a `rig.json` in `folder`: paths of sources, which are relative to the working directory,
-    /// become relative to `folder` if they are inside it, and absolute otherwise.
+    /// Returns the rig as written to a `rig.json` in `folder`. Source paths, relative to the working directory in
+    /// `self`, become relative to `folder` if they are inside it, and absolute otherwise.
     pub fn seen_from(&self, folder: &Path) -> Self {
         let mut rig = self.clone();
         for camera in &mut rig.cameras {
@@ -259,7 +259,7 @@ impl RigCamera {
         Self { time_offset_s, ..self }
     }
 
-    /// Returns the options for opening its source.
+    /// Returns the options for opening the camera's source.
     pub fn source_options(&self) -> SourceOptions {
         SourceOptions::default()
             .with_camera(self.camera)
@@ -284,7 +284,7 @@ impl RigCamera {
         if let Err(FrameError::BadPose(problem)) = self.pose.validate() {
             return Err(of(problem));
         }
-        // PCD's code for an unknown orientation; a rig's camera needs a known one.
+        // PCD files mark an unknown orientation by zeros; a rig's camera needs a known orientation.
         if self.pose.orientation == [0.0; 4] {
             let value = "0, 0, 0, 0".to_owned();
             return Err(of(ParamError { field: "orientation", value, allowed: "a quaternion of length 1" }));
@@ -302,14 +302,14 @@ impl RigCamera {
     }
 }
 
-/// Returns parameters for the points of several depth cameras as one cloud: a radius of 3 cm, edges kept, points
-/// without neighbours removed.
+/// Returns parameters for smoothing the points of several depth cameras as one cloud: a radius of 3 cm, edges kept,
+/// points without neighbours removed.
 pub fn merged_params() -> CloudParams {
     CloudParams::default().with_radius_m(MERGED_RADIUS_M).with_edges(Edges::Robust).with_remove_isolated(true)
 }
 
-/// Returns parameters for points thinned to one per voxel of this size in metres: the radius is 3 cm, or three voxels
-/// if that is larger.
+/// Returns parameters for merged points thinned to one per voxel of `voxel_m` metres: the radius is 3 cm, or three
+/// voxels if that is larger.
 pub fn merged_params_in_voxels(voxel_m: f64) -> CloudParams {
     merged_params().with_radius_m(MERGED_RADIUS_M.max(VOXELS_IN_RADIUS * voxel_m as f32))
 }
@@ -328,12 +328,13 @@ fn resolve_source(folder: &Path, source: &str) -> String {
     }
 }
 
-/// Returns a source as a rig file in `folder` names it: relative if it is inside that folder, absolute otherwise.
+/// Returns the source as named in a rig file in `folder`: a path inside the folder becomes relative, any other
+/// absolute.
 fn source_seen_from(folder: &Path, source: &str) -> String {
     let seen = |path: &str| {
         let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
         match (whole(Path::new(path)), whole(folder)) {
-            // Starts with `./`, since a folder may have the same name as a kind of camera.
+            // The path starts with `./`, since a folder may be named like a camera type, such as `kinect`.
             (Ok(path), Ok(folder)) => match path.strip_prefix(&folder) {
                 Ok(within) => Path::new(".").join(within).to_string_lossy().into_owned(),
                 Err(_) => path.to_string_lossy().into_owned(),
@@ -350,7 +351,7 @@ fn source_seen_from(folder: &Path, source: &str) -> String {
     }
 }
 
-/// Returns the folder of a file.
+/// Returns the folder that contains a file.
 fn folder_of(path: &Path) -> PathBuf {
     path.parent().map(Path::to_path_buf).unwrap_or_default()
 }

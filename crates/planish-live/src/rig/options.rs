@@ -18,9 +18,9 @@ const LEAST_VOXELS_IN_RADIUS: f64 = 1.999;
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RigOptions {
-    /// The way in which the frames of a moment are smoothed.
+    /// Method for smoothing the frames of a moment.
     pub way: RigWay,
-    /// The parameters of each camera's frames.
+    /// Parameters for each camera's frames, one set per camera.
     pub params: Vec<FrameParams>,
     /// Parameters for the points of all cameras as one cloud.
     pub general_params: CloudParams,
@@ -30,9 +30,9 @@ pub struct RigOptions {
     pub voxel_m: Option<f64>,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices that share the cameras; if empty, the device of the smoother options.
+    /// The devices that share the cameras; if empty, the smoother options' device smooths all of them.
     pub devices: Vec<FleetDevice>,
-    /// The steps before smoothing.
+    /// Preparation steps for each camera's frames before smoothing.
     pub preparation: Preparation,
     /// Parameters for smoothing each camera's results over time; `None` disables it.
     pub temporal: Option<TemporalParams>,
@@ -67,8 +67,9 @@ impl RigOptions {
     }
 
     /// Creates options from settings. Each camera uses the sensor of the settings or, if they name none, its sensor
-    /// in the rig. All points as one cloud use the parameters for merged points
-    /// ([`merged_params`](super::merged_params)), in voxels if `voxel_m` is given, overridden by the settings.
+    /// in the rig. The merged cloud uses the parameters for merged points ([`merged_params`](super::merged_params),
+    /// or [`merged_params_in_voxels`](super::merged_params_in_voxels) if `voxel_m` is given), overridden by the
+    /// settings.
     ///
     /// # Errors
     /// If settings contradict each other or set `fill`, a sensor is to be estimated, or a device is missing.
@@ -89,7 +90,7 @@ impl RigOptions {
         };
         let params = rig.cameras.iter().map(of_camera).collect::<Result<Vec<_>, _>>()?;
         let merged = voxel_m.map_or_else(super::merged_params, super::merged_params_in_voxels);
-        // Each camera's frames are prepared, not all points together.
+        // Preparation applies to each camera's frames, not to the merged cloud.
         let mut of_points = settings.clone();
         (of_points.remove_floating, of_points.decimate) = (None, None);
         (of_points.min_range_m, of_points.max_range_m) = (None, None);
@@ -105,7 +106,7 @@ impl RigOptions {
     ///
     /// # Errors
     /// If `registration_m` is outside 0 to 0.1, `temporal` is invalid or used with voxels, or the outputs include
-    /// sigma; or if `voxel_m` is below 0.1 mm, above half a fixed radius, or set for another way than
+    /// sigma; or if `voxel_m` is below 0.1 mm, above half a fixed radius, or set for a method other than
     /// [`RigWay::Merged`].
     pub fn validate(&self) -> Result<(), ParamError> {
         if !(0.0..=0.1).contains(&self.registration_m) {
@@ -144,12 +145,12 @@ impl RigOptions {
         Ok(())
     }
 
-    /// Sets the parameters: one set per camera, and one for all points as one cloud.
+    /// Sets the parameters: one set per camera, and one for the merged cloud.
     pub fn with_params(self, params: Vec<FrameParams>, general_params: CloudParams) -> Self {
         Self { params, general_params, ..self }
     }
 
-    /// Sets the steps before smoothing.
+    /// Sets the preparation steps before smoothing.
     pub fn with_preparation(self, preparation: Preparation) -> Self {
         Self { preparation, ..self }
     }

@@ -36,7 +36,7 @@ const BACKGROUND: [u8; 3] = [18, 18, 22];
 /// Fraction of the points, at either end of an axis, that is ignored when the picture is scaled.
 const STRAY_SHARE: f64 = 0.01;
 
-/// Length of the lines of a camera's view, as a fraction of the picture.
+/// Length of the lines that show a camera's view, as a fraction of the picture's width.
 const FRUSTUM_SHARE: f64 = 0.08;
 /// Tangent of half a camera's field of view if its intrinsics are unknown.
 const HALF_VIEW: f64 = 0.6;
@@ -120,7 +120,7 @@ fn bounds(points: &[(DVec2, f64)], lenses: &[DVec2]) -> (DVec2, DVec2) {
     (DVec2::new(x.0, y.0), DVec2::new(x.1, y.1))
 }
 
-/// Pixels, each showing its highest point.
+/// The pixels of a picture; each shows the highest point in it.
 struct Picture {
     colours: Vec<[u8; 3]>,
     heights: Vec<f64>,
@@ -200,8 +200,8 @@ mod tests {
         let wall = PointCloud::new((0..100).map(|i| [0.01 * i as f32 - 0.5, 0.0, 3.0]).collect());
         let fused = fuse(&[(0, ahead(0.0), &wall), (1, ahead(2.0), &wall)]).unwrap();
         let image = draw(&rig, &fused);
-        // The mean pixel of a colour: of the cameras in the left half of the picture, of their walls in the right
-        // half.
+        // The mean position of a colour's pixels: of the cameras in the left half of the picture, or of their walls
+        // in the right half.
         let seen = |colour: [u8; 3], right: bool| {
             let at = |i: usize| DVec2::new((i % SIZE_PX) as f64, (i / SIZE_PX) as f64);
             let pixels = image.rgb.chunks_exact(3).enumerate().filter(|(_, pixel)| *pixel == colour);
@@ -210,7 +210,7 @@ mod tests {
             assert!(pixels.len() > 50, "{}", pixels.len());
             pixels.iter().sum::<DVec2>() / pixels.len() as f64
         };
-        // 3 m ahead is the width of the picture; 2 m to the left is above.
+        // 3 m ahead spans the width of the picture, with the camera on the left; 2 m to the left is upwards.
         let width = SIZE_PX as f64 - 2.0 * MARGIN_PX;
         for right in [false, true] {
             let (a, b) = (seen(COLOURS[0], right), seen(COLOURS[1], right));

@@ -13,7 +13,7 @@ use planish_core::{Error, FormatError, IoError, Outputs};
 use planish_io::internal::create_output_folder;
 use planish_io::{self as io, CloudRef, Encoding};
 
-/// Consumes a rig's results, one moment after another.
+/// A consumer of a rig's results, one moment after another.
 pub trait RigSink: Send {
     /// Returns the name of the sink for messages.
     fn name(&self) -> String;
@@ -64,7 +64,8 @@ impl FusedSink {
     }
 }
 
-/// Creates a folder for the results of a rig, with a `rig.json` in which `source` gives the source of each camera.
+/// Creates a folder for the results of a rig, with a `rig.json` in which each camera has the source that `source`
+/// returns.
 fn create_folder(folder: &Path, rig: &Rig, source: impl Fn(&RigCamera) -> Option<String>) -> Result<(), IoError> {
     let at = |error: std::io::Error| IoError { path: folder.to_path_buf(), problem: error.into() };
     refuse_used(folder)?;
@@ -116,7 +117,7 @@ pub struct CamerasSink {
 }
 
 impl CamerasSink {
-    /// Creates the folder. Refuses a non-empty one.
+    /// Creates the folder. Refuses a non-empty folder.
     pub fn create(folder: &Path, format: SinkFormat, outputs: Outputs, rig: &Rig) -> Result<Self, Error> {
         // Other formats do not keep the frames' times.
         let is_data_set = format == SinkFormat::DepthPng;

@@ -15,24 +15,25 @@ use planish_core::{
     internal::{Rays, ResultFilter, RigidTransform, Threads},
 };
 
-/// The way in which the frames of a moment are smoothed. All ways give the same kind of results: each camera's
-/// points, on its grid and in its frame.
+/// Method for smoothing the frames of a moment. Every method returns each camera's points on that camera's grid and
+/// in its coordinate frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RigWay {
-    /// Each camera's frame separately, with the noise of its sensor.
+    /// Each camera's frame is smoothed separately, with the noise of the camera's sensor.
     #[default]
     Each,
-    /// All points as one unorganized cloud, so that surfaces that several cameras see use the points of all of them.
+    /// All points are smoothed as one unorganized cloud, so that each surface is fitted to the points of all cameras
+    /// that see it.
     Merged,
-    /// Range images from each camera's position, of the points of all cameras. Each image is smoothed as a frame of
-    /// its camera, and every point becomes the mean of its estimates in the views. The cameras' intrinsics must be
-    /// known.
+    /// The points of all cameras are projected into range images from each camera's position. Each range image is
+    /// smoothed as a frame of its camera, and every point becomes the mean of its estimates in these views. The
+    /// cameras' intrinsics must be known.
     Views,
 }
 
 impl RigWay {
-    /// All ways.
+    /// All methods.
     pub const ALL: [Self; 3] = [Self::Each, Self::Merged, Self::Views];
 
     /// Returns the name used on the command line.
@@ -50,19 +51,19 @@ impl RigWay {
 pub struct RigSmoother {
     pub(super) way: RigWay,
     pub(super) options: SmootherOptions,
-    /// Devices that share the cameras; if empty, the device of the options.
+    /// Devices that share the cameras; if empty, the options' device smooths all of them.
     pub(super) devices: Vec<FleetDevice>,
     /// The device that failed last.
     pub(super) failed: Option<FleetDevice>,
     registration_m: f64,
     pub(super) threads: Threads,
-    /// The cameras of the rig, then those of added viewpoints.
+    /// The rig's cameras, followed by one per added viewpoint.
     pub(super) cameras: Vec<CameraSmoother>,
     /// Number of cameras in the rig.
     pub(super) of_rig: usize,
-    /// Whether the motion of each camera is estimated, if results are smoothed over time.
+    /// Whether smoothing over time estimates each camera's motion.
     pub(super) tracks_cameras: bool,
-    /// The smoother of all points together.
+    /// The smoother for all cameras' points as one cloud.
     pub(super) general: General,
     pub(super) engine: Engine,
     /// Moments submitted and not yet received.
@@ -71,30 +72,30 @@ pub struct RigSmoother {
     pub(super) time_s: Option<f64>,
 }
 
-/// The smoother of one camera, open for the shape of its frames.
+/// The smoother of one camera, opened for the shape of the camera's frames.
 pub(super) struct CameraSmoother {
     pub(super) rig_from_camera: RigidTransform,
     /// The assigned device, if there are several.
     pub(super) device: Option<FleetDevice>,
-    /// Camera for frames that do not state one.
+    /// Camera for frames without their own.
     camera: Option<Camera>,
-    /// Rays of its depth images, if their points are needed.
+    /// Viewing rays of the camera's depth images, if these are merged into one cloud.
     pub(super) rays: Arc<Rays>,
     pub(super) params: FrameParams,
     smoother: Option<Smoother>,
     shape: (usize, usize),
-    /// The filter that smooths its results over time, if any.
+    /// The filter that smooths the camera's results over time, if any.
     pub(super) video: Option<ResultFilter>,
 }
 
-/// The result of each camera; `None` for a camera without a frame. A frame that cannot be smoothed is an error of its
-/// camera alone.
+/// The result of each camera; `None` for a camera without a frame. A frame that cannot be smoothed yields an error
+/// for its camera only.
 pub type RigResults = Vec<Option<Result<Smoothed, FrameError>>>;
 
 impl RigSmoother {
-    /// Creates a smoother for a rig; engines open with the first frames. `params` apply to each camera's frames,
-    /// adapted to its sensor ([`FrameParams::for_sensor`]); `general_params` to the points of all cameras as one cloud
-    /// ([`CloudParams`]).
+    /// Creates a smoother for a rig; engines are opened for the first frames. `params` are the parameters for each
+    /// camera's frames, adapted to the camera's sensor ([`FrameParams::for_sensor`]); `general_params` are those for
+    /// the points of all cameras as one cloud ([`CloudParams`]).
     pub fn new(
         rig: &Rig,
         way: RigWay,
@@ -148,41 +149,42 @@ impl RigSmoother {
         })
     }
 
-    /// Distributes the cameras over these devices, each to the one with the fewest pixels; an empty list keeps the
-    /// device of the options. The first device smooths all points as one cloud. A failing device is reported as an
-    /// error; a [`RigStream`](super::RigStream) then continues without it.
+    /// Distributes the cameras over these devices, each to the device with the fewest pixels; with an empty list, the
+    /// options' device smooths all cameras. The first device smooths merged clouds. If a device fails, smoothing
+    /// returns an error; a [`RigStream`](super::RigStream) then continues without the device.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
 
-    /// For views: sets the maximum distance between two cameras' surfaces due to pose errors, in metres.
+    /// Sets the maximum distance between two cameras' surfaces due to pose errors, in metres, for smoothing by views.
     pub fn with_registration_m(self, registration_m: f64) -> Self {
         Self { registration_m, ..self }
     }
 
     /// Thins merged points to one per voxel of this size in metres; `None` keeps all.
     ///
-    /// A fused cloud then has one point per voxel: the centroid of its points, smoothed among the other centroids, with
-    /// the camera of the nearest point. Each camera's points are moved onto the surface of the centroids
-    /// (docs/method.md, section 13).
+    /// A fused cloud ([`receive_fused`](Self::receive_fused)) then has one point per voxel: the centroid of the
+    /// voxel's points, smoothed together with the other centroids, and the camera of the point nearest to the
+    /// centroid. Each camera's points are moved onto the surface of the centroids (docs/method.md, section 13).
     pub fn with_voxel_m(self, voxel_m: Option<f64>) -> Self {
         Self { general: self.general.with_voxel_m(voxel_m), ..self }
     }
 
-    /// Returns a handle that cancels the work on all points together.
+    /// Returns a handle that cancels the smoothing of all points as one cloud.
     pub(super) fn stopper(&self) -> Stopper {
         self.general.stopper()
     }
 
-    /// Returns the engine that is open.
+    /// Returns the engine in use.
     pub fn engine(&self) -> Engine {
         self.engine
     }
 
-    /// Closes the engines; moments in flight are lost. The next frames open the engines again, or `engine` if given.
+    /// Closes the engines and discards moments in flight. The next frames reopen the engines, or open `engine` if
+    /// given.
     pub(super) fn close(&mut self, engine: Option<Engine>) {
         self.flights.clear();
-        // Moments in flight are submitted again, and the videos may already include them.
+        // Moments in flight are submitted again, but the filters over time may already include them.
         self.restart_videos();
         self.general.close();
         self.cameras.iter_mut().for_each(|camera| (camera.smoother, camera.device) = (None, None));
@@ -192,19 +194,20 @@ impl RigSmoother {
         }
     }
 
-    /// Removes the failed device, so that its cameras move to the others; returns false if none failed or no other is
-    /// left.
+    /// Removes the failed device and moves its cameras to the other devices. Returns false if no device has failed or
+    /// no other is left.
     pub(super) fn leave_failed_device(&mut self) -> bool {
         let Some(failed) = self.failed.take().filter(|_| self.devices.len() > 1) else { return false };
         self.devices.retain(|device| *device != failed);
         true
     }
 
-    /// Smooths one frame of each camera that has one. Results are in the frames of their cameras' points.
+    /// Smooths the frames of a moment, at most one per camera. Each result is in the coordinate frame of its camera's
+    /// input points.
     ///
     /// # Errors
     /// If the engine fails; moments in flight are then lost, and the next frames reopen the engines. A frame that
-    /// cannot be smoothed is an error in the result of its camera.
+    /// cannot be smoothed yields an error in its camera's result.
     pub fn smooth(&mut self, frames: &[Option<Frame<'_>>]) -> Result<RigResults, Error> {
         self.check_count(frames)?;
         let result = self.land_all().and_then(|()| self.smooth_now(frames));
@@ -236,7 +239,7 @@ impl RigSmoother {
         result
     }
 
-    /// Opens an engine for each camera's frame that needs one.
+    /// Opens an engine for each camera with a frame, unless one is open for the frame's shape.
     pub(super) fn open_each(&mut self, frames: &[Option<Frame<'_>>], outputs: Outputs) -> Result<(), Error> {
         let is_open = |(camera, frame): (&CameraSmoother, &Option<Frame<'_>>)| {
             frame.is_none_or(|frame| camera.smoother.is_some() && camera.shape == frame.shape())
@@ -244,7 +247,7 @@ impl RigSmoother {
         if self.cameras.iter().zip(frames).all(is_open) {
             return Ok(());
         }
-        // Opening an engine closes the camera's previous one, with its frames in flight.
+        // Opening an engine closes the camera's previous engine, whose frames in flight would be lost.
         self.land_all()?;
         // All cameras share one thread pool.
         let options = self.options.clone().with_threads(None).with_outputs(outputs);
@@ -328,7 +331,7 @@ impl RigSmoother {
             .zip(&measured)
             .map(|(view, of)| view.as_ref().zip(of.as_ref()).map(|(view, of)| view.frame(of)).transpose())
             .collect::<Result<_, _>>()?;
-        // Points are moved to tangent planes.
+        // Points are moved to tangent planes, which need points and normals.
         let of_views = outputs.with_depth(false).with_depth_m(false).with_points(true).with_normals(true);
         let results = self.smooth_each(&frames, of_views)?;
         drop(frames);
@@ -370,7 +373,7 @@ impl CameraSmoother {
         Some(Measured::nothing(self.camera?, self.params.sensor, self.rig_from_camera))
     }
 
-    /// Opens the engine for the shape of this frame, unless it is open.
+    /// Opens the engine for the shape of this frame, unless it is already open for that shape.
     fn open(&mut self, frame: Frame<'_>, options: &SmootherOptions) -> Result<(), Error> {
         let shape = frame.shape();
         if self.smoother.is_some() && shape == self.shape {

@@ -14,11 +14,11 @@ pub struct CameraStatistics {
     pub frames_out: u64,
     /// Moments without a frame of this camera.
     pub missing: u64,
-    /// Frames that arrived after their moment.
+    /// Frames that arrived after their moment was taken.
     pub late: u64,
     /// Frames with the timestamp of the previous frame, or an earlier one.
     pub out_of_order: u64,
-    /// Number of jumps of its clock.
+    /// Number of jumps of the camera's clock.
     pub jumps: u64,
     /// Frames of a live camera that newer ones replaced after the engine was opened.
     pub dropped: u64,

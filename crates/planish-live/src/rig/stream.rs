@@ -1,4 +1,4 @@
-//! The loop of a rig: cameras, matching, smoothing, sinks.
+//! The loop that runs a rig: cameras, matching, smoothing and sinks.
 
 mod warnings;
 
@@ -25,7 +25,7 @@ use planish_core::{
 /// Maximum time that frames of one moment wait for each other, unless the frame interval is shorter.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
-/// Interval between checks whether the stream should stop.
+/// Interval between checks of the stop flag.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// An event of a running rig.
@@ -38,7 +38,7 @@ pub enum RigEvent<'a> {
     Warning(String),
 }
 
-/// A stream of a rig's cameras to sinks, to be run on the calling thread.
+/// A stream of a rig's cameras to sinks that runs on the calling thread.
 pub struct RigStream<'a> {
     rig: &'a Rig,
     sources: Vec<Box<dyn Source>>,
@@ -51,8 +51,8 @@ pub struct RigStream<'a> {
 impl<'a> RigStream<'a> {
     /// Creates a stream without sinks, stop flag or event handler.
     ///
-    /// `sources` are the sources of the rig's cameras, in their order: either all live, in which case only the newest
-    /// moment is smoothed, or all recorded, in which case every frame is.
+    /// `sources` are the sources of the rig's cameras, in their order. If all are live, only the newest moment is
+    /// smoothed; if all are recorded, every frame is smoothed. A mixture is an error.
     pub fn new(rig: &'a Rig, sources: Vec<Box<dyn Source>>, options: RigOptions) -> Self {
         Self { rig, sources, options, sinks: Vec::new(), stop: None, tell: Box::new(|_| ()) }
     }
@@ -76,11 +76,12 @@ impl<'a> RigStream<'a> {
     /// Runs the stream until all cameras end, its limits are reached, all sinks have failed, or the stop flag is set;
     /// then waits for the sinks and closes them.
     ///
-    /// A camera that fails or ends is reported and counted, and the others continue. A lost GPU is reopened once, after
-    /// which the CPU engine takes over; with several devices, the others take over its cameras.
+    /// A camera that fails or ends is reported and counted, and the others continue. A lost GPU is reopened once; if
+    /// it is lost again, the CPU engine takes over. With several devices, the other devices take over the lost GPU's
+    /// cameras instead.
     ///
     /// # Errors
-    /// If the options are invalid, an engine fails for good, or every camera failed before it delivered a frame.
+    /// If the options are invalid, an engine fails permanently, or every camera failed before it delivered a frame.
     pub fn run(self) -> Result<RigStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { rig, mut sources, options, sinks, stop, tell } = self;
@@ -151,7 +152,7 @@ fn run(
         result.map(|()| stream.statistics)
     });
     inbox.close();
-    // The wait for a live camera is bounded, so this flag is noticed.
+    // Waits for a live camera are bounded, so the cameras' threads notice this flag.
     ended.store(true, Ordering::Relaxed);
     for thread in threads.into_iter().flatten() {
         // A panic has already been reported.
@@ -166,7 +167,7 @@ fn run(
     }
 }
 
-/// Returns true if the sources are live; refuses a mixture.
+/// Returns true if all sources are live, false if none is; refuses a mixture.
 fn check_sources(rig: &Rig, sources: &[Box<dyn Source>]) -> Result<bool, ParamError> {
     if sources.len() != rig.cameras.len() {
         let value = sources.len().to_string();
@@ -195,26 +196,26 @@ struct Running<'a> {
     is_live: bool,
     /// Whether an engine has accepted a moment.
     was_open: bool,
-    /// Number of GPU losses so far.
+    /// Record of GPU losses, from which the recovery is chosen.
     losses: GpuLosses,
     sinks: Vec<SinkThread<RigFrame>>,
     statistics: RigStatistics,
-    /// Number of smoothed frames of each camera.
+    /// Number of smoothed frames per camera.
     smoothed: Vec<u64>,
-    /// Number of frames of each camera that the engine refused.
+    /// Number of frames that the engine rejected, per camera.
     refused: Vec<u64>,
     /// Reported reasons for refusing each camera's frames.
     told_refusals: Vec<Vec<String>>,
-    /// Cameras whose lost points were reported.
+    /// Whether lost points were reported, per camera.
     told_lost_points: Vec<bool>,
-    /// Number of frames of each camera that were matched with another camera's.
+    /// Number of frames matched with another camera's, per camera.
     together: Vec<u64>,
-    /// Numbers of each camera's frames, and of moments, dropped before the engine was open.
+    /// Number of frames per camera, and number of moments, dropped before the engine was open.
     at_start: Option<(Vec<u64>, u64)>,
 }
 
 impl Running<'_> {
-    /// Runs until the end. Once `stop` is set, a moment that takes long is abandoned.
+    /// Runs the stream until it ends. Once `stop` is set, a moment that takes long is abandoned.
     fn run_until(
         &mut self,
         inbox: &Inbox,
@@ -286,7 +287,7 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// Submits a moment; false if none of its frames can be smoothed.
+    /// Submits a moment; returns false if none of its frames can be smoothed.
     fn submit(&mut self, mut moment: Moment<Arrived>, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<bool, Error> {
         for (i, arrived) in moment.frames.iter_mut().enumerate() {
             let error = arrived.as_ref().and_then(|arrived| arrived.frame.into_frame().err());
@@ -309,7 +310,7 @@ impl Running<'_> {
         Ok(true)
     }
 
-    /// Refuses cameras without known intrinsics, which views need.
+    /// Returns an error if the intrinsics of a camera are unknown: smoothing by views needs them.
     fn check_cameras(&self, moment: &Moment<Arrived>) -> Result<(), ParamError> {
         let is_unknown = |(camera, arrived): &(&RigCamera, &Option<Arrived>)| {
             let knows_it = |arrived: &Arrived| arrived.frame.into_frame().is_ok_and(|frame| frame.camera().is_some());
@@ -336,7 +337,7 @@ impl Running<'_> {
         submitted
     }
 
-    /// Receives the oldest moment and passes it to the sinks.
+    /// Receives the oldest moment in flight and passes it to the sinks.
     fn receive(&mut self, inbox: &Inbox, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         let started = Instant::now();
         let received = self.smoother.receive();
@@ -412,8 +413,8 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// Recovers from an error of a GPU: its cameras move to the other devices; a single GPU is reopened once, then the
-    /// CPU takes over. Moments in flight are submitted again.
+    /// Recovers from a GPU error: the cameras of the failed GPU move to the other devices. If there are none, the GPU
+    /// is reopened once; after a second loss, the CPU takes over. Moments in flight are submitted again.
     fn recover(&mut self, mut error: Error, tell: &mut impl FnMut(RigEvent<'_>)) -> Result<(), Error> {
         loop {
             let was_gpu = self.smoother.engine() == Engine::Gpu;

@@ -15,7 +15,7 @@ use planish_core::{
 pub(super) struct PlacedFrames<'a> {
     /// Each frame with the transform of its points to the rig's frame.
     pub(super) frames: Vec<Option<(Frame<'a>, RigidTransform)>>,
-    /// The rays of each camera, for depth images.
+    /// The viewing rays of each camera, for depth images.
     pub(super) rays: Vec<Arc<Rays>>,
     /// The position of each camera in the rig's frame.
     pub(super) lenses: Vec<DVec3>,

@@ -22,19 +22,19 @@ impl RigSmoother {
         self
     }
 
-    /// Sets the timestamp of the next moment in seconds, or `None` for a moment without one. A camera's video
-    /// restarts if its last frame was more than one second, and more than five frame intervals, before.
+    /// Sets the timestamp of the next moment in seconds, or `None` for a moment without one. Smoothing over time
+    /// restarts for a camera whose last frame was earlier by more than one second and more than five frame intervals.
     pub fn set_moment_time(&mut self, time_s: Option<f64>) {
         self.time_s = time_s;
     }
 
-    /// Restarts the video of each camera with the next moment, for example after the rig was moved.
+    /// Restarts smoothing over time with the next moment, for all cameras, for example after the rig was moved.
     pub fn restart_videos(&mut self) {
         self.videos().for_each(ResultFilter::restart);
     }
 
-    /// Returns the cameras whose motion cannot be estimated because the camera of their points is unknown, each once
-    /// per video.
+    /// Takes the indices of the cameras whose motion cannot be estimated because the intrinsics for their points are
+    /// unknown; each camera once per video.
     pub(super) fn take_unknown_cameras(&mut self) -> Vec<usize> {
         let unknown = self.cameras.iter_mut().map(|camera| camera.video.as_mut()?.take_camera_unknown().then_some(()));
         unknown.enumerate().filter_map(|(i, unknown)| unknown.map(|()| i)).collect()
@@ -77,8 +77,8 @@ impl RigSmoother {
 }
 
 impl CameraSmoother {
-    /// Prepares a frame that is smoothed in space for smoothing over time; `None` if its result is not smoothed over
-    /// time.
+    /// Prepares a frame, which is then smoothed in space, for smoothing its result over time; `None` if the result is
+    /// not smoothed over time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, time_s: Option<f64>, outputs: Outputs) -> Option<ResultSight> {
         self.video.as_mut()?.look_at(frame, time_s, self.params.sensor, outputs)
     }

@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use planish_core::{Camera, FrameError, ParamError, SensorPose};
 
 /// A pose from which the points of all cameras are smoothed as an additional view
-/// ([`RigWay::Views`](super::RigWay::Views)); other ways ignore it.
+/// ([`RigWay::Views`](super::RigWay::Views)); other methods ignore it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Viewpoint {
@@ -17,7 +17,7 @@ pub struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Creates the view of this camera at this pose.
+    /// Creates a viewpoint with these intrinsics at this pose.
     pub fn new(pose: SensorPose, camera: Camera) -> Self {
         Self { pose, camera }
     }

@@ -32,18 +32,18 @@ const SAME_SURFACE_COSINE: f64 = 0.866;
 /// Maximum distance of one smooth surface from its extended tangent plane, in metres.
 const SAME_SURFACE_M: f64 = 0.003;
 
-/// Marks a sample that falls into no pixel, or is not part of the pixel's front.
+/// Pixel index of a sample that falls into no pixel, or does not belong to the front of its pixel.
 const NOWHERE: u32 = u32::MAX;
 
-/// Measurements of a camera, in its frame.
+/// A camera's measurements, in the camera's coordinate frame.
 pub(super) struct Measured {
     pub(super) camera: Camera,
     pub(super) points: Xyz,
-    /// Normals towards the camera, where the orientation of the surface can be estimated.
+    /// Normals that face the camera, where the orientation of the surface can be estimated.
     normals: Xyz,
     sensor: SensorModel,
     rig_from_camera: RigidTransform,
-    /// Transform of its points back into the frame of the input.
+    /// Transform of points from the camera's frame into the frame of the input.
     points_from_camera: RigidTransform,
     /// True for an added viewpoint without a camera: all pixels are holes.
     is_added: bool,
@@ -95,8 +95,8 @@ impl Measured {
         (self.camera.width, self.camera.height)
     }
 
-    /// Returns the view of all cameras' points from this camera. Pose errors separate the surfaces of two cameras by
-    /// at most `registration_m`.
+    /// Returns the view of all cameras' points from this camera. Pose errors may separate two cameras' surfaces by up
+    /// to `registration_m` metres.
     pub(super) fn view(&self, index: usize, all: &[Option<Self>], registration_m: f64) -> View {
         let (width, height) = self.shape();
         let landings: Vec<Option<Landings>> = all
@@ -141,8 +141,8 @@ impl Measured {
         View { points: sums.iter().map(mean).collect(), shape: (width, height), counted }
     }
 
-    /// Returns the depth in metres of each pixel's front: its sample or, without one, the nearest point of another
-    /// camera.
+    /// Returns the depth in metres of each pixel's front: this camera's sample or, without one, the nearest point of
+    /// another camera.
     fn front_m(&self, landings: &[Option<Landings>]) -> Vec<f32> {
         let mut front_m = self.points.z().to_vec();
         for (pixel, point) in landings.iter().flatten().flat_map(Landings::iter) {
@@ -153,8 +153,9 @@ impl Measured {
         if !self.is_added {
             return front_m;
         }
-        // Without a camera, surfaces behind would be visible through the gaps between samples. A point is hidden if no
-        // surface from an adjacent pixel can be steep enough to reach it.
+        // From a viewpoint without a camera, hidden surfaces would be visible through the gaps between samples. A
+        // point is hidden if it is so far behind the front of an adjacent pixel that no surface facing the view
+        // reaches both.
         let (width, height) = self.shape();
         let deeper = 1.0 + STEEPEST_PX / self.camera.fx.min(self.camera.fy) as f32;
         let screened = |i: usize| {
@@ -185,7 +186,7 @@ impl Measured {
         Landings { pixels, points }
     }
 
-    /// Moves the points onto the smoothed views.
+    /// Moves this camera's points onto the smoothed views.
     pub(super) fn carried_back(
         &self,
         index: usize,
@@ -271,8 +272,8 @@ impl View {
     }
 }
 
-/// Drops samples of pixels around which only one camera was counted: seen from a viewpoint without a camera, they add
-/// nothing to that camera's view.
+/// Drops samples in pixels around which only one camera was counted: a viewpoint without a camera adds nothing there
+/// to what that camera sees.
 fn leave_to_their_camera(counted: &mut [Option<Vec<u32>>], shape: (usize, usize)) {
     const SEVERAL: u16 = u16::MAX;
     let mut seen_by = vec![None; shape.0 * shape.1];
@@ -297,7 +298,7 @@ fn beside(pixel: usize, (width, height): (usize, usize)) -> impl Iterator<Item =
     (v.saturating_sub(1)..(v + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
 }
 
-/// The pixels of another camera's grid into which a camera's samples fall, and the samples in that camera's frame.
+/// The pixels of a view into which another camera's samples fall, and these samples in the view's frame.
 struct Landings {
     pixels: Vec<u32>,
     points: Vec<[f32; 3]>,
@@ -350,7 +351,7 @@ impl Seen<'_> {
         Tangent { point: as_dvec(self.points.get(pixel)), normal: as_dvec(self.normals.get(pixel)) }
     }
 
-    /// Interpolates the surface between the four pixels around a point close to it; `None` next to edges.
+    /// Interpolates the surface at a point close to it from the four surrounding pixels; `None` next to edges.
     fn surface_at(&self, point: DVec3, normal: DVec3) -> Option<Tangent> {
         let [u, v] = self.camera.project(point.to_array())?;
         let (left, top) = (u.floor(), v.floor());
@@ -397,7 +398,7 @@ struct Blend {
 }
 
 impl Blend {
-    /// Adds a tangent plane of a view; a plane that the ray grazes does not determine the point.
+    /// Adds a view's tangent plane unless the ray grazes it, since a grazed plane does not determine the point.
     fn add(&mut self, ray: DVec3, point: DVec3, normal: DVec3, ray_of_view: DVec3) {
         let along = ray.dot(normal);
         // Also false for a NaN.

@@ -13,11 +13,11 @@ use planish_core::{
 /// Minimum cosine between normals of one surface (37°).
 const LEAST_COSINE: f64 = 0.8;
 
-/// A moment in voxels.
+/// A moment whose points are sorted into voxels.
 pub(super) struct InVoxels {
     together: Together,
     voxels: Voxels,
-    /// The centroid of each voxel's points, and the camera of the point nearest to it.
+    /// The centroid of each voxel's points, and the camera of the point nearest to the centroid.
     cloud: PointCloud,
     /// Result for the voxels; `None` until they are smoothed.
     smoothed: Option<Smoothed>,
@@ -42,7 +42,7 @@ impl InVoxels {
         Ok(())
     }
 
-    /// Returns the smoothed centroids with their camera and the computed fields; holes are left out.
+    /// Returns the smoothed centroids, without holes, with their camera and the computed fields.
     pub(super) fn fused(self, fields: Outputs) -> PointCloud {
         let Self { mut cloud, smoothed, together, .. } = self;
         let mut smoothed = smoothed.unwrap_or_default();
@@ -92,7 +92,7 @@ impl InVoxels {
     }
 }
 
-/// Returns, for each point, the value found for its voxel.
+/// Returns, for each point, the value found for its voxel; `without` for a point without a voxel.
 fn of_own_voxel<T: Copy + Send + Sync>(carried: &[Carried], found: &[T], without: T) -> Vec<T> {
     carried.par_iter().map(|carried| carried.voxel.map_or(without, |voxel| found[voxel])).collect()
 }

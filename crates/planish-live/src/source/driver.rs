@@ -68,7 +68,7 @@ pub(super) fn load(
         match unsafe { Library::new(&name) } {
             Ok(library) => return Ok(library),
             Err(error) => {
-                // The system's own error has the reason.
+                // The underlying system error states the reason.
                 let reason = error.source().map_or_else(|| error.to_string(), ToString::to_string);
                 first_error.get_or_insert_with(|| format!("{} cannot be loaded: {reason}", Path::new(&name).display()));
             }

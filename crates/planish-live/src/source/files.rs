@@ -33,7 +33,7 @@ impl FileSource {
         let Some(first) = files.first() else {
             return Err(malformed(folder, "the folder has no frames (.pcd, .ply, .png, .tiff, .npy)").into());
         };
-        // Without a camera every depth image would fail: refuse at once, before anything is written.
+        // Without a camera, every depth image would fail, so fail now, before anything is written.
         if camera.is_none()
             && let Ok((_, contents @ (Contents::Depth(_) | Contents::DepthMetres { .. }))) = io::read_with(first, &read)
         {
@@ -48,7 +48,7 @@ impl FileSource {
         Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true, read }
     }
 
-    /// Sets how files are read.
+    /// Sets the options for reading files.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }
@@ -63,7 +63,7 @@ impl Source for FileSource {
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         let frame = read_frame(file, self.camera, &self.read)?;
-        // Intrinsics hold for one image size.
+        // Intrinsics are valid for one image size.
         self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
         if self.repeats {
             self.next = 0;
@@ -73,7 +73,7 @@ impl Source for FileSource {
     }
 
     fn frame_name(&self) -> Option<String> {
-        // A repeated file would name every frame the same.
+        // A repeated file would give every frame the same name.
         let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
         file_stem(self.files.get(last)?)
     }

@@ -2,8 +2,8 @@
 //! `fakenect-record`.
 //!
 //! Depth is the Kinect's raw 11-bit disparity, two bytes per pixel, little-endian; 2047 is a hole. Files are named
-//! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity comes from the infrared camera and colour from the colour
-//! camera: each point takes the colour of the pixel that it projects to there.
+//! KIND-SECONDS-TICKS.EXTENSION, in order of time. Disparity comes from the infrared camera and colour from the
+//! colour camera: each point gets the colour of the colour camera's pixel that it projects to.
 
 use std::f64::consts::PI;
 #[cfg(any(test, feature = "internal"))]
@@ -18,7 +18,7 @@ use planish_core::{Camera, DepthFrame, Error, IoError};
 #[cfg(any(test, feature = "internal"))]
 use planish_io;
 
-/// Smallest raw disparity of a hole.
+/// Smallest raw disparity that marks a hole.
 const HOLE_DISPARITY: u16 = 2047;
 
 const REACH_M: f64 = 10.0;
@@ -43,8 +43,8 @@ const COLOUR_FROM_INFRARED: DMat3 = DMat3::from_cols_array(&[
 ]);
 const COLOUR_OFFSET_M: DVec3 = DVec3::new(0.019_985_24, -0.000_744_24, -0.010_916_74);
 
-/// Returns a colour for each pixel of a depth frame from disparities: black for holes and points outside the colour
-/// camera's picture.
+/// Returns the colour of each pixel of a depth frame that was computed from disparities: black for holes and for
+/// points outside the colour camera's image.
 fn colour_of_depth(frame: &DepthFrame, rgb: &[u8]) -> Vec<u8> {
     let camera = &frame.camera;
     let colour_at = |(i, &raw): (usize, &u16)| -> Option<[u8; 3]> {
@@ -79,8 +79,8 @@ fn depth_disparity(depth_m: f32) -> u16 {
     if disparity >= 0.0 && disparity < f64::from(HOLE_DISPARITY) { disparity.round() as u16 } else { HOLE_DISPARITY }
 }
 
-/// Converts a Kinect's raw disparities, two bytes each, least significant first, to a depth frame in millimetres. `rgb`
-/// is the picture of its colour camera.
+/// Converts a Kinect's raw disparities, two bytes each, least significant first, to a depth frame in millimetres.
+/// `rgb` is the image of the Kinect's colour camera.
 pub(super) fn frame_of_disparities(
     bytes: &[u8],
     rgb: Option<&[u8]>,
@@ -132,7 +132,7 @@ impl Source for FreenectRecording {
         let Some((file, colour)) = self.files.get(self.next) else { return Ok(None) };
         self.next += 1;
         let disparities = read_netpbm(file, "P5", 2)?;
-        // Depth matters more: a colour image that cannot be read is left out.
+        // Depth matters more, so an unreadable colour image is skipped.
         let rgb = colour.as_deref().and_then(|colour| read_netpbm(colour, "P6", 3).ok());
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let seconds = name.split('-').nth(1).and_then(|seconds| seconds.parse().ok());
@@ -140,8 +140,8 @@ impl Source for FreenectRecording {
     }
 }
 
-/// Returns the pixels of an image of a recording. Its header is one line, such as "P5 640 480 65535", and 16-bit
-/// pixels are little-endian, contrary to the PGM standard.
+/// Returns the pixel bytes of an image in a recording. The image has a header of one line, such as "P5 640 480
+/// 65535", and its 16-bit pixels are little-endian, contrary to the PGM standard.
 fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
     let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
     let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);

@@ -5,9 +5,9 @@
 //! converted by [`disparity_depth_m`](super::disparity_depth_m), and each point gets the colour of the pixel that it
 //! projects to. One thread owns the device and turns the driver's events into frames; only the newest is kept.
 //!
-//! The playback library of libfreenect has the same name and plays a recording. Without a recording it exits the
-//! process, and it aborts on a mode that it lacks. It is recognized by its missing functions, and opened with 11 bits
-//! and RGB, which it supports.
+//! libfreenect's playback library has the same file name. It exits the process if there is no recording, and aborts
+//! if it lacks the requested mode. It is recognized by its missing functions, and opened with 11-bit depth and RGB,
+//! which it supports.
 
 use std::ffi::{c_int, c_void};
 use std::path::Path;
@@ -23,7 +23,7 @@ use super::silence::longest_silence;
 use super::{OwnedFrame, Source, malformed, with_shape};
 use planish_core::{Camera, DepthFrame, DeviceError, Error};
 
-/// Number of pixels of a frame: both cameras run at their medium resolution.
+/// Number of pixels per frame: both cameras run at their medium resolution.
 const PIXELS: usize = 640 * 480;
 
 // From libfreenect.h, version 0.5.
@@ -33,7 +33,7 @@ const DEPTH_11BIT: c_int = 0;
 const DEPTH_REGISTERED: c_int = 4;
 const DEVICE_CAMERA: c_int = 2;
 const LOG_ERROR: c_int = 1;
-/// Returned if a signal interrupted the wait.
+/// Error code of libusb if a signal interrupted the wait.
 const LIBUSB_INTERRUPTED: c_int = -10;
 
 /// `freenect_frame_mode`.
@@ -66,7 +66,7 @@ type Device = *mut c_void;
 type FrameCallback = unsafe extern "C" fn(Device, *mut c_void, u32);
 
 c_functions! {
-    /// libfreenect.
+    /// The functions of libfreenect.
     struct Functions("freenect_") {
         init(*mut Context, *mut c_void) -> c_int;
         shutdown(Context) -> c_int;
@@ -119,16 +119,17 @@ impl Freenect {
     }
 }
 
-/// The state of the callbacks, behind the device's user pointer. They run on the thread that owns the device.
+/// The state of the callbacks, which run on the thread that owns the device. The device's user pointer points to this
+/// state.
 struct Events {
-    /// Whether depth is registered, in millimetres; otherwise it is 11-bit disparities.
+    /// Whether depth is registered, in millimetres; otherwise it consists of raw 11-bit disparities.
     registered: bool,
-    /// The caller's camera; `None` for a typical Kinect's.
+    /// The caller's camera; `None` uses a typical Kinect's.
     camera: Option<Camera>,
     rgb: Option<Vec<u8>>,
     /// The device's last timestamp, in ticks; its counter wraps after 71 s.
     last_ticks: u32,
-    /// The number of ticks until the last timestamp, without wrapping.
+    /// The device's last timestamp in ticks, without wrapping.
     ticks: u64,
     newest: Newest,
 }
@@ -192,7 +193,7 @@ impl KinectSource {
         };
         let thread = thread::Builder::new().name("planish-kinect".into()).spawn(work).map_err(failed)?;
         let source = Self { newest, dropped, arrived, ended, stop: Some(stop), thread: Some(thread) };
-        // The thread reports that it runs, or why it ended.
+        // The thread sends a signal once it runs; if it fails before that, the channel closes.
         match opened.recv() {
             Ok(()) => Ok(source),
             Err(_) => {
@@ -267,8 +268,8 @@ fn run(
     let failed =
         |what: &str, code: c_int| DeviceError::Failed { what: format!("{what} (libfreenect returned {code})") };
     let mut context: Context = std::ptr::null_mut();
-    // SAFETY: every call is libfreenect's own, with pointers that it gave or that outlive their use; all on this
-    // thread.
+    // SAFETY: only functions of libfreenect are called, with pointers that it returned or that outlive their use, and
+    // only on this thread.
     unsafe {
         match (freenect.init)(&mut context, std::ptr::null_mut()) {
             code if code < 0 => return Err(failed("cannot start libfreenect", code)),
@@ -332,7 +333,7 @@ unsafe fn run_device(
 }
 
 /// # Safety
-/// The device must be open and have its user pointer, and this must run on its thread.
+/// The device must be open, its user pointer must be set, and this must run on its thread.
 unsafe fn start_streams(freenect: &Freenect, device: Device, registered: bool) -> Result<(), DeviceError> {
     let check = |what: &str, code: c_int| match code {
         0.. => Ok(()),
@@ -363,7 +364,7 @@ unsafe fn handle_events(freenect: &Freenect, context: Context, stopped: &Receive
         match unsafe { (freenect.process_events_timeout)(context, &mut timeout) } {
             0.. => {}
             LIBUSB_INTERRUPTED => {}
-            // The end of the recording.
+            // The recording has ended.
             _ if freenect.is_playback => break,
             code => {
                 return Err(DeviceError::Gone {
@@ -392,7 +393,7 @@ unsafe fn events_of<'a>(device: Device) -> Option<&'a mut Events> {
 }
 
 unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
-    // SAFETY: libfreenect gives 2 bytes per pixel, not always at an even address: they are read as bytes.
+    // SAFETY: libfreenect passes 2 bytes per pixel, not always at an even address: they are read as bytes.
     let (events, bytes) = unsafe {
         let Some(events) = events_of(device) else { return };
         (events, std::slice::from_raw_parts(depth.cast::<u8>(), 2 * PIXELS))
@@ -412,14 +413,15 @@ unsafe extern "C" fn on_depth(device: Device, depth: *mut c_void, ticks: u32) {
     events.newest.put(frame);
 }
 
-/// Returns the camera of registered depth: the colour camera, in millimetres.
+/// Returns the camera for depth registered to the colour camera: the given camera or a typical Kinect's, in
+/// millimetres.
 fn registered_camera(camera: Option<Camera>) -> Camera {
     let camera = with_shape(camera.unwrap_or(Camera::kinect_v1()), (640, 480));
     camera.with_depth_units_per_metre(1000.0)
 }
 
 unsafe extern "C" fn on_video(device: Device, video: *mut c_void, _: u32) {
-    // SAFETY: libfreenect gives 3 bytes per pixel.
+    // SAFETY: libfreenect passes 3 bytes per pixel.
     unsafe {
         let Some(events) = events_of(device) else { return };
         events.rgb = Some(std::slice::from_raw_parts(video.cast::<u8>(), 3 * PIXELS).to_vec());

@@ -1,4 +1,4 @@
-//! Sources of frames: cameras, data sets, folders, files, the simulator.
+//! Frame sources: cameras, data sets, folders, files and the simulator.
 //!
 //! A [`Source`] delivers one frame after another. [`open`] resolves a source named on the command line. To add a
 //! camera, implement [`Source`]; [`stream`](crate::stream) accepts any implementation.
@@ -31,7 +31,7 @@ pub use files::FileSource;
 pub use freenect::FreenectRecording;
 pub use planish_core::OwnedFrame;
 
-/// For this project's own tests.
+/// Items for this project's own tests.
 #[cfg(feature = "internal")]
 pub(crate) mod internal {
     pub use super::freenect::{disparity_depth_m, write_freenect_recording};
@@ -47,9 +47,9 @@ pub use reconnecting::Reconnecting;
 pub use synthetic::SyntheticSource;
 pub use tum::{TumRecorder, TumSource};
 
-/// Delivers one frame after another.
+/// A source that delivers one frame after another.
 pub trait Source: Send {
-    /// Returns the next frame; `None` at the end. A live source waits for it.
+    /// Returns the next frame; `None` at the end. A live source waits until a frame arrives.
     ///
     /// An unreadable frame is an error, after which the caller may request the next frame.
     fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error>;
@@ -59,13 +59,13 @@ pub trait Source: Send {
         None
     }
 
-    /// Returns the camera's description, if it has one.
+    /// Returns a description of the camera, if available.
     fn description(&self) -> Option<String> {
         None
     }
 
-    /// Receives, before the first frame, a flag that the stream sets when it ends. A source that may wait for long
-    /// checks it.
+    /// Receives, before the first frame, a flag that the stream sets when it ends. A source whose waits may be long
+    /// must check this flag.
     fn end_with(&mut self, _ended: Arc<AtomicBool>) {}
 
     /// Returns the number of frames that a live source replaced by newer ones before they were taken.
@@ -82,29 +82,29 @@ pub trait Source: Send {
 
 /// Returns the warning for the `number`th unreadable frame of a source, counted from 1; `None` after the tenth.
 ///
-/// A list of a million files that do not exist would fill the terminal.
+/// Otherwise, a list of a million missing files would fill the terminal.
 pub fn unreadable_warning(error: &Error, number: u64) -> Option<String> {
     const MOST_TOLD: u64 = 10;
     let only_counted = if number == MOST_TOLD { "; further unreadable frames are only counted" } else { "" };
     (number <= MOST_TOLD).then(|| format!("{error}{only_counted}"))
 }
 
-/// The image of a camera that depth and colour are both mapped to.
+/// The camera image to which both depth and colour are mapped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Alignment {
-    /// The depth image: depth is as it was measured, and each pixel has the colour of its point.
+    /// The depth image: depth is unchanged, and each pixel gets the colour of its 3D point.
     Depth,
     /// The colour image: depth is mapped onto its pixels, by the driver or by the camera.
     Colour,
-    /// Depth is as it was measured, without colour.
+    /// No mapping: depth is unchanged and has no colour.
     None,
 }
 
 impl Alignment {
     const ALL: [Self; 3] = [Self::Depth, Self::Colour, Self::None];
 
-    /// Returns its name in files and options.
+    /// Returns the name used in files and options.
     pub fn name(self) -> &'static str {
         match self {
             Self::Depth => "depth",
@@ -125,7 +125,7 @@ impl FromStr for Alignment {
     }
 }
 
-/// A size of a camera's depth images, and their rate.
+/// Size and rate of a camera's depth images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StreamMode {
     /// Width in pixels.
@@ -178,15 +178,15 @@ pub struct SourceOptions {
     pub fps: Option<f64>,
     /// The topic of an MCAP recording; may be omitted if only one topic has depth.
     pub topic: Option<String>,
-    /// The topic with the camera of an MCAP recording, if it is not next to the images' topic.
+    /// The topic of an MCAP recording's camera, if it is not next to the images' topic.
     pub camera_info_topic: Option<String>,
-    /// The image that depth and colour of a RealSense or OpenNI2 camera are mapped to; `None` uses the default of the
-    /// source.
+    /// The image to which depth and colour of a RealSense or OpenNI2 camera are mapped; `None` uses the source's
+    /// default.
     pub alignment: Option<Alignment>,
     /// The mode of a RealSense or OpenNI2 camera; `None` uses its default.
     pub mode: Option<StreamMode>,
-    /// The number of frames that will be taken, if known. A source that prepares frames in advance prepares no more
-    /// than that.
+    /// The number of frames that will be requested, if known. A source that prepares frames in advance prepares at
+    /// most this many.
     pub frames: Option<u64>,
     /// Options for reading files and recordings. Frames that a stream could not smooth within the memory limit are
     /// refused.
@@ -219,17 +219,17 @@ impl SourceOptions {
         Self { mode, ..self }
     }
 
-    /// Sets the maximum number of frames; `None` for any.
+    /// Sets the number of frames that will be requested; `None` if unknown.
     pub fn with_frames(self, frames: Option<u64>) -> Self {
         Self { frames, ..self }
     }
 
-    /// Sets how files and recordings are read.
+    /// Sets the options for reading files and recordings.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }
 
-    /// Sets the pace in frames per second; `None` for as fast as possible.
+    /// Sets the playback rate in frames per second; `None` plays as fast as possible.
     pub fn with_fps(self, fps: Option<f64>) -> Self {
         Self { fps, ..self }
     }
@@ -316,7 +316,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
     Ok(Box::new(FileSource::folder_within(path, options.camera, options.read)?))
 }
 
-/// Refuses topics for sources that have none.
+/// Refuses topics for sources other than MCAP recordings.
 fn refuse_topics(options: &SourceOptions) -> Result<(), ParamError> {
     match options.topic.as_ref().or(options.camera_info_topic.as_ref()) {
         None => Ok(()),
@@ -354,12 +354,12 @@ fn parse_number<T: std::str::FromStr>(name: &str, number: &str, default: T) -> R
     number.parse().map_err(|_| malformed(Path::new(name), "expected a whole number after the colon").into())
 }
 
-/// Returns the camera with this shape if it has none, otherwise unchanged.
+/// Returns the camera, with this shape if it has none.
 pub(crate) fn with_shape(camera: Camera, (width, height): (usize, usize)) -> Camera {
     if (camera.width, camera.height) == (0, 0) { camera.with_shape((width, height)) } else { camera }
 }
 
-/// Returns an error about a file or source with this name.
+/// Returns an error that names the malformed file or source.
 fn malformed(path: &Path, problem: impl Into<String>) -> IoError {
     IoError { path: PathBuf::from(path), problem: FormatError::Malformed(problem.into()) }
 }

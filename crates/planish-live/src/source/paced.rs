@@ -9,7 +9,7 @@ use super::{OwnedFrame, Source};
 use planish_core::{Error, ParamError};
 
 /// A source that delivers the frames of another at a fixed rate, as a live camera would: a late caller gets the next
-/// one.
+/// frame.
 pub struct Paced {
     source: Box<dyn Source>,
     interval: Duration,

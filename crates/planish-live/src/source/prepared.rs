@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use super::{OwnedFrame, Source};
 use planish_core::{Camera, Error, Preparation, SensorModel};
 
-/// A source whose frames are prepared: ranges cut off, floating pixels removed, resolution reduced.
+/// A source that prepares its frames: limits their range, removes floating pixels, reduces their resolution.
 pub struct PreparedSource {
     source: Box<dyn Source>,
     steps: Preparation,
@@ -15,12 +15,12 @@ pub struct PreparedSource {
 }
 
 impl PreparedSource {
-    /// Wraps a source. The noise of the sensor is used to tell surfaces apart.
+    /// Wraps a source. The sensor's noise is used to distinguish surfaces.
     pub fn new(source: Box<dyn Source>, steps: Preparation, sensor: SensorModel) -> Self {
         Self { source, steps, sensor, camera: None }
     }
 
-    /// Sets the camera for clouds that do not state theirs; it is scaled with them.
+    /// Sets the camera for clouds without their own; it is scaled when the resolution of the clouds is reduced.
     pub fn with_camera(self, camera: Option<Camera>) -> Self {
         Self { camera, ..self }
     }
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
     use crate::stream::{Frames, StreamOptions};
 
-    /// Delivers one frame.
+    /// A source of one frame.
     struct Steps(Option<DepthFrame>);
 
     impl Source for Steps {

@@ -13,7 +13,7 @@ const RETRY_AFTER: Duration = Duration::from_secs(1);
 /// A function that opens a camera, or returns the reason for the failure.
 type Open = Box<dyn FnMut() -> Result<Box<dyn Source>, Error> + Send>;
 
-/// A camera that is reopened when it returns after it was missing. The source waits for it.
+/// A camera that is reopened after it was missing. The source waits until the camera returns.
 pub struct Reconnecting {
     open: Open,
     source: Option<Box<dyn Source>>,
@@ -23,14 +23,14 @@ pub struct Reconnecting {
     ended: Arc<AtomicBool>,
     until: Option<Instant>,
     retry: Duration,
-    /// Frames that the camera dropped before it was unplugged.
+    /// Number of frames that the camera dropped before it was unplugged.
     dropped_before: u64,
     tell: Box<dyn FnMut(&str) + Send>,
 }
 
 impl Reconnecting {
-    /// Opens a camera by its name, or waits for it if it is missing. `tell` receives messages for users: waiting, and
-    /// the description of an opened camera.
+    /// Opens a camera by its name, or waits for it if it is missing. `tell` receives messages for users: that the
+    /// source waits, and the description of each opened camera.
     ///
     /// # Errors
     /// If the camera exists and cannot be opened, or the name or the options are not allowed.
@@ -128,7 +128,7 @@ mod tests {
 
     use super::*;
 
-    /// Delivers some frames, then is unplugged.
+    /// A camera that delivers some frames and is then unplugged.
     struct Unplugged {
         frames: u32,
     }
@@ -150,7 +150,7 @@ mod tests {
         let open = move || -> Result<Box<dyn Source>, Error> {
             attempts += 1;
             match attempts {
-                // Missing at the first attempt, back at the second, and never again.
+                // The camera is missing at the first attempt, back at the second, and missing from then on.
                 2 => Ok(Box::new(Unplugged { frames: 3 })),
                 _ => Err(DeviceError::Failed { what: "no camera".into() }.into()),
             }

@@ -6,7 +6,7 @@ use super::{OwnedFrame, Source};
 use planish_core::{Camera, DepthFrame, Error};
 use planish_eval::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Truth};
 
-/// Frames in one round of the camera: 2 s at 30 frames/s.
+/// Number of frames per round of the camera, 2 s at 30 frames/s.
 const ROUND: u64 = 60;
 
 /// A simulated Kinect v1 that circles endlessly in front of a table, with timestamps at 30 frames/s.
@@ -41,7 +41,7 @@ impl SyntheticSource {
         Ok(source)
     }
 
-    /// Returns the frame of a perfect camera at `index` of a full round.
+    /// Returns the noise-free frame at `index` of a full round.
     pub fn truth(&self, index: u64) -> Truth {
         let turn = TAU * (index % ROUND) as f64 / ROUND as f64;
         let pose = self.start.moved([0.08 * turn.sin(), 0.03 * turn.cos(), 0.0]);

@@ -22,7 +22,7 @@ const KINECT_SHAPE: (usize, usize) = (640, 480);
 /// Maximum time in seconds between paired colour and depth images, as in the benchmark's own tools.
 const NEAR_IN_TIME_S: f64 = 0.02;
 
-/// A source that reads a data set in order.
+/// A source that reads a data set in TUM layout, in order.
 pub struct TumSource {
     folder: PathBuf,
     camera: Camera,
@@ -63,7 +63,7 @@ impl TumSource {
         Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0, read })
     }
 
-    /// Sets how images are read.
+    /// Sets the options for reading images.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }
@@ -125,7 +125,7 @@ fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     })
 }
 
-/// Returns the time in seconds and the file of every line.
+/// Returns the timestamp in seconds and the file of each line.
 fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
     let line = |words: Vec<String>| match &words[..] {
         [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
@@ -151,7 +151,7 @@ fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
     read_list(list)?.into_iter().map(line).collect()
 }
 
-/// Pairs every line of depth.txt with the colour image nearest to it in time.
+/// Pairs every line of depth.txt with the colour image nearest to it in time, if that is within [`NEAR_IN_TIME_S`].
 fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
     let depths = stamped(&folder.join("depth.txt"))?;
     let list = folder.join("rgb.txt");
@@ -186,7 +186,7 @@ pub struct TumRecorder {
 struct Units {
     of_camera: f64,
     of_files: f64,
-    /// Number of the files' units per unit of the camera.
+    /// Number of file units per camera unit.
     factor: u32,
 }
 
@@ -201,7 +201,7 @@ impl Units {
         }
     }
 
-    /// Returns the file's value, 0 for both kinds of holes; `None` if it is too large.
+    /// Converts a raw depth value to the files' unit: 0 for both kinds of holes, `None` if the result is too large.
     fn convert(self, raw: u16) -> Option<u16> {
         match raw {
             SATURATED_DEPTH => Some(0),

@@ -1,4 +1,4 @@
-//! Results as a ROS 2 recording.
+//! A sink that writes results as a ROS 2 recording.
 
 use std::path::Path;
 use std::sync::Arc;

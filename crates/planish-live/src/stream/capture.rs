@@ -21,7 +21,7 @@ pub(super) fn capture(mut source: Box<dyn Source>, mailbox: &Mailbox) {
     // A live source that fails repeatedly counts as gone; other sources end on their own.
     let mut failures = 0;
     // Frames that arrive while an engine is being opened, which takes many frame intervals, do not count as dropped.
-    // A source may report them only with the next frame.
+    // A source may report such frames only with its next frame.
     let (mut is_ready, mut missed_before) = (false, Some(0));
     while !mailbox.is_closed() {
         if let Some(missed) = missed_before {

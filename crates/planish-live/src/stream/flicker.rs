@@ -8,12 +8,12 @@ use crate::source::OwnedFrame;
 const SAMPLES: usize = 10_000;
 /// Number of averaged frames below which a point counts as restarted.
 const FEW_FRAMES: f32 = 1.5;
-/// Fraction of points without a past above which a frame begins a new scene or video.
+/// Fraction of points without earlier frames above which a frame counts as the first of a new scene or video.
 const ALL: f64 = 0.99;
-/// Fraction of the changes, the smallest ones, that is averaged; the largest belong to moving edges. Unlike a median,
-/// this mean is not 0 for depth in coarse steps.
+/// Fraction of the depth changes that is averaged, beginning with the smallest; the largest belong to moving edges.
+/// Unlike a median, this mean is not 0 for depth in coarse steps.
 const COUNTED: f64 = 0.95;
-/// Mean magnitude of the smaller 95 % of a normal distribution.
+/// Mean magnitude of the 95 % of standard normal values that are closest to 0.
 const MEAN_OF_COUNTED: f64 = 0.7168;
 
 /// Difference between a frame of a video and the previous frame.
@@ -41,7 +41,7 @@ impl Flicker {
         self.restarted > MOVING
     }
 
-    /// Returns the mean of `count` frames, given by `self`, and one more.
+    /// Returns the mean over `count` frames, whose mean is `self`, and one more frame.
     pub(super) fn mean_with(self, count: f64, one_more: Self) -> Self {
         let mean = |before: f64, now: f64| before + (now - before) / (count + 1.0);
         Self {
@@ -53,7 +53,7 @@ impl Flicker {
     }
 }
 
-/// Compares the frames of a video on a sample of their pixels.
+/// A meter that compares successive frames of a video on a sample of their pixels.
 #[derive(Debug, Default)]
 pub(super) struct FlickerMeter {
     shape: (usize, usize),
@@ -63,7 +63,7 @@ pub(super) struct FlickerMeter {
 }
 
 impl FlickerMeter {
-    /// Returns `outputs` and the outputs that the meter needs.
+    /// Returns `outputs` with the additional outputs that the meter needs.
     pub(super) fn outputs(outputs: Outputs) -> Outputs {
         outputs.with_status(true).with_frames(true)
     }
@@ -108,7 +108,7 @@ impl FlickerMeter {
         Some(Flicker { measured_m: measured?, smoothed_m: result?, restarted, carried })
     }
 
-    /// Returns the jitter in metres between the previous depths and these, which replace them.
+    /// Returns the jitter in metres from the previous depths to `depths_m`, which replace the previous ones.
     fn jitter_m(
         &mut self,
         is_next: bool,

@@ -81,7 +81,7 @@ impl Frames {
         Ok(Self { shared, is_live })
     }
 
-    /// Returns true if the source is a camera, or plays at a camera's pace.
+    /// Returns true if the source is a camera, or a recording played back in real time.
     pub fn is_live(&self) -> bool {
         self.is_live
     }
@@ -110,7 +110,7 @@ impl Frames {
         }
     }
 
-    /// Returns the warnings since the last call, each once: unreadable frames, a lost GPU.
+    /// Returns the distinct warnings since the last call, for example about unreadable frames or a lost GPU.
     pub fn take_warnings(&self) -> Vec<String> {
         std::mem::take(&mut self.shared.lock().warnings)
     }
@@ -123,8 +123,8 @@ impl Frames {
         Some(statistics)
     }
 
-    /// Asks the stream to stop, after which [`has_ended`](Self::has_ended) becomes true. Waiting frames can still be
-    /// taken.
+    /// Requests that the stream stop; [`has_ended`](Self::has_ended) becomes true once it has stopped. Waiting frames
+    /// can still be taken.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.changed.notify_all();
@@ -239,7 +239,7 @@ mod tests {
     use crate::source::OwnedFrame;
     use planish_core::{Camera, DepthFrame, FrameParams, SmootherOptions};
 
-    /// A source of small frames, without end.
+    /// An endless source of small frames.
     struct Walls;
 
     impl Source for Walls {

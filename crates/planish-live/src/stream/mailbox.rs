@@ -11,12 +11,12 @@ use planish_core::Error;
 /// A frame that has arrived from the source.
 pub(super) struct Arrived {
     pub(super) frame: OwnedFrame,
-    /// Name of the frame, if the source has one for it.
+    /// Name of the frame, if its source provides one.
     pub(super) name: Option<String>,
     pub(super) since: Instant,
 }
 
-/// A frame, or an error and whether the source ends with it.
+/// A frame, or an error with a flag that is true if the error ends the source.
 pub(super) type Item = Result<Arrived, (Error, bool)>;
 
 /// Accumulated time, added to by one thread and read by another.
@@ -123,7 +123,7 @@ impl Mailbox {
         }
         match state.items.pop_front() {
             Some(item) => {
-                // Counted when taken: frames that were read ahead and never taken are beyond the stream's end.
+                // Unreadable frames are counted when taken: those that are never taken are beyond the stream's end.
                 state.unreadable += u64::from(item.is_err());
                 self.changed.notify_all();
                 Taken::Item(item)

@@ -1,9 +1,9 @@
-//! Streams: source, smoother, sinks; frames are smoothed as they arrive.
+//! Streams from a source through a smoother to sinks. Frames are smoothed as they arrive.
 //!
-//! A capture thread moves frames from the source into a mailbox. For a live source, only the newest frame waits, and
-//! dropped frames are counted; for other sources, every frame is kept, in order. The calling thread smooths, with
-//! several frames in flight on a GPU. Each sink has a thread and a short queue, so that no sink blocks the source or
-//! another sink.
+//! A capture thread moves frames from the source into a mailbox. From a live source, the mailbox keeps only the
+//! newest frame and counts the frames that it drops; from other sources, it keeps every frame, in order. The calling
+//! thread smooths the frames, with several in flight on a GPU. Each sink has a thread and a short queue, so that no
+//! sink blocks the source or another sink.
 
 #[cfg(feature = "mcap")]
 mod bag;
@@ -43,27 +43,27 @@ pub(crate) use sinks::{ALL_SINKS_FAILED, Consumer, SinkThread};
 pub use sinks::{FolderSink, Sink, SinkFormat};
 pub use statistics::{Latency, StreamStatistics};
 
-/// Number of consecutive frames that cannot be smoothed after which a stream ends; a repeated file would fail
-/// forever.
+/// Number of consecutive unreadable or rejected frames after which a stream ends: a source that repeats a rejected
+/// frame would never end by itself.
 const MOST_LEFT_OUT: u64 = 1000;
 
 /// Number of frames read ahead from a source that is not live.
 const READ_AHEAD: usize = 4;
 
-/// A frame with its result, as sinks receive it.
+/// A frame and its result, as passed to sinks.
 #[non_exhaustive]
 pub struct StreamFrame {
-    /// Its index among the smoothed frames, from 0.
+    /// Index among the smoothed frames, from 0.
     pub index: u64,
     /// Name of the frame, if its source provides one: the file name without extension.
     pub name: Option<String>,
     /// The frame as the source delivered it.
     pub source: OwnedFrame,
-    /// Its result.
+    /// The result of smoothing the frame.
     pub smoothed: Smoothed,
-    /// Time from its arrival until its result was available.
+    /// Time from the frame's arrival until its result was available.
     pub latency: Duration,
-    /// The time at which its result was available.
+    /// The time at which the result was available.
     pub received: Instant,
     /// Difference from the previous frame, if frames are smoothed over time.
     pub flicker: Option<Flicker>,
@@ -88,7 +88,8 @@ pub enum StreamEvent<'a> {
     Warning(String),
 }
 
-/// A stream from a source to sinks, to be run on the calling thread. [`Frames`] is the same as an iterator.
+/// A stream from a source to sinks that runs on the calling thread. [`Frames`] provides a stream's results as an
+/// iterator.
 ///
 /// ```
 /// use planish::source::SyntheticSource;
@@ -135,13 +136,13 @@ impl<'a> Stream<'a> {
     /// Runs the stream until its source ends, its limits are reached, all sinks have failed, or the stop flag is set;
     /// then waits for the sinks and closes them.
     ///
-    /// A frame of another shape reopens the smoother. A lost GPU is reopened once, after which the CPU engine takes
-    /// over; with several devices, the others continue. Frames keep their order. A frame or sink that fails is reported
-    /// and counted, and the stream continues.
+    /// A frame with another shape reopens the smoother. A lost GPU is reopened once; if it is lost again, the CPU
+    /// engine takes over. With several devices, the other devices continue instead. Frames keep their order. A frame
+    /// or sink that fails is reported and counted, and the stream continues.
     ///
     /// # Errors
-    /// If the settings are invalid, or an engine or the source fails for good. If no frame could be smoothed, returns
-    /// the first error of a frame.
+    /// If the settings are invalid, or an engine or the source fails permanently. If no frame could be smoothed,
+    /// returns the error of the first frame that failed.
     pub fn run(self) -> Result<StreamStatistics, Error> {
         let never = AtomicBool::new(false);
         let Self { mut source, options, sinks, stop, tell } = self;
@@ -215,7 +216,7 @@ fn run(
         result.map(|()| statistics)
     });
     mailbox.close();
-    // The wait for a live source is bounded, so this flag is noticed.
+    // Waits for a live source are bounded, so the capture thread notices this flag.
     ended.store(true, Ordering::Relaxed);
     if capture.join().is_err() {
         tell(StreamEvent::Warning("the source panicked".to_owned()));
@@ -234,9 +235,9 @@ struct Running<'a> {
     options: &'a StreamOptions,
     live: bool,
     session: Session,
-    /// Measures the flicker of a video.
+    /// The meter for the flicker between frames.
     flicker: FlickerMeter,
-    /// The requested outputs.
+    /// The requested outputs; the session may compute further ones.
     outputs: Outputs,
     told_lost_points: bool,
     /// Frames in flight.
@@ -244,13 +245,13 @@ struct Running<'a> {
     sinks: Vec<SinkThread<StreamFrame>>,
     statistics: StreamStatistics,
     smooth_time: TimeSpent,
-    /// Number of the next frame of the source.
+    /// Index of the source's next frame; unreadable frames count.
     number: u64,
-    /// The error of the first frame that was left out.
+    /// Error of the first skipped frame.
     first_error: Option<Error>,
-    /// Number of frames that were unreadable or refused.
+    /// Number of skipped frames: unreadable, or rejected by the engine.
     left_out: u64,
-    /// Number of frames that were unreadable or refused since the last smoothed one.
+    /// Number of frames skipped since the last smoothed frame.
     left_out_in_a_row: u64,
 }
 
@@ -308,7 +309,7 @@ impl Running<'_> {
                         return Err(error);
                     }
                     Err((error, false)) => {
-                        // An unreadable frame has a number, too.
+                        // Unreadable frames are numbered, too.
                         self.number += 1;
                         self.tell_unreadable(error, tell);
                     }
@@ -325,7 +326,7 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// Returns true, and reports it, if no sink is left to receive results.
+    /// Returns true and emits a warning if all sinks have failed.
     fn sinks_are_gone(&self, tell: &mut impl FnMut(StreamEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {
@@ -348,14 +349,14 @@ impl Running<'_> {
         self.tell_events(tell);
         match submitted {
             Ok(()) => self.pending.push_back(in_flight),
-            // The frame's fault: the stream continues.
+            // Only this frame failed: the stream continues.
             Err(Error::Frame(error)) => self.refuse(error, tell),
             Err(error) => return Err(error),
         }
         Ok(())
     }
 
-    /// Reports the session's decisions.
+    /// Reports the session's events as warnings, and records the engine in use.
     fn tell_events(&mut self, tell: &mut impl FnMut(StreamEvent<'_>)) {
         for event in self.session.take_events() {
             tell(StreamEvent::Warning(event.to_string()));
@@ -363,13 +364,13 @@ impl Running<'_> {
         self.statistics.engine = self.session.engine().unwrap_or(self.statistics.engine);
     }
 
-    /// Leaves out a frame that the engine refuses.
+    /// Skips a frame that the engine rejected: counts and reports it.
     fn refuse(&mut self, error: FrameError, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.statistics.unreadable += 1;
         self.tell_unreadable(error.into(), tell);
     }
 
-    /// Counts a frame that is left out, and reports it unless too many were.
+    /// Counts a skipped frame, and reports it unless too many were reported before.
     fn tell_unreadable(&mut self, error: Error, tell: &mut impl FnMut(StreamEvent<'_>)) {
         self.left_out += 1;
         self.left_out_in_a_row += 1;
@@ -397,10 +398,10 @@ impl Running<'_> {
         Ok(())
     }
 
-    /// Passes the result of the oldest frame to the sinks.
+    /// Passes the result of the oldest frame in flight to the sinks.
     fn deliver(&mut self, view: SmoothedView, tell: &mut impl FnMut(StreamEvent<'_>)) {
         let Some(InFlight { frame, name, since }) = self.pending.pop_front() else { return };
-        // The engines are done with it.
+        // The engines no longer use the frame, so it can usually be moved instead of copied.
         let frame = Arc::try_unwrap(frame).unwrap_or_else(|frame| OwnedFrame::clone(&frame));
         self.left_out_in_a_row = 0;
         let received = Instant::now();
@@ -419,7 +420,7 @@ impl Running<'_> {
         tell(StreamEvent::Frame(&self.statistics));
     }
 
-    /// Compares a frame with the previous one, then drops outputs that were not requested.
+    /// Measures the flicker since the previous frame, then drops outputs that were not requested.
     fn flicker_of(&mut self, frame: &OwnedFrame, smoothed: &mut Smoothed) -> Option<Flicker> {
         if !self.options.is_over_time() {
             return None;

@@ -12,11 +12,11 @@ use planish_io::Trajectory;
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct StreamOptions {
-    /// The parameters of the method.
+    /// The parameters of the smoothing method.
     pub params: StreamParams,
     /// The engine and the outputs.
     pub smoother: SmootherOptions,
-    /// The devices over which frames are distributed; if empty, the device of the smoother options.
+    /// The devices over which frames are distributed; if empty, the smoother options' device smooths all of them.
     pub devices: Vec<FleetDevice>,
     /// Maximum number of frames; `None` for no limit.
     pub max_frames: Option<u64>,
@@ -30,7 +30,7 @@ pub struct StreamOptions {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum StreamParams {
-    /// Settings of a user, resolved with the first frame.
+    /// User settings, resolved when the first frame arrives.
     Settings(Settings),
     /// Explicit parameters.
     Params(FrameParams),
@@ -53,11 +53,11 @@ impl StreamOptions {
     /// # Errors
     /// If settings contradict each other or are not for frames on a grid, or if a device is missing.
     pub fn from_settings(settings: Settings) -> Result<Self, Error> {
-        // Checked before anything is opened or written. Estimating a sensor does not change the errors.
+        // Checked before anything is opened or written. The errors are the same for known and estimated sensors.
         let mut of_known_sensor = settings.clone();
         of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
         of_known_sensor.frame_params()?;
-        // These steps need the noise before there is a frame from which to estimate a sensor.
+        // These steps need the sensor's noise before a frame is available from which the sensor could be estimated.
         if settings.remove_floating == Some(true) || settings.decimate.is_some() {
             settings.frame_params()?;
         }
@@ -70,7 +70,7 @@ impl StreamOptions {
         Self { smoother, ..self }
     }
 
-    /// Returns the steps before smoothing and the sensor whose noise they need, if there are any.
+    /// Returns the steps before smoothing and the sensor whose noise they need; `None` if there are no steps.
     pub(super) fn preparation(&self) -> Option<(Preparation, SensorModel)> {
         match &self.params {
             StreamParams::Settings(settings) => {
@@ -113,7 +113,7 @@ impl StreamOptions {
         Self { max_frames, ..self }
     }
 
-    /// Sets the poses of the camera, with which a video of a moving camera is smoothed over time.
+    /// Sets the camera's poses, with which frames of a moving camera can be smoothed over time.
     pub fn with_poses(self, poses: Option<Trajectory>) -> Self {
         Self { poses, ..self }
     }

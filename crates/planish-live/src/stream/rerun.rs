@@ -19,7 +19,7 @@ use planish_eval::render::{difference_normals, relief};
 /// Number of results over which the rate is averaged.
 const RATE_FRAMES: usize = 30;
 
-/// Maximum time for which a viewer may accept nothing before it counts as gone.
+/// Maximum time without accepting data after which a viewer counts as gone.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// A sink that shows every result in Rerun. The stream's outputs must include points.
@@ -39,8 +39,8 @@ impl RerunSink {
         Self::start(Recording::spawn()?)
     }
 
-    /// Writes a file for Rerun's viewer, named `FILE.partial` until it is closed. If the process is killed before,
-    /// the viewer opens the part that was written.
+    /// Writes a file for Rerun's viewer, named `FILE.partial` until it is closed. If the process is killed before
+    /// that, the viewer can open the part that was written.
     pub fn save(file: &Path) -> Result<Self, Error> {
         Self::start(Recording::save(file)?)
     }
@@ -64,12 +64,12 @@ impl RerunSink {
     }
 }
 
-/// A recording that a viewer shows, or that becomes a file.
+/// A Rerun recording that is shown by a viewer or saved to a file.
 pub(crate) struct Recording {
     pub(crate) name: String,
     /// `None` once closed.
     stream: Option<RecordingStream>,
-    /// The file to write, and its name until it is complete.
+    /// The path of the file, and its temporary path until it is complete.
     file: Option<(PathBuf, PathBuf)>,
 }
 
@@ -115,8 +115,8 @@ impl Recording {
         }
     }
 
-    /// Waits until the viewer has everything, so that the stream drops and counts results for which the viewer is too
-    /// slow.
+    /// Waits until the viewer has received everything, so that the stream drops and counts results for which the
+    /// viewer is too slow.
     pub(crate) fn flush(&self) -> Result<(), DeviceError> {
         let gone = |error| DeviceError::Gone { what: format!("{} cannot store more frames: {error}", self.name) };
         self.stream.as_ref().map_or(Ok(()), |stream| stream.flush_with_timeout(SILENCE).map_err(gone))

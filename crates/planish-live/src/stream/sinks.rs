@@ -16,7 +16,7 @@ use planish_core::{DepthFrame, DepthImage, EngineError, Error, IoError, Outputs}
 use planish_io::internal::create_output_folder;
 use planish_io::{self as io, CloudRef, Encoding, RgbImage};
 
-/// Consumes results, one after another.
+/// A consumer of results, one after another.
 pub trait Sink: Send {
     /// Returns the name of the sink for messages.
     fn name(&self) -> String;
@@ -39,11 +39,11 @@ pub trait Sink: Send {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SinkFormat {
-    /// Organized clouds, binary.
+    /// Binary PCD files with organized clouds.
     Pcd,
     /// PLY files.
     Ply,
-    /// 16-bit depth; the stream's outputs must include depth.
+    /// PNG files with 16-bit depth; the stream's outputs must include depth.
     DepthPng,
 }
 
@@ -57,8 +57,8 @@ impl SinkFormat {
     }
 }
 
-/// A sink that writes every result to a folder, each file atomically. A file has the name of its frame, otherwise
-/// `000000.pcd` and so on.
+/// A sink that writes every result to a folder, each file atomically. Files are named like their frames or, for
+/// frames without a name, `000000.pcd` and so on.
 ///
 /// Depth becomes a data set in TUM layout: `depth.txt` with the timestamps, `camera.json` with intrinsics and units,
 /// and colour in `rgb` with `rgb.txt`. NAME.origin.png shows the origin of each pixel if values may be filled or
@@ -165,11 +165,11 @@ const FRAMES_PER_SECOND: f64 = 30.0;
 /// Warning when a stream ends because all of its sinks have failed.
 pub(crate) const ALL_SINKS_FAILED: &str = "the stream ends, since every sink has failed";
 
-/// Length of a sink's queue, a quarter of a second at 30 frames/s. When it is full, a live stream drops results, and
-/// any other waits.
+/// Length of a sink's queue in results, a quarter of a second at 30 frames/s. When the queue is full, a live stream
+/// drops results, and any other stream waits.
 const QUEUE: usize = 8;
 
-/// Consumes results of one type on a separate thread.
+/// A consumer of results of one type, on a separate thread.
 pub(crate) trait Consumer<T>: Send + 'static {
     fn name(&self) -> String;
     fn write(&mut self, result: &Arc<T>) -> Result<(), Error>;
@@ -217,7 +217,7 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
         Ok(Self { name, frames: Some(frames), thread: Some(thread), dropped: 0, warned: false, time })
     }
 
-    /// Queues a result; returns a warning, once each, if the sink failed or is too slow.
+    /// Queues a result. Returns a warning if the sink failed or is too slow, at most once for each reason.
     pub(crate) fn give(&mut self, frame: &Arc<T>, live: bool) -> Option<String> {
         let frames = self.frames.as_ref()?;
         let given = if live {

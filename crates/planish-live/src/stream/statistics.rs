@@ -25,13 +25,13 @@ pub struct StreamStatistics {
     pub failed_sinks: u64,
     /// Frames without a pose, if poses were given.
     pub without_pose: u64,
-    /// Gaps in the timestamps after which smoothing over time restarted. Known at the end.
+    /// Gaps in the timestamps after which smoothing over time restarted. Set at the end of the stream.
     pub gaps: u64,
-    /// Time spent in the source, including the wait for a live frame. Known at the end.
+    /// Time spent in the source, including the wait for a live frame. Set at the end of the stream.
     pub time_capturing: Duration,
-    /// Time spent handing frames to the engine and waiting for results. Known at the end.
+    /// Time spent handing frames to the engine and waiting for results. Set at the end of the stream.
     pub time_smoothing: Duration,
-    /// Time spent in the sinks, summed over them. Known at the end.
+    /// Time spent in the sinks, summed over them. Set at the end of the stream.
     pub time_in_sinks: Duration,
     /// The engine that smoothed the last frame.
     pub engine: Engine,
@@ -91,7 +91,7 @@ impl StreamStatistics {
         self.frames_out += 1;
         self.first.get_or_insert(now);
         self.last = Some(now);
-        // Values beyond the histogram's range count as its end.
+        // Latencies beyond the histogram's range are recorded as its upper limit.
         if let Some(histogram) = &mut self.latency {
             histogram.saturating_record(latency.as_micros().min(u128::from(u64::MAX)) as u64);
         }

@@ -43,7 +43,7 @@ fn skippable(src: &[u8]) -> Option<usize> {
 fn first_block(src: &[u8]) -> &[u8] {
     let Some(&[a, b, c]) = src.first_chunk() else { return src };
     let header = u32::from_le_bytes([a, b, c, 0]);
-    // A repeated byte is stored once.
+    // A block of one repeated byte stores that byte once.
     let stored = if (header >> 1) & 3 == 1 { 1 } else { (header >> 3) as usize };
     &src[..src.len().min(3 + stored + 4)]
 }
@@ -88,7 +88,7 @@ impl Decompressor for Zstd {
                 };
             }
         };
-        // The decoder decodes all blocks that it is given, of up to 128 KiB for every 4 bytes.
+        // The decoder decodes all blocks that it is given, and 4 bytes may encode a block of 128 KiB.
         let is_enough = !dst.is_empty() && frame.can_collect() >= dst.len();
         let (consumed, wrote) = if is_enough {
             (0, frame.read(dst).map_err(damaged)?)

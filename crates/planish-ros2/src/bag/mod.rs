@@ -1,7 +1,7 @@
 //! ROS 2 recordings in MCAP: copied with their depth smoothed, read as a source of frames, or written from frames.
 //!
-//! Recordings are read and written record by record, so memory holds one chunk and one message, whatever the length.
-//! Messages are types of [`ros`](crate::ros).
+//! Recordings are read and written record by record, so memory holds one chunk and one message, whatever the length
+//! of the recording. Messages are types of [`ros`](crate::ros).
 
 mod decompress;
 mod foxglove;
@@ -26,10 +26,11 @@ pub use source::BagSource;
 pub use survey::{MessageKind, OtherTopic, Survey, Topic};
 pub use writer::{BagWriter, finish_recordings, refuse_cut_off};
 
-/// The first bytes of an MCAP recording.
+/// The magic bytes at the beginning of an MCAP recording.
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 
-/// Returns true if a path is an MCAP recording: a file with its first bytes, or a rosbag2 folder with .mcap files.
+/// Returns true if a path is an MCAP recording: a file that begins with the magic bytes of MCAP, or a rosbag2 folder
+/// with .mcap files.
 pub fn is_bag(path: &Path) -> bool {
     let has_parts = || match parts::parts_of(path) {
         Ok(parts) => parts.iter().any(|part| is_named_mcap(part)),
@@ -38,7 +39,7 @@ pub fn is_bag(path: &Path) -> bool {
     is_recording(path) || path.join("metadata.yaml").is_file() && has_parts()
 }
 
-/// Returns true if a file begins with the first bytes of an MCAP recording.
+/// Returns true if a file begins with the magic bytes of MCAP.
 fn is_recording(path: &Path) -> bool {
     use std::io::Read;
     let mut first = [0; 8];

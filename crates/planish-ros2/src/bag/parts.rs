@@ -36,7 +36,8 @@ pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
     Ok(files)
 }
 
-/// Returns the names of the files under `relative_file_paths`, without the folder that old versions put before them.
+/// Returns the names of the files under `relative_file_paths`, without the folder that old versions of rosbag2 put
+/// before them.
 fn listed(metadata: &str) -> Vec<String> {
     let mut lines = metadata.lines().map(str::trim);
     if !lines.any(|line| line == "relative_file_paths:") {
@@ -47,7 +48,7 @@ fn listed(metadata: &str) -> Vec<String> {
     names.filter_map(|name| Some(Path::new(name).file_name()?.to_str()?.to_owned())).collect()
 }
 
-/// Common numbers of schemas and channels for all files of a recording. The first file keeps its own numbers.
+/// A numbering of schemas and channels shared by all files of a recording. The first file keeps its own numbers.
 #[derive(Default)]
 pub(super) struct Numbers {
     /// Number of a schema by name, encoding and text.
@@ -56,9 +57,9 @@ pub(super) struct Numbers {
     channels: BTreeMap<(String, u16, String), u16>,
     /// Numbers in use by schemas or channels.
     used: BTreeSet<u16>,
-    /// Number of each schema in all files, by its number in the current file.
+    /// Shared number of each schema, by its number in the current file.
     schema: BTreeMap<u16, u16>,
-    /// Number of each channel in all files, by its number in the current file.
+    /// Shared number of each channel, by its number in the current file.
     channel: BTreeMap<u16, u16>,
     is_later: bool,
     /// Number from which the search for a free number continues.
@@ -73,8 +74,8 @@ impl Numbers {
         self.is_later = true;
     }
 
-    /// Returns the number of a schema or channel in all files: its own number in the first file; in later files, the
-    /// known number or a free one from the middle of the range, where neither recorders nor
+    /// Returns the shared number of a schema or channel: its own number in the first file; in later files, the known
+    /// number or a free one from the middle of the range, where neither recorders nor
     /// [`smooth_bag`](super::smooth_bag) allocate numbers. Returns `None` if no number is free.
     fn number(&mut self, known: Option<u16>, own: u16) -> Option<u16> {
         const FIRST_FREE: u16 = 0x8000;

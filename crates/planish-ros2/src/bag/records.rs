@@ -1,4 +1,4 @@
-//! The records of a recording, one after another.
+//! Reads the records of a recording one after another.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -24,7 +24,7 @@ pub(super) enum Next {
     Record(Record<'static>),
     /// The end of a chunk with a wrong checksum. Its records, which were already returned, may be damaged.
     DamagedChunk,
-    /// The end of the section.
+    /// The end of the data section, or of the summary.
     End,
     /// The file ends in the middle of the section.
     CutOff,
@@ -38,8 +38,9 @@ pub(super) struct Records {
     reader: LinearReader,
     options: ReadOptions,
     path: PathBuf,
-    /// Number of bytes read, and of records found in them, in all files.
+    /// Number of bytes read from all files.
     read_bytes: u64,
+    /// Number of records found in all files.
     count: u64,
     /// Files still to be read.
     rest: std::vec::IntoIter<PathBuf>,
@@ -87,7 +88,7 @@ impl Records {
         Some(Self { file, reader, options: *options, path, read_bytes: 0, count: 0, rest, numbers })
     }
 
-    /// Returns the next record. Message indices are skipped.
+    /// Returns the next item. Message indices are skipped.
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
             let next = match self.next_of_file() {
@@ -120,7 +121,7 @@ impl Records {
             if self.count > most_records(self.read_bytes) {
                 return Err(FormatError::Malformed("damaged: more records than a file of this size can hold".into()));
             }
-            // With overflow checks the reader panics on a record that reaches beyond its chunk.
+            // In builds with overflow checks, the reader panics on a record that reaches beyond its chunk.
             let reader = &mut self.reader;
             let next = move || std::convert::identity(reader).next_event();
             let Some(event) = guarded(next) else {
@@ -139,8 +140,8 @@ impl Records {
                 }
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => self.count += 1,
-                // Without overflow checks, the reader continues as if the chunk did not end. Only then it returns a
-                // chunk record.
+                // In builds without overflow checks, the reader continues as if the chunk did not end. Only in this
+                // case does it return a chunk record.
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK, .. }) => return Err(beyond_its_chunk()),
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     self.count += 1;
@@ -154,8 +155,8 @@ impl Records {
     }
 }
 
-/// Returns the maximum number of records in compressed chunks of this size. Real messages take more than a byte each; a
-/// chunk of zeros could hold billions of empty records.
+/// Returns the maximum plausible number of records in this many bytes of a recording, whose chunks may be compressed.
+/// Real messages take more than a byte each; a chunk of zeros could hold billions of empty records.
 pub(super) fn most_records(bytes: u64) -> u64 {
     1_000_000 + 16 * bytes
 }
@@ -172,8 +173,8 @@ fn beyond_its_chunk() -> FormatError {
     FormatError::Malformed("damaged: a record extends past the end of its chunk".into())
 }
 
-/// Returns the options of a reader, which limit a record to half of the allowed memory: it is in memory twice, in the
-/// buffer of the reader and decoded.
+/// Returns the options of a reader. They limit a record to half of the allowed memory, since each record is in memory
+/// twice: in the reader's buffer and decoded.
 fn reader_options(options: &ReadOptions) -> LinearReaderOptions {
     let limit = usize::try_from(options.max_memory_bytes / 2).unwrap_or(usize::MAX);
     LinearReaderOptions::default().with_record_length_limit(limit)
@@ -246,9 +247,9 @@ fn lengths_fit(opcode: u8, data: &[u8]) -> bool {
 pub(super) struct Summary {
     /// Topic and type of each channel.
     pub(super) channels: BTreeMap<u16, (String, String)>,
-    /// Name of each schema by number.
+    /// Name of each schema by ID.
     pub(super) schemas: BTreeMap<u16, String>,
-    /// Number of messages of each channel, and of all channels.
+    /// Number of messages per channel, and in total.
     pub(super) messages: Option<(BTreeMap<u16, u64>, u64)>,
     /// Compression of the first chunk.
     pub(super) compression: Option<String>,
@@ -311,8 +312,8 @@ impl Summary {
 /// Returns the compression of the first chunk of a recording: an empty string if a message comes before any chunk,
 /// `None` if the recording has neither.
 pub(super) fn first_compression(path: &Path) -> Option<String> {
-    /// Size in bytes of the part of a chunk before the name of its compression: two times, the uncompressed size and
-    /// the checksum.
+    /// Number of bytes in a chunk record before the name of its compression: two timestamps, the uncompressed size
+    /// and the checksum.
     const BEFORE_COMPRESSION: i64 = 8 + 8 + 8 + 4;
     let first = parts_of(path).ok()?.into_iter().next()?;
     let mut file = BufReader::new(File::open(first).ok()?);
@@ -327,7 +328,7 @@ pub(super) fn first_compression(path: &Path) -> Option<String> {
                 file.seek_relative(BEFORE_COMPRESSION).ok()?;
                 let mut length = [0; 4];
                 file.read_exact(&mut length).ok()?;
-                // Names are short.
+                // Compression names are short.
                 let mut name =
                     vec![0; usize::try_from(u32::from_le_bytes(length)).ok().filter(|length| *length < 100)?];
                 file.read_exact(&mut name).ok()?;
@@ -348,7 +349,7 @@ mod tests {
         let text = |text: &[u8]| [&(text.len() as u32).to_le_bytes(), text].concat();
         let channel =
             |table: &[u8]| [&[1, 0, 0, 0][..], &text(b"/a"), &text(b"cdr"), &text(table), &[0xff; 4]].concat();
-        // A name without a value: the parser would take the length of the value from behind the table.
+        // A name without a value: the parser would read the value's length from beyond the table.
         let name = text(b"");
         let refused = |opcode, data: &[u8]| parse_record(opcode, data).is_err_and(|e| e.to_string().contains("longer"));
         assert!(refused(op::CHANNEL, &channel(&name)));
@@ -356,7 +357,7 @@ mod tests {
         let chunk_index = |table: &[u8]| [&[0; 32][..], &text(table), &[0; 8], &text(b"lz4"), &[0; 16]].concat();
         assert!(refused(op::CHUNK_INDEX, &chunk_index(&[0])));
         assert!(parse_record(op::CHUNK_INDEX, &chunk_index(&[0; 10])).is_ok());
-        // Cut within an attachment's data.
+        // The record ends within the attachment's data.
         assert!(refused(op::ATTACHMENT, &[0; 28]));
     }
 }

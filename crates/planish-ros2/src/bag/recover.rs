@@ -32,11 +32,11 @@ const LARGEST_LOSS: u64 = 256 << 20;
 pub struct Recovered {
     /// The complete recording.
     pub path: PathBuf,
-    /// Whether it was complete already.
+    /// Whether the recording was already complete.
     pub was_whole: bool,
     /// Number of messages.
     pub messages: u64,
-    /// Number of incomplete bytes removed from the end (0 for a compressed chunk with whole messages).
+    /// Number of bytes of incomplete records removed from the end; 0 if messages of a cut compressed chunk were kept.
     pub dropped_bytes: u64,
     /// Number of chunks that cannot be read; they stay in the file, without an index.
     pub damaged_chunks: u64,
@@ -95,7 +95,7 @@ pub(super) fn mark_as_being_written(file: &File) {
     let _ = file;
 }
 
-/// Returns true if another process, or another part of this one, is writing the file; otherwise marks the file.
+/// Returns true if another process, or another part of this process, is writing the file; otherwise marks the file.
 pub(super) fn is_being_written(file: &File) -> bool {
     #[cfg(unix)]
     return matches!(file.try_lock(), Err(std::fs::TryLockError::WouldBlock));
@@ -136,7 +136,7 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
         return Err(FormatError::Malformed("ends before its first record; nothing can be recovered".into()));
     }
     let tail = scan.tail(end.valid)?;
-    // Only from here on the file changes.
+    // The file is changed only from here on.
     file.set_len(end.valid)?;
     file.seek(SeekFrom::Start(end.valid))?;
     file.write_all(&tail)?;
@@ -192,7 +192,7 @@ impl Scan {
             let opcode = header[0];
             let length = u64::from_le_bytes(*header[1..].first_chunk().unwrap_or(&[0; 8]));
             let left = bytes - at - RECORD_HEADER;
-            // After a power failure the end may be zeros.
+            // After a power failure, the end of the file may consist of zeros.
             if opcode == 0 && is_zero(file)? {
                 return cut(0);
             }
@@ -230,7 +230,7 @@ impl Scan {
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                     let mut contents = Contents::default();
                     let is_read = contents.add(opcode, &data, false);
-                    // Unknown channels appear in the rest of a record that became zeros.
+                    // A record whose end became zeros may refer to unknown channels.
                     if !self.knows_channels(&contents) {
                         return cut(bytes - at);
                     }
@@ -247,7 +247,7 @@ impl Scan {
 
     /// Keeps the whole records of a chunk that was cut; returns the number of lost bytes.
     fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
-        // After a power failure a message may end in zeros.
+        // After a power failure, a message may end in zeros.
         let zeros = data.iter().rev().take_while(|&&byte| byte == 0).count();
         let (contents, kept) = match cut_contents(&data[..data.len() - zeros]) {
             Some(contents) => {
@@ -280,7 +280,7 @@ impl Scan {
             Ok(Record::Chunk { header, .. }) if is_whole => header,
             _ => {
                 self.damaged_chunks += 1;
-                // Later chunks may refer to its schemas and channels.
+                // Later chunks may refer to this chunk's schemas and channels.
                 self.schemas.extend(contents.schemas);
                 self.channels.extend(contents.channels);
                 return;
@@ -384,7 +384,7 @@ impl Scan {
         for chunk in &chunks {
             record(&mut tail, op::CHUNK_INDEX, &encoded(chunk)?);
         }
-        // 0 means no table of the parts of the summary, and no checksum.
+        // 0 means that there are no summary offset records, and no checksum.
         record(&mut tail, op::FOOTER, &encoded(&Footer { summary_start, summary_offset_start: 0, summary_crc: 0 })?);
         tail.extend(MAGIC);
         Ok(tail)

@@ -24,7 +24,7 @@ use planish_io::{ReadOptions, internal::AtomicFile};
 pub struct SmoothBagOptions {
     /// The topics to smooth; if empty, the only topic with depth.
     pub topics: Vec<String>,
-    /// The topic with the camera of all images, which replaces the cameras in their namespaces.
+    /// The camera topic for all images; it replaces the camera topics in their namespaces.
     pub camera_info_topic: Option<String>,
     /// A camera that replaces the recording's. A width and height of 0 accept images of any shape.
     pub camera: Option<Camera>,
@@ -40,7 +40,7 @@ impl SmoothBagOptions {
         Self { topics, ..self }
     }
 
-    /// Sets the topic of the camera.
+    /// Sets the camera topic for all images.
     pub fn with_camera_info_topic(self, camera_info_topic: Option<String>) -> Self {
         Self { camera_info_topic, ..self }
     }
@@ -89,9 +89,9 @@ pub struct SmoothBagReport {
     pub copied: u64,
     /// Number of chunks with a wrong checksum. Their messages, smoothed or copied like all others, may be damaged.
     pub damaged_chunks: u64,
-    /// Reason why the recording ends early; everything before its end was written.
+    /// Reason why reading ended early; everything before that point was written. `None` for a complete recording.
     pub cut_off: Option<String>,
-    /// Other topics with depth or points, which were copied because no topic was named.
+    /// Other topics with depth or points, copied unchanged; empty if the topics to smooth were named.
     pub not_chosen: Vec<String>,
 }
 
@@ -100,8 +100,8 @@ pub struct SmoothBagReport {
 /// compression of the input.
 ///
 /// A message that cannot be smoothed is copied and counted. A truncated recording is smoothed up to its end. After
-/// each message of the chosen topics, `tell` is called with their number so far and in total, if known. The output is
-/// either complete or absent.
+/// each message of the chosen topics, `tell` is called with the number of these messages so far and, if known, their
+/// total. The output is either complete or absent.
 ///
 /// # Errors
 /// If the recording lacks the topics or their cameras, is in another format, or is damaged at the beginning; if
@@ -173,7 +173,7 @@ pub fn smooth_bag(
                     Ok(()) => {}
                     Err(CopyError::Engine(error)) => return Err(error),
                     Err(CopyError::Write(McapError::Io(error))) => return Err(at_output(error.into())),
-                    // Other errors come from the input: its numbers contradict each other.
+                    // Other write errors are due to the input: its channel or schema IDs contradict each other.
                     Err(CopyError::Write(error)) if copy.done + copy.copied > 0 => {
                         cut_off = Some(of_mcap(error).to_string());
                         break;
@@ -232,8 +232,8 @@ fn empty_report(chosen: &Chosen) -> TopicReport {
     TopicReport { topic: chosen.topic.clone(), kind: chosen.kind, smoothed: 0, failed: 0, first_failure: None }
 }
 
-/// Opens a writer with the input's compression, or zstd if unknown; without compression in builds without
-/// `mcap-compression`.
+/// Opens a writer with the input's compression, or with zstd if that is unknown. In builds without
+/// `mcap-compression`, the output is uncompressed.
 fn open_writer(
     whole: &AtomicFile,
     header: &FileHeader,
@@ -267,7 +267,7 @@ impl From<McapError> for CopyError {
 }
 
 impl Chosen {
-    /// Returns the name of the topic for the origins of the pixels.
+    /// Returns the name of the topic for pixel origins.
     fn origin_topic(&self) -> String {
         format!("{}/origin", self.topic)
     }
@@ -291,7 +291,7 @@ struct Copy<'a> {
     reports: BTreeMap<String, TopicReport>,
     /// Channels added to the output, by topic.
     added: BTreeMap<String, u16>,
-    /// Numbers of the channels and schemas of the input.
+    /// Channel and schema IDs in the input's summary.
     taken: BTreeSet<u16>,
     copied: u64,
     done: u64,
@@ -326,7 +326,7 @@ impl Copy<'_> {
             Record::Unknown { opcode, data } if opcode >= 0x80 => {
                 writer.write_private_record(opcode, &data, Default::default())?;
             }
-            // Indices are written anew.
+            // The writer creates new indices.
             _ => {}
         }
         Ok(())

@@ -80,15 +80,15 @@ pub struct OtherTopic {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Survey {
-    /// Topics with images, clouds and cameras, by name.
+    /// Topics with images, clouds and cameras, sorted by name.
     pub topics: Vec<Topic>,
-    /// All other topics, by name: from the summary or, without one, from the part that was read.
+    /// All other topics, sorted by name, in the summary or in the part of the recording that was read.
     pub others: Vec<OtherTopic>,
     /// Number of messages in the recording, if the recording states it.
     pub messages: Option<u64>,
     /// Compression of the chunks: `zstd`, `lz4`, or an empty string for none; `None` if unknown.
     pub compression: Option<String>,
-    /// Numbers of the channels and schemas in the summary.
+    /// Channel and schema IDs in the summary.
     pub(super) taken: BTreeSet<u16>,
 }
 
@@ -98,7 +98,7 @@ pub(super) struct Chosen {
     pub(super) topic: String,
     pub(super) kind: MessageKind,
     pub(super) wire: Wire,
-    /// The topic of the camera, and the latest message on it.
+    /// The camera topic and its latest message.
     pub(super) camera: Option<(String, CameraInfo)>,
 }
 
@@ -106,7 +106,7 @@ impl Survey {
     /// Surveys a recording: reads its summary and the first message of each topic.
     ///
     /// # Errors
-    /// If it is not an MCAP recording, or is damaged before the first messages of all topics.
+    /// If the file is not an MCAP recording, or is damaged before the first message with depth or points.
     pub fn of(path: &Path, options: &ReadOptions) -> Result<Self, IoError> {
         refuse_other_bags(path)?;
         survey(path, options).map_err(IoError::at(path))
@@ -115,8 +115,8 @@ impl Survey {
     /// Chooses the topics to smooth: the named topics, or, if none is named, the only topic with depth images, with
     /// compressed depth or with clouds, in this order of preference.
     ///
-    /// A depth image needs a camera unless the caller gives one: on `camera_info_topic`, on the conventional topic
-    /// next to the image, or the only camera in the same coordinate frame.
+    /// Unless the caller provides a camera, each depth image needs one: on `camera_info_topic`, on the conventional
+    /// topic next to the image, or the only camera in the same coordinate frame.
     pub(super) fn choose(
         &self,
         path: &Path,
@@ -211,7 +211,7 @@ impl Survey {
 }
 
 impl Chosen {
-    /// Replaces the camera by the one in a message on the camera's topic; ignores damaged messages.
+    /// Updates the camera from a message on the camera topic; ignores other topics and damaged messages.
     pub(super) fn note_camera(&mut self, channel: &Channel, data: &[u8]) {
         if let (MessageKind::CameraInfo, Some((camera_topic, info))) = (channel.kind, &mut self.camera)
             && *camera_topic == channel.topic
@@ -226,7 +226,7 @@ impl Chosen {
         self.topic == topic && self.kind == kind && self.wire == wire
     }
 
-    /// Returns the camera of an image with this shape; the caller's camera, if given, comes first.
+    /// Returns the camera for an image with this shape: the caller's camera if given, otherwise the recording's.
     pub(super) fn camera(&self, given: Option<&Camera>, shape: (usize, usize)) -> Result<Camera, FormatError> {
         match (given, &self.camera) {
             (Some(camera), _) if (camera.width, camera.height) == (0, 0) => Ok(camera.with_shape(shape)),
@@ -246,7 +246,7 @@ pub(super) struct Channel {
     type_name: String,
 }
 
-/// The channels of a recording by number.
+/// The channels of a recording by ID.
 #[derive(Default)]
 pub(super) struct Channels {
     types: BTreeMap<u16, String>,
@@ -274,7 +274,7 @@ impl Channels {
         }
     }
 
-    /// Returns true if a schema or a channel has this number.
+    /// Returns true if a schema or a channel has this ID.
     pub(super) fn has(&self, id: u16) -> bool {
         self.types.contains_key(&id) || self.all.contains_key(&id)
     }
@@ -312,7 +312,7 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
                 is_cut_off = true;
                 break;
             }
-            // Topics found so far can be read.
+            // The topics found before the damage can be used.
             Err(_) if topics.values().any(|topic| topic.is_depth) => break,
             Err(error) => return Err(error),
         };

@@ -20,7 +20,8 @@ use planish_core::{Camera, DepthImage, Error, FormatError, IoError, OwnedFrame};
 use planish_io::ReadOptions;
 use planish_io::internal::check_target;
 
-/// Topic of depth images without distortion. depth_image_proc and RViz expect this name and those below.
+/// Topic of depth images without distortion. This name and those of raw images, colour and clouds follow the
+/// conventions of depth_image_proc and RViz.
 const RECTIFIED_TOPIC: &str = "/camera/depth/image_rect";
 /// Topic of depth images with distortion.
 const RAW_TOPIC: &str = "/camera/depth/image_raw";
@@ -36,7 +37,8 @@ const FRAME_ID: &str = "camera_depth_optical_frame";
 /// Frame rate in frames per second that is assumed for frames without timestamps.
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Returns the metadata that rosbag2 expects of a channel, empty since the QoS of the publisher is unknown.
+/// Returns the channel metadata that rosbag2 expects, with empty QoS profiles since those of the publisher are
+/// unknown.
 pub(super) fn channel_metadata() -> BTreeMap<String, String> {
     BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())])
 }
@@ -73,22 +75,22 @@ pub fn finish_recordings() {
         let mut recording = match recording.try_lock() {
             Ok(recording) => recording,
             Err(TryLockError::Poisoned(recording)) => recording.into_inner(),
-            // Its frames so far are in NAME.mcap.part.
+            // The recording's frames so far are in NAME.mcap.part.
             Err(TryLockError::WouldBlock) => continue,
         };
         let _ = recording.take().map(Open::close);
     }
 }
 
-/// A recording that is written from frames. They go to `NAME.mcap.part`, which other programs can read up to the last
-/// frame. [`finish`](Self::finish) or drop renames the file to `NAME.mcap`. A process that is killed leaves the part
-/// file, which [`recover`](super::recover()) completes.
+/// A writer of frames to a recording. Frames go to `NAME.mcap.part`, which other programs can read up to the last
+/// frame. [`finish`](Self::finish), or dropping the writer, renames the file to `NAME.mcap`. A process that is killed
+/// leaves the part file, which [`recover`](super::recover()) completes.
 ///
 /// Depth is written to `/camera/depth/image_rect` (`image_raw` with distortion) with its `camera_info`: as 16UC1 if
 /// the camera's unit is the millimetre, otherwise as 32FC1 in metres. Clouds are written to `/camera/depth/points`,
 /// and colour registered to depth to `/camera/rgb/image_rect_color`, in the frame `camera_depth_optical_frame`.
-/// Stamps are the frames' timestamps, rounded to microseconds; negative ones are an error. Frames without timestamps
-/// are 1/30 s apart.
+/// Stamps are the frames' timestamps, rounded to microseconds; a negative timestamp is an error. Frames without
+/// timestamps are stamped 1/30 s apart.
 pub struct BagWriter {
     path: PathBuf,
     /// `None` once the recording is finished.
@@ -105,7 +107,7 @@ struct Open {
     has_frames: bool,
     /// The file `NAME.mcap.part`.
     file: File,
-    /// Length of the file in bytes after the last frame.
+    /// Length of the file in bytes up to the end of the last whole frame.
     whole_bytes: u64,
     /// Whether to delete the file unless it is finished.
     is_all_or_nothing: bool,
@@ -185,8 +187,8 @@ impl BagWriter {
         Ok(self.write(COLOUR_TOPIC, IMAGE_TYPE, IMAGE, &header, to_cdr(&image))?)
     }
 
-    /// Adds the origins of the pixels of the depth image that is added next
-    /// ([`Smoothed::origin_mask`](planish_core::Smoothed::origin_mask)), on `/camera/depth/origin`.
+    /// Adds the pixel origins ([`Smoothed::origin_mask`](planish_core::Smoothed::origin_mask)) of the depth image
+    /// that is added next, on `/camera/depth/origin`.
     pub fn add_origin(&mut self, shape: (usize, usize), mask: Vec<u8>, timestamp_s: Option<f64>) -> Result<(), Error> {
         let header = self.header(timestamp_s)?;
         let image = Image::of_origins(header.clone(), shape, mask);
@@ -378,7 +380,7 @@ impl Open {
     }
 }
 
-/// The error of a recording that a signal has finished.
+/// Returns the error for a recording that a signal has already finished.
 fn stopped() -> FormatError {
     FormatError::Os(ErrorKind::Interrupted.into())
 }

@@ -5,12 +5,12 @@ use planish_core::{Camera, Distortion, FormatError};
 
 impl CameraInfo {
     /// Returns the camera of a depth image with the given width and height in pixels. A rectified image has the
-    /// intrinsics P; any other has K and the distortion. Binning and the region of interest are taken into account.
-    /// Depth is in millimetres.
+    /// intrinsics P; any other image has the intrinsics K and the distortion. Binning and the region of interest are
+    /// taken into account. Depth is in millimetres.
     ///
     /// # Errors
-    /// If the message is for images of another size, is not calibrated, or has a distortion other than `plumb_bob`,
-    /// `rational_polynomial` or `equidistant`.
+    /// If the message is for images of another size, has no focal length since the camera is not calibrated, or has a
+    /// distortion other than `plumb_bob`, `rational_polynomial` or `equidistant`.
     pub fn camera(&self, (width, height): (usize, usize), is_rectified: bool) -> Result<Camera, FormatError> {
         let unusable = |text: String| FormatError::Unsupported(format!("camera_info {text}"));
         let (roi, binning) = (self.roi, [self.binning_x.max(1), self.binning_y.max(1)]);
@@ -54,7 +54,7 @@ impl CameraInfo {
         })
     }
 
-    /// Creates the message of a camera.
+    /// Creates the message that describes a camera.
     pub fn of_camera(header: Header, camera: &Camera) -> Self {
         let &Camera { width, height, fx, fy, cx, cy, distortion, .. } = camera;
         Self {
@@ -100,7 +100,7 @@ mod tests {
     fn info() -> CameraInfo {
         let camera = Camera::kinect_v1().with_distortion(Distortion::from_opencv(&[0.1, -0.2, 0.0, 0.0, 0.0]).unwrap());
         let mut info = CameraInfo::of_camera(Header::default(), &camera);
-        // The projection of a rectified image is another.
+        // A rectified image has another projection.
         [info.p[0], info.p[2]] = [500.0, 310.0];
         info
     }

@@ -14,10 +14,10 @@ pub(super) const F64: u8 = 8;
 /// Magnitude in metres above which f64 coordinates are smoothed relative to a point of the cloud.
 const FAR_M: f64 = 1000.0;
 
-/// Maximum size of a point in bytes that may exceed the data, since the padding of the last point may be missing.
+/// Maximum point size in bytes that is accepted although the data are shorter: the last point may lack its padding.
 const MOST_PADDING: u64 = 4096;
 
-/// Name of the field with the number of frames averaged into a point.
+/// Name of the field with the number of frames averaged per point.
 const FRAMES: &str = "frames";
 /// Name of the field with the status codes.
 const STATUS: &str = "status";
@@ -60,7 +60,7 @@ impl PointCloud2 {
         self.height > 1
     }
 
-    /// Returns the offsets of x, y and z.
+    /// Checks the sizes of fields, points and rows; returns the layout of x, y and z.
     fn layout(&self) -> Result<PointLayout, FormatError> {
         for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).ok_or_else(|| {
@@ -115,7 +115,8 @@ impl PointCloud2 {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// Returns the origin of the results: 0, or for far f64 coordinates a point of the cloud in whole metres.
+    /// Returns the origin of the smoothed positions. Each coordinate is 0 or, if the first finite point has an f64
+    /// coordinate larger than [`FAR_M`] in magnitude, that coordinate, truncated to whole metres.
     fn origin_m(&self) -> [f64; 3] {
         let Ok(PointLayout { scalar: Scalar::F64, offsets, .. }) = self.layout() else { return [0.0; 3] };
         let mut points = self.point_offsets();
@@ -139,7 +140,7 @@ impl PointCloud2 {
         if self.is_bigendian == cfg!(target_endian = "big") {
             return Ok(self);
         }
-        // Checks that all fields lie in their points, and all points in the data.
+        // Check that each field is within its point, and each point within the data.
         self.is_bigendian = cfg!(target_endian = "big");
         self.view()?;
         // Fields may share their bytes, as rgb and rgba do; each value is swapped once. Thousands of fields may claim
@@ -248,7 +249,7 @@ impl PointCloud2 {
             Some(field) => field.offset,
             None => {
                 let offset = self.point_step;
-                // Points stay aligned.
+                // Keep the points aligned to 4 bytes.
                 self.widen((offset + 1).next_multiple_of(4))?;
                 self.fields.push(PointField { name: name.to_owned(), offset, datatype: U8, count: 1 });
                 offset
@@ -444,7 +445,7 @@ pub(super) mod tests {
     #[test]
     fn a_last_point_without_its_padding_is_kept() {
         let mut cloud = cloud();
-        // The last row ends with its last point's last field.
+        // The last row ends with the last field of its last point.
         cloud.data.truncate(74 + 3 * 24 - 4);
         let with_normals = Smoothed { normals: Some(Xyz::filled(6, 0.5)), ..smoothed(0) };
         let wider = cloud.with_smoothed(&with_normals).unwrap();

@@ -53,7 +53,7 @@ impl PointCloud2 {
         Attribute { name: field.name.clone(), count, values }
     }
 
-    /// Returns a message with all fields of a cloud, packed, and with its grid if one is given.
+    /// Returns a message with all fields of a cloud, without padding, on `grid` (width and height) if given.
     pub fn of_cloud(header: Header, cloud: &PointCloud, grid: Option<(usize, usize)>) -> Result<Self, FrameError> {
         cloud.validate()?;
         let (width, height) = grid.unwrap_or((cloud.len(), 1));

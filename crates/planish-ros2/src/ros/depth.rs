@@ -1,8 +1,8 @@
 //! Depth images: `Image` in 16UC1, mono16 and 32FC1, and `CompressedImage` of the transport `compressedDepth`.
 //!
 //! 16-bit depth is in millimetres, with 0 for holes; floating-point depth is in metres, with non-finite values for
-//! holes (REP 118). compressedDepth puts 12 bytes before a 16-bit PNG or an RVL code: a format, and the parameters A
-//! and B of the quantization q = A/z + B of floating-point depth.
+//! holes (REP 118). A compressedDepth image begins with 12 bytes: a format, and the parameters A and B of the
+//! quantization q = A/z + B of floating-point depth. A 16-bit PNG or RVL data follow.
 
 use super::{CompressedImage, Header, Image, rvl};
 use planish_core::{DepthImage, FormatError, validate_shape};
@@ -19,9 +19,9 @@ pub enum DepthPixels {
     Millimetres(DepthImage),
     /// Metres; values that are not finite or not positive are holes.
     Metres {
-        /// Columns.
+        /// Number of columns.
         width: usize,
-        /// Rows.
+        /// Number of rows.
         height: usize,
         /// Depth in metres, row by row.
         depth_m: Vec<f32>,
@@ -41,14 +41,14 @@ impl DepthPixels {
 /// A depth image message, which can be copied with other depth.
 #[derive(Debug, Clone, PartialEq)]
 pub enum DepthMessage {
-    /// Uncompressed.
+    /// An uncompressed image.
     Image(Image),
-    /// Compressed by the transport `compressedDepth`.
+    /// An image compressed by the transport `compressedDepth`.
     Compressed(CompressedImage),
 }
 
 impl DepthMessage {
-    /// Returns stamp and frame.
+    /// Returns the header: timestamp and coordinate frame.
     pub fn header(&self) -> &Header {
         match self {
             Self::Image(image) => &image.header,
@@ -159,7 +159,7 @@ fn with_image_pixels(image: &Image, pixels: &DepthPixels) -> Image {
     Image { data, ..image.clone() }
 }
 
-/// Encoding of the integers of a compressed depth image.
+/// Compression of the 16-bit integers in a compressed depth image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Code {
     Png,
@@ -285,7 +285,7 @@ mod tests {
                 let image = Image::of_depth(Header::default(), &pixels);
                 let row = image.step as usize;
                 let swapped = row_bytes(&pixels, is_bigendian != 0);
-                // Four bytes behind each row, which are no pixels.
+                // Four bytes of padding after each row.
                 let data: Vec<u8> = swapped.chunks(row).flat_map(|row| [row, &[9; 4]].concat()).collect();
                 let padded = Image { data, step: image.step + 4, is_bigendian, ..image };
                 let message = DepthMessage::Image(padded.clone());

@@ -1,5 +1,5 @@
-//! The messages, field by field as in the packages `std_msgs` and `sensor_msgs`, in the order of their definitions:
-//! their serialization is CDR.
+//! ROS messages of the packages `std_msgs` and `sensor_msgs`. Their fields must stay in the order of the ROS
+//! definitions, since CDR serializes them in this order.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,14 +18,15 @@ impl Time {
         f64::from(self.sec) + 1e-9 * f64::from(self.nanosec)
     }
 
-    /// Creates a time from seconds since 0, rounded to microseconds, which f64 can just represent for a recent date.
-    /// Returns `None` for times before 0, or after the last representable one, early in 2038.
+    /// Creates a time from seconds since the epoch, rounded to microseconds, which is about the resolution of `f64`
+    /// for a recent date. Returns `None` for times before the epoch, or after the last representable one, early in
+    /// 2038.
     pub fn from_seconds(seconds: f64) -> Option<Self> {
         let is_held = (0.0..f64::from(i32::MAX) + 0.999_999).contains(&seconds);
         is_held.then(|| Self::from_nanoseconds(1000 * (1e6 * seconds).round() as u64))
     }
 
-    /// Creates a time from nanoseconds since 0, clamped to the latest representable time.
+    /// Creates a time from nanoseconds since the epoch, clamped to the latest representable time.
     pub fn from_nanoseconds(nanoseconds: u64) -> Self {
         match i32::try_from(nanoseconds / 1_000_000_000) {
             Ok(sec) => Self { sec, nanosec: (nanoseconds % 1_000_000_000) as u32 },
@@ -33,7 +34,7 @@ impl Time {
         }
     }
 
-    /// Returns the nanoseconds since 0; 0 for negative times.
+    /// Returns the nanoseconds since the epoch; 0 for negative times.
     pub fn nanoseconds(self) -> u64 {
         u64::try_from(self.sec).map_or(0, |sec| 1_000_000_000 * sec + u64::from(self.nanosec))
     }
@@ -53,9 +54,9 @@ pub struct Header {
 pub struct Image {
     /// Stamp and optical frame.
     pub header: Header,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
     /// Encoding of the pixels: 16UC1 (millimetres) or 32FC1 (metres) for depth.
     pub encoding: String,
@@ -63,7 +64,7 @@ pub struct Image {
     pub is_bigendian: u8,
     /// Bytes from one row to the next.
     pub step: u32,
-    /// `step * height` bytes.
+    /// The pixels, `step * height` bytes.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
 }
@@ -87,9 +88,9 @@ pub struct RegionOfInterest {
     pub x_offset: u32,
     /// First row.
     pub y_offset: u32,
-    /// Rows; 0 for all.
+    /// Number of rows; 0 for all.
     pub height: u32,
-    /// Columns; 0 for all.
+    /// Number of columns; 0 for all.
     pub width: u32,
     /// Whether the region refers to the rectified image.
     pub do_rectify: bool,
@@ -104,7 +105,7 @@ pub struct CameraInfo {
     pub height: u32,
     /// Number of columns of the calibrated images.
     pub width: u32,
-    /// `plumb_bob`, `rational_polynomial`, `equidistant`, or empty.
+    /// Distortion model: `plumb_bob`, `rational_polynomial`, `equidistant`, or empty.
     pub distortion_model: String,
     /// Distortion coefficients.
     pub d: Vec<f64>,
@@ -118,7 +119,7 @@ pub struct CameraInfo {
     pub binning_x: u32,
     /// Number of rows combined into one; 0 and 1 mean none.
     pub binning_y: u32,
-    /// The part of the image that was sent.
+    /// The region of the full image that was sent.
     pub roi: RegionOfInterest,
 }
 
@@ -140,11 +141,11 @@ pub struct PointField {
 pub struct PointCloud2 {
     /// Stamp and frame of the points.
     pub header: Header,
-    /// Rows; 1 for a cloud without a grid.
+    /// Number of rows; 1 for a cloud without a grid.
     pub height: u32,
-    /// Columns, or points of a cloud without a grid.
+    /// Number of columns, or of points in a cloud without a grid.
     pub width: u32,
-    /// Fields of a point.
+    /// Fields of each point.
     pub fields: Vec<PointField>,
     /// Whether values are big-endian.
     pub is_bigendian: bool,
@@ -152,7 +153,7 @@ pub struct PointCloud2 {
     pub point_step: u32,
     /// Bytes from one row to the next.
     pub row_step: u32,
-    /// `row_step * height` bytes.
+    /// The points, `row_step * height` bytes.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
     /// Whether all points are finite.

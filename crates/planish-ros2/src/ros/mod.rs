@@ -1,7 +1,7 @@
 //! ROS 2 messages of depth, clouds and cameras, and their conversion, shared by MCAP recordings and the node.
 //!
-//! [`from_cdr`] and [`to_cdr`] read and write them as ROS 2 does, byte for byte. [`MessageSmoother`] smooths the data
-//! of one message after another and returns messages of the same type.
+//! [`from_cdr`] and [`to_cdr`] read and write these messages as ROS 2 does, byte for byte. [`MessageSmoother`]
+//! smooths the data of one message after another and returns messages of the same type.
 
 mod camera;
 mod cdr;

@@ -4,7 +4,7 @@ use super::{Header, Image};
 use planish_core::Xyz;
 
 impl Image {
-    /// Creates a mono8 image of the origins of the pixels.
+    /// Creates a mono8 image of pixel origins.
     pub fn of_origins(header: Header, (width, height): (usize, usize), mask: Vec<u8>) -> Self {
         Self {
             header,

@@ -11,7 +11,7 @@ use planish_io::ReadOptions;
 const SIZE_BYTES: usize = 8;
 /// Number of groups in a word.
 const GROUPS: u32 = 8;
-/// Maximum number of groups of a 32-bit number.
+/// Maximum number of groups per 32-bit number.
 const MOST_GROUPS: u32 = 11;
 
 fn malformed(what: &str) -> FormatError {

@@ -1,4 +1,4 @@
-//! Smooths messages, whatever their shape.
+//! Smooths messages of any shape.
 
 use std::collections::BTreeMap;
 
@@ -36,12 +36,12 @@ impl From<FrameError> for MessageError {
     }
 }
 
-/// A smoother of depth images and clouds of any shape, one after another.
+/// A smoother for successive depth images and clouds of any shape.
 pub struct MessageSmoother {
     session: Session,
-    /// The topic of `session`; only set for videos.
+    /// The topic that `session` smooths; set only for smoothing over time.
     topic: Option<String>,
-    /// The sessions of other topics; only videos need a session per topic.
+    /// The sessions of other topics; only smoothing over time needs one session per topic.
     others: BTreeMap<String, Session>,
     events: Vec<SessionEvent>,
     /// The fields that are added to clouds.
@@ -49,14 +49,14 @@ pub struct MessageSmoother {
     read: ReadOptions,
     smoothed: Smoothed,
     wants_normals_image: bool,
-    /// Normals of the last message that are requested only as an image.
+    /// Normals of the last message, if they were requested only as an image.
     normals: Option<Xyz>,
-    /// Warning about lost points, which is given only once.
+    /// Warning about lost points, which is issued only once; `None` once it is taken.
     warning: Option<String>,
     warned: bool,
 }
 
-/// Refuses settings with steps before smoothing.
+/// Returns an error if the settings request steps before smoothing.
 fn check_no_preparation(settings: &Settings) -> Result<(), ParamError> {
     let allowed = "messages keep their grid and camera_info, so these steps apply only to files and streams \
                    (remove_floating, min_range_m, max_range_m, decimate)";
@@ -106,12 +106,12 @@ impl MessageSmoother {
         }
     }
 
-    /// Sets the memory limit for a message.
+    /// Sets the memory limit per message.
     pub fn with_read_options(self, read: ReadOptions) -> Self {
         Self { read, ..self }
     }
 
-    /// Sets the settings from the next message on; their outputs are the fields added to clouds.
+    /// Sets the settings for the following messages; their outputs are the fields added to clouds.
     ///
     /// # Errors
     /// Same as [`new`](Self::new).
@@ -155,8 +155,8 @@ impl MessageSmoother {
         self.session.settings()
     }
 
-    /// Sets whether [`normals_image`](Self::normals_image) returns the normals of frames on a grid, independently of
-    /// the normals of clouds.
+    /// Sets whether [`normals_image`](Self::normals_image) returns normals for frames on a grid. The normal fields of
+    /// clouds are not affected.
     pub fn set_normals_image(&mut self, wanted: bool) {
         self.wants_normals_image = wanted;
     }
@@ -169,9 +169,9 @@ impl MessageSmoother {
         (height > 1).then(|| Image::of_normals(header, (width, height), normals))
     }
 
-    /// Returns the origins of the pixels of the last depth image as a mono8 image: 0 for holes, 85 for filled pixels,
-    /// 170 for pixels carried over from the previous frame, 255 for measured pixels. `None` if the settings neither
-    /// fill holes nor smooth over time, so that all pixels are measured.
+    /// Returns the pixel origins of the last depth image as a mono8 image: 0 for holes, 85 for filled pixels, 170 for
+    /// pixels carried over from the previous frame, 255 for measured pixels. `None` if the settings neither fill
+    /// holes nor smooth over time: all values are then measured.
     pub fn origin_image(&self, header: Header) -> Option<Image> {
         let Smoothed { width, height, .. } = self.smoothed;
         let mask = self.smoothed.origin_mask().filter(|_| self.flags_origins() && height > 1)?;
@@ -205,9 +205,9 @@ impl MessageSmoother {
         &self.smoothed
     }
 
-    /// Smooths a depth image with the camera that `camera` returns for its shape. Returns the smoothed depth in the
-    /// unit of the image. If `points` is set, points and the additional fields are available as
-    /// [`smoothed`](Self::smoothed).
+    /// Smooths a depth image with the camera that `camera` returns for its width and height. Returns the smoothed
+    /// depth in the unit of the image. If `points` is set, [`smoothed`](Self::smoothed) then returns points and the
+    /// additional fields.
     ///
     /// # Errors
     /// If the message is not a depth image, the camera has another shape, or the engine fails.
@@ -256,7 +256,8 @@ impl MessageSmoother {
         Ok(PointCloud2::of_smoothed(message.header().clone(), &self.smoothed))
     }
 
-    /// Smooths a depth image; returns its unsmoothed pixels.
+    /// Smooths a depth image into `self.smoothed`, with the outputs that `depth` and `points` select. Returns its
+    /// decoded, unsmoothed pixels.
     fn smooth_pixels(
         &mut self,
         message: &DepthMessage,
@@ -264,9 +265,9 @@ impl MessageSmoother {
         depth: bool,
         points: bool,
     ) -> Result<DepthPixels, MessageError> {
-        /// Memory for smoothing over the four bytes per pixel of decoding.
+        /// Ratio of the memory for smoothing a pixel to the four bytes for decoding it.
         const SMOOTHING: u64 = 60;
-        // A few compressed bytes may claim a gigabyte.
+        // A compressed image of a few bytes may claim a decoded size of a gigabyte.
         let decoding = self.read.with_max_memory_bytes(self.read.max_memory_bytes / SMOOTHING);
         let pixels = message.pixels(&decoding).map_err(|error| match error {
             FormatError::TooLarge { needed, .. } => {
@@ -309,8 +310,8 @@ impl MessageSmoother {
         Ok(cloud.with_smoothed(&self.smoothed)?)
     }
 
-    /// Returns the outputs for a cloud: the requested normals, curvature, status and, on a grid, standard errors; for a
-    /// video also status and frames.
+    /// Returns the outputs for a cloud: the requested normals, curvature, status and, on a grid, standard errors.
+    /// Smoothing a grid over time also needs status and frames.
     fn cloud_outputs(&self, is_on_grid: bool) -> Outputs {
         let Outputs { normals, curvature, status, sigma, .. } = self.outputs;
         let is_over_time = self.session.settings().is_some_and(|settings| settings.temporal_params().is_some());
@@ -328,7 +329,7 @@ impl MessageSmoother {
         self.session.set_outputs(outputs);
         self.session.smooth(frame, &mut self.smoothed)?;
         if !has_normals {
-            // Normals that remain in the result are added to clouds.
+            // Normals left in the result would be added to clouds.
             self.normals = self.smoothed.normals.take();
         }
         self.note_lost_points(frame);

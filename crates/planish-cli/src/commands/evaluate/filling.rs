@@ -16,7 +16,7 @@ use crate::args::EvaluateArgs;
 use crate::commands::organized;
 use crate::exit::ExitCode;
 
-/// Seed of the holes that are cut into a file.
+/// Seed for the positions of the holes that are cut into the frame of a file.
 const SEED_OF_FILE: u64 = 1;
 
 #[derive(Serialize)]
@@ -49,7 +49,7 @@ pub(super) fn evaluate(args: &EvaluateArgs, width_px: u32) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Measures the filling of holes cut into simulated frames; returns `None` if the frames are exported.
+/// Measures how well holes cut into simulated frames are filled; returns `None` if the frames are exported.
 fn of_suite(args: &EvaluateArgs, width_px: u32) -> Result<Option<FillReport>> {
     let suite = Suite { noise: DepthNoise::of_sensor(&sensor_of(args)?), ..Suite::default() };
     let seeds = args.seed.map_or(1..=args.seeds, |seed| seed..=seed);
@@ -101,7 +101,8 @@ fn result_in(args: &EvaluateArgs, folder: &Path, name: &str, camera: &Camera) ->
     })
 }
 
-/// Measures the filling of holes cut into a file, whose own smoothed values are the truth.
+/// Measures how well holes cut into the frame of a file are filled. The truth is the result of smoothing the frame
+/// without cut holes.
 fn of_file(args: &EvaluateArgs, file: &Path, width_px: u32) -> Result<FillReport> {
     let mut cloud = organized(read_measured(&args.memory, file)?, &args.camera, file)?;
     let settings = args.smoothing.settings()?;

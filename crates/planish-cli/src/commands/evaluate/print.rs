@@ -1,4 +1,4 @@
-//! Prints the scores as a table, and plots the error over z.
+//! Prints the reports as a table, and plots the error over z.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use plotters::series::PointSeries;
 
 use super::Row;
 
-/// Prints the scores of all methods, one column per method.
+/// Prints the reports of all methods, one column per method.
 pub(super) fn print(rows: &[Row]) {
     let line = |name: &str, value: &dyn Fn(&Row) -> String| {
         out!("  {name:<44}");

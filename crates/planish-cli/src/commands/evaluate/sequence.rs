@@ -31,19 +31,20 @@ const PICTURED_FRAMES: usize = 24;
 /// Frame rate of an animated picture, in frames per second.
 const PICTURED_PER_SECOND: u16 = 15;
 
-/// The scores of a video.
+/// Report on a video.
 #[derive(Serialize)]
 struct Video {
     video: String,
     frames: u64,
     ways: Vec<VideoReport>,
-    /// Number of frames before which the camera motion was known, for each way by name.
+    /// Number of frames whose camera motion since the previous frame was known, by method. Only methods with a moving
+    /// camera are included.
     moved_frames: BTreeMap<&'static str, u64>,
-    /// Median time per frame in milliseconds, for each way by name.
+    /// Median time per frame in milliseconds, by method.
     frame_ms: BTreeMap<&'static str, f64>,
 }
 
-/// A way to smooth a video.
+/// A method of smoothing a video.
 struct Way {
     name: &'static str,
     session: Session,
@@ -51,7 +52,7 @@ struct Way {
     smoothed: Smoothed,
     carried: Vec<bool>,
     times_ms: Vec<f64>,
-    /// Number of frames before which the camera motion was known.
+    /// Number of frames whose camera motion since the previous frame was known.
     moved: u64,
 }
 
@@ -207,7 +208,7 @@ fn export(folder: &Path, number: u64, camera: &Camera, raw: &[u16]) -> Result<()
 struct Evaluated {
     frames: u64,
     ways: Vec<Way>,
-    /// Result folders of other programs: their names, and the files of their frames.
+    /// For each result folder of another program: its name, and the files of its frames.
     others: Vec<(String, Vec<PathBuf>)>,
     memory: MemoryArgs,
     evaluation: Option<VideoEvaluation>,
@@ -401,7 +402,7 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
     Ok(depth_m)
 }
 
-/// Draws the reliefs of measured, smoothed and steady depth side by side, at half size.
+/// Draws reliefs side by side, at half size: of the measured depth, and of two smoothed depths.
 fn picture((width, height): (usize, usize), camera: Option<&Camera>, depths_m: [&[f32]; 3]) -> RgbImage {
     let camera = camera
         .copied()

@@ -14,7 +14,7 @@ use crate::exit::ExitCode;
 #[derive(Serialize)]
 struct Info<'a> {
     format: &'static str,
-    /// Number of messages of all topics.
+    /// Total number of messages on all topics.
     messages: Option<u64>,
     compression: Option<&'a str>,
     topics: Vec<TopicInfo<'a>>,

@@ -1,4 +1,4 @@
-//! `planish evaluate --rig`: compares the ways of smoothing on simulated rigs.
+//! `planish evaluate --rig`: compares the methods of smoothing rigs, on simulated rigs.
 
 use crate::args::{EvaluateArgs, by_option};
 use crate::commands::status_line::ms;
@@ -13,7 +13,7 @@ use planish_bench::{out, outln};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// Scores of one way on the simulated rigs.
+/// Report on one method on the simulated rigs.
 #[derive(Serialize)]
 struct Row {
     name: &'static str,
@@ -23,7 +23,7 @@ struct Row {
     moment_ms: Option<f64>,
 }
 
-/// Compares the ways of smoothing on simulated rigs.
+/// Compares the methods of smoothing rigs, on simulated rigs.
 pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
     let params = args.smoothing.settings()?.frame_params().map_err(by_option)?;
     let errors = args.pose_errors.map(|errors| errors.0).unwrap_or_default();

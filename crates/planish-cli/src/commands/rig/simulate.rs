@@ -25,7 +25,7 @@ pub fn simulate(args: &RigArgs, cameras: usize, folder: &Path) -> Result<ExitCod
     create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let written = write(args, cameras, folder);
     if is_new && !matches!(written, Ok(ExitCode::SUCCESS)) {
-        // Fails without harm if a data set has already reached its final name.
+        // This fails without harm if a data set was already moved to its final name.
         let _ = fs::remove_dir(folder);
     }
     written

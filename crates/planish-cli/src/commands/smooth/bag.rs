@@ -28,7 +28,7 @@ struct Report<'a> {
     output: String,
     engine: Option<&'static str>,
     topics: Vec<TopicReport<'a>>,
-    /// Number of messages of other topics, which were copied.
+    /// Number of copied messages on other topics.
     copied: u64,
     /// Number of chunks with a wrong checksum.
     damaged_chunks: u64,
@@ -288,7 +288,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
 fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result<bool> {
     let mut source = source::open(name, options)?;
     let mut failure = None;
-    // A source that fails for good delivers no further frames.
+    // The limit ends the search if the source has failed permanently.
     for _ in 0..FRAMES_TRIED {
         match source.next_frame() {
             Ok(None) => break,

@@ -1,4 +1,4 @@
-//! Smooths the unorganized clouds of a recording into one file each.
+//! Smooths the unorganized clouds of a recording, and writes one file per cloud.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;

@@ -23,8 +23,8 @@ use crate::args::SmoothArgs;
 use crate::exit::ExitCode;
 use crate::signals::{INTERRUPTED, stop_flag};
 
-/// Maximum file size in bytes up to which several workers run. If any file is larger, files are smoothed one at a
-/// time, each with all threads.
+/// Maximum file size in bytes for running several workers. If any file is larger, files are smoothed one at a time,
+/// each with all threads.
 const LARGEST_BESIDE_OTHERS: u64 = 64 << 20;
 /// Number of workers that keep a GPU busy.
 const WORKERS_OF_A_GPU: usize = 4;
@@ -135,10 +135,10 @@ impl Poses {
     }
 }
 
-/// Prints each kind of error once, and advances the progress bar.
+/// Reporter of the workers' results: prints each kind of error once, and advances the progress bar.
 struct Told<'a> {
     bar: &'a ProgressBar,
-    /// Number of occurrences of each error, whose text does not contain the name of its frame.
+    /// Number of occurrences by error text, from which the name of the frame is removed.
     errors: Mutex<BTreeMap<String, usize>>,
 }
 
@@ -245,8 +245,8 @@ fn needs_memory(error: &anyhow::Error) -> bool {
     })
 }
 
-/// Smooths frames with several workers, which use the settings of `like`. Frames that need more memory are left for
-/// later and neither reported nor counted.
+/// Smooths frames with several workers, which use the settings of `like`. Frames that fail for lack of memory are
+/// left for a retry, and are neither reported nor counted.
 fn beside_each_other(
     like: &Worker<'_>,
     workers: usize,
@@ -258,7 +258,7 @@ fn beside_each_other(
     let next = AtomicUsize::new(0);
     let results = Mutex::new(done);
     let Worker { args, pose, ref settings, ref noted, .. } = *like;
-    // The sensor and the devices found for the first frames serve all others.
+    // The sensor and the devices found for the first frames apply to all others.
     let mut settings = settings.clone();
     settings.threads = Some(1);
     settings.sensor = like.session.estimated_sensor().map(SensorChoice::Known).or(settings.sensor);

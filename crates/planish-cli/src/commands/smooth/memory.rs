@@ -18,7 +18,7 @@ impl std::fmt::Display for NeedsMemory {
 impl std::error::Error for NeedsMemory {}
 
 impl Worker<'_> {
-    /// Refuses a frame for which an engine and its results need more memory than allowed.
+    /// Returns an error if smoothing a frame needs more memory than allowed for the engine and its results.
     pub(super) fn check_memory(&self, frame: Frame<'_>, field_bytes: usize) -> Result<()> {
         let (width, height) = frame.shape();
         match self.read_options().check_work_on_frame(Work::Smooth, frame, field_bytes) {

@@ -38,7 +38,7 @@ impl Worker<'_> {
     }
 
     pub(super) fn report_choice(&self, output: &Path, choice: &CloudChoice) {
-        // The noise is converted to metres, since it is printed in millimetres.
+        // The noise is converted from the cloud's unit to metres, since it is printed in millimetres.
         let mut choice = *choice;
         choice.noise_m = choice.noise_m.map(|noise| noise * self.unit.metres as f32);
         errln!("{}: {choice} (change with --strength, --neighbours or --edges)", output.display());

@@ -1,4 +1,4 @@
-//! The steps before smoothing: cutting off ranges, removing floating pixels and reducing the resolution.
+//! The steps before smoothing: limiting the range, removing floating pixels and reducing the resolution.
 
 use std::path::Path;
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planish::Progress;
 
-/// Runs `work`, with a progress bar if it takes long and standard error is a terminal.
+/// Runs `work`, and shows a progress bar if the work takes long and standard error is a terminal.
 pub fn with_progress<T>(progress: Option<Arc<Progress>>, work: impl FnOnce() -> T) -> T {
     /// Time after which the bar appears.
     const PATIENCE: Duration = Duration::from_secs(1);

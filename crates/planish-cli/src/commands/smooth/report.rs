@@ -90,7 +90,7 @@ pub struct Failure {
 pub struct FolderReport {
     pub frames: Vec<Report>,
     pub failed: Vec<Failure>,
-    /// Whether a signal ended the run early.
+    /// True if a signal ended the run early.
     pub interrupted: bool,
 }
 
@@ -117,7 +117,8 @@ pub fn print_report(report: &Report) {
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }
 
-/// Reports if the ranges of a grid are not camera depths. Ranges as distances are not reported if a pose is given.
+/// Prints a message if the ranges of a grid are not camera depths. If a pose is given, ranges that are distances from
+/// the sensor are expected and not reported.
 pub fn report_range_rule(input: &Path, frame: Frame<'_>, rule: Option<RangeRule>, pose_is_given: bool) {
     let Frame::Points(points) = frame else { return };
     let input = input.display();

@@ -18,7 +18,7 @@ use super::report::{Report, StatusCounts, report_assumed_sensor, summarize};
 use super::{LOST_SHARE_TOLD, Worker};
 
 impl Worker<'_> {
-    /// Smooths a LAS, LAZ or PLY file in tiles into another if it exceeds the memory limit; otherwise returns `None`.
+    /// Smooths a LAS, LAZ or PLY file in tiles if it exceeds the memory limit; otherwise returns `None`.
     pub(super) fn smooth_in_tiles(&mut self, input: &Path, output: &Path) -> Result<Option<Report>> {
         let allowed = self.read_options().max_memory_bytes;
         if !tiles::are_tiled(input, output) || tiles::bytes_in_memory(input).is_none_or(|needed| needed <= allowed) {

@@ -1,9 +1,9 @@
 //! Edge preservation: finds the surface of each point from the planes around it (docs/method.md, section 10).
 //!
-//! One pass fits the first planes of all cells or pixels. Another derives from them the surface of each cell or
-//! pixel, and the mean of its block's points on that surface. Each component of a plane is a channel with the layout
-//! of the padded frame. The results of cells then replace their surfaces, and the results of pixels follow from the
-//! cells ([`pixels`]).
+//! The first pass fits the first planes of all cells or pixels. The second derives from them the surface of each cell
+//! or pixel, and the mean of its block's points on that surface. Each component of a plane is a channel with the
+//! layout of the padded frame. The results of the cells then replace the cells' surfaces, and the results of the
+//! pixels are derived from the cells ([`pixels`]).
 
 mod pixels;
 mod vote;
@@ -30,24 +30,24 @@ use crate::range::{MAX_RADIUS_M, RangeRules};
 pub(super) use pixels::{Found, results_of_pixels};
 use vote::Voting;
 
-// Channels of first planes and of surfaces: the normal, and the height over the point along it...
+// Channels of both first planes and surfaces: the normal (three channels), and the height over the point along it.
 const NORMAL: usize = 0;
 const HEIGHT: usize = 3;
 
 // Channels of first planes only.
-/// Variance along the normal plus the plane's uncertainty, in m². It increases, and finally becomes infinite, if
-/// neighbours are too few, collinear, or on a plane seen edge-on.
+/// Variance along the normal plus the plane's uncertainty, in m². It rises to infinity as the neighbours become too
+/// few, collinear, or part of a plane seen edge-on.
 const RESIDUAL: usize = 4;
 const CURVATURE: usize = 5;
 /// The number of neighbours; negative if they are collinear.
 const COUNT: usize = 6;
-/// The square of the extent in m².
+/// Square of the neighbourhood's in-plane extent, in m².
 const EXTENT: usize = 7;
 /// First of three channels: the mean of the neighbours, relative to the point.
 const CENTROID: usize = 8;
 /// Sum of the two variances along the plane, in m².
 const SPREAD: usize = 11;
-/// Sum of the window's principal curvatures, in 1/m.
+/// Sum of the principal curvatures measured within the window, in 1/m.
 const WINDOW_BEND: usize = 12;
 const FIRST_CHANNELS: usize = 13;
 
@@ -58,8 +58,8 @@ const WIDTH: usize = 4;
 const BEND: usize = 5;
 /// Degree to which no plane around the point fits, from 0 to 1.
 const NO_PLANE_FITS: usize = 8;
-/// Certainty of the surface, from 0, if no plane near the point fits it, to 1. The results of cells do not overwrite
-/// it.
+/// Certainty of the surface, from 0 (no plane near the point fits it) to 1. The results of cells do not overwrite
+/// this channel.
 const CERTAINTY: usize = 9;
 const SURFACE_CHANNELS: usize = 10;
 
@@ -70,9 +70,9 @@ struct Planes<const CHANNELS: usize> {
     border: usize,
 }
 
-/// A band of rows of planes, and of the block means that are written with them.
+/// A band of rows of planes, with the rows of block means that are written along with them.
 pub(super) struct PlaneRows<'a, const CHANNELS: usize> {
-    /// The first row's number in the image.
+    /// Index of the band's first row in the image.
     pub(super) first: usize,
     channels: [&'a mut [f32]; CHANNELS],
     row_len: usize,
@@ -88,7 +88,7 @@ pub(super) type SurfaceRows<'a> = PlaneRows<'a, SURFACE_CHANNELS>;
 /// The first planes of a frame.
 pub(super) struct FirstPlanes {
     planes: Planes<FIRST_CHANNELS>,
-    /// Distance in cells along each axis to the eight surrounding planes considered.
+    /// Distance to the eight surrounding planes that are considered, in cells along each axis.
     shift: usize,
 }
 
@@ -190,15 +190,15 @@ impl Surfaces {
         self.planes.bytes()
     }
 
-    /// Returns the rows of the image, and of the means if blocks are averaged.
+    /// Returns the rows of the image, with the rows of the block means if blocks are averaged.
     pub(super) fn rows<'a>(&'a mut self, height: usize, means: Option<PaddedRows<'a>>) -> SurfaceRows<'a> {
         self.planes.rows(height, means)
     }
 }
 
 impl SurfaceRows<'_> {
-    /// Returns the surfaces found for a vector of points that starts at column u of row `row` of this band. `here` is
-    /// the index of the first point in the frame.
+    /// Returns the surfaces found for the vector of points that starts at column u of row `row` of this band. `here`
+    /// is the first point's index in the frame.
     #[inline(always)]
     pub(super) fn surface<S: Simd>(
         &self,
@@ -251,7 +251,7 @@ impl FirstPlanes {
         self.planes.load(simd, COUNT, at)
     }
 
-    /// Returns the first planes from an index on.
+    /// Returns the first planes of the vector of points that starts at an index.
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, at: usize) -> Plane<S> {
         Plane {
@@ -268,8 +268,8 @@ impl FirstPlanes {
         }
     }
 
-    /// Finds the surfaces of the points from index `here` on, from their first planes and the eight around each, and
-    /// the certainties of the surfaces. The distance of `mean` from a plane determines how well the plane fits.
+    /// Derives the surfaces of the vector of points at index `here`, and their certainties, from each point's first
+    /// plane and the eight around it. The distance of `mean` from a plane determines how well that plane fits.
     #[inline(always)]
     fn find_surface<S: Simd>(
         &self,
@@ -291,14 +291,14 @@ impl FirstPlanes {
         let vote = self.vote(simd, &voting);
         let own_normal = plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT));
         let (normal, sign) = facing(simd, vote.normal.add(own_normal), ray, has_plane);
-        // Heights are along the mean normal of the planes, whichever way it points.
+        // Heights are measured along the mean normal of the planes, before it is turned towards the sensor.
         let per_total = one / (vote.total + splat(simd, STAY_WEIGHT));
         plane.normal = normal.or(has_plane, plane.normal);
         plane.height = has_plane.select(sign * moved::<S>(vote.height * per_total, radius), plane.height);
         let turn = Turn::new(simd, vote.total, vote.normal, radius, noise);
         let turns: Mask<S> = has_plane & turn.certain.simd_gt(zero);
         let mut bend = Bend::none(simd);
-        // Most surfaces are flat.
+        // Most surfaces are flat and skip this step.
         if turns.any_true() {
             let frame = tangents(simd, normal);
             let measured = self.around(simd, &voting, &vote).bend(simd, &turn, frame, radius);
@@ -320,7 +320,7 @@ impl FirstPlanes {
     }
 }
 
-/// Limits heights to the radius: planes that disagree may be farther away than a point may move.
+/// Limits heights to the radius: the mean of disagreeing planes may be farther away than a point may move.
 #[inline(always)]
 fn moved<S: Simd>(height: S::f32s, radius: S::f32s) -> S::f32s {
     height.max(-radius).min(radius)
@@ -341,7 +341,7 @@ fn facing<S: Simd>(simd: S, normal: Vec3<S>, ray: Vec3<S>, has_plane: Mask<S>) -
 /// seen edge-on.
 #[inline(always)]
 fn usable<S: Simd>(simd: S, ray: Vec3<S>, plane: &Plane<S>, total: S::f32s) -> S::f32s {
-    // Scaled, since squares may overflow.
+    // The ray is scaled, since its squares may overflow.
     let largest = ray.x.abs().max(ray.y.abs()).max(ray.z.abs()).max(splat(simd, f32::MIN_POSITIVE));
     let direction = ray.scale(splat(simd, 1.0) / largest);
     let cosine = plane.normal.dot(direction).abs() / direction.dot(direction).sqrt();
@@ -370,7 +370,7 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
             let plane = plane::fit(simd, ray, &sums);
             let residual = (noise * noise * splat(simd, DOUBT_WEIGHT)).mul_add(plane.doubt, plane.residual);
             let usable = usable(simd, ray, &plane, sums.total);
-            // A single point would give 0/0.
+            // The residual of a single point would be 0/0.
             let is_usable: Mask<S> = usable.simd_gt(splat(simd, 0.0));
             let residual = is_usable.select(residual / usable, splat(simd, f32::INFINITY));
             let window_bend = bend::of_window(simd, (window, kernel), p, radius, &plane);
@@ -388,11 +388,11 @@ pub(super) fn fit_first_planes<S: Simd>(simd: S, input: Input<'_>, kernel: &Kern
     }
 }
 
-/// Input for the means of blocks on surfaces.
+/// Input for the means of each block's points on its surface.
 #[derive(Clone, Copy)]
 pub(super) struct Blocks<'a> {
     pub(super) pixels: &'a Pixels,
-    /// The means of all points.
+    /// The means of all points of each block.
     pub(super) means: &'a PaddedFrame,
 }
 

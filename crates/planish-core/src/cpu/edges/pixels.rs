@@ -1,5 +1,5 @@
-//! The results of pixels from the surfaces of the cells around them (docs/method.md, section 10). One pass keeps the
-//! results of the cells' points in place of their surfaces, another finds each pixel's surface among them.
+//! Derives the results of pixels from the surfaces of the cells around them (docs/method.md, section 10). One pass
+//! keeps the results of the cells' points in place of their surfaces; another derives each pixel's surface from them.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -32,23 +32,24 @@ const RESULT_POINT: usize = BEND;
 const CODES: f32 = 8.0;
 /// Code of the status `Degenerate`: collinear neighbours.
 const DEGENERATE: f32 = 2.0;
-/// Code of the status `Plane`, the smallest one with a normal.
+/// Code of the status `Plane`, the smallest code of a status with a normal.
 const PLANE: f32 = 3.0;
 
-/// Cells around a pixel along an axis, relative to the pixel's own cell, and their shares, which fall linearly to 0
-/// at four pixels. The first entry is for a pixel at the start of its cell, the second for one at the end.
+/// Offsets of the cells around a pixel from the pixel's own cell, along an axis, and their shares, which fall
+/// linearly to 0 at four pixels. The first entry is for a pixel at the start of its cell, the second for one at the
+/// end.
 const SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 0.5), (0, 1.0), (1, 0.5)], &[(-1, 0.25), (0, 0.75), (1, 0.75), (2, 0.25)]];
-/// Cells and shares for finding the surface of the pixel's point. The shares fall to 0 at three pixels.
+/// Like [`SHARES`], for finding the surface of the pixel's point: the shares fall to 0 at three pixels.
 const FIND_SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 1.0 / 3.0), (0, 1.0), (1, 1.0 / 3.0)], &[(0, 2.0 / 3.0), (1, 2.0 / 3.0)]];
 /// Sum of the products of row and column [`SHARES`].
 const ALL_SHARES: f32 = 4.0;
-/// Cells and shares for averaging block means. The shares fall to 0 at two pixels.
+/// Like [`SHARES`], for averaging block means: the shares fall to 0 at two pixels.
 const MEAN_SHARES: [&[(isize, f32)]; CELL_PX] = [&[(0, 1.0)], &[(0, 0.5), (1, 0.5)]];
 
 impl SurfaceRows<'_> {
-    /// Replaces a vector of surfaces that starts at column u of row `row` of this band by results.
+    /// Replaces the vector of surfaces that starts at column u of row `row` in this band with results.
     #[inline(always)]
     pub(in crate::cpu) fn keep<S: Simd>(
         &mut self,
@@ -70,7 +71,7 @@ impl SurfaceRows<'_> {
         self.store::<S>(CURVATURE, at, surface.plane.curvature);
     }
 
-    /// Replaces a vector of surfaces that starts at column u of row `row` of this band by holes.
+    /// Replaces the vector of surfaces that starts at column u of row `row` in this band with holes.
     #[inline(always)]
     pub(in crate::cpu) fn keep_holes<S: Simd>(&mut self, simd: S, (u, row): (usize, usize)) {
         let at = self.index(row, u);
@@ -154,9 +155,9 @@ impl<S: Simd> PixelResults<S> {
     }
 }
 
-/// Returns the results of one pixel in row v for each cell from cell column u on: the pixel in the first (0) or
-/// second (1) column of its cell.
-// Inlining propagates the constant `column`; for the browser, one copy is smaller.
+/// Returns the results of a vector of pixels in row v, one per cell, that starts at cell column u. `column` selects
+/// the first (0) or second (1) column of each cell.
+// Inlining propagates the constant `column`; web builds do not inline, because one copy is smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn result_of_column<S: Simd>(
@@ -188,7 +189,7 @@ fn result_of_column<S: Simd>(
     let Voted { total, certain, normal, height, best, code, curvature } =
         surfaces.surface_of(simd, around(FIND_SHARES), points, to_mean, noise);
     let on_one: Mask<S> = total.simd_gt(splat(simd, LEAST_SURFACE_WEIGHT));
-    // Divided by the total, so that squares do not underflow.
+    // The normal is divided by the total, so that its square does not underflow.
     let normal = normal.scale(one / on_one.select(total, one));
     let square = on_one.select(normal.dot(normal), one);
     // Normals of equal surfaces that face opposite sides cancel.
@@ -222,7 +223,7 @@ fn result_of_column<S: Simd>(
     let along = more.mul_add(share, along);
     let normal = mean.normal;
     let own_code = surfaces.planes.load(simd, CODE, cell);
-    // Farther away, squares overflow f32.
+    // The squares of more distant points overflow f32.
     let near: Mask<S> = p.dot(p).simd_lt(splat(simd, MAX_RANGE_M * MAX_RANGE_M));
     let (own_n, own_status) = decode(simd, own_code);
     let own_has_normal: Mask<S> = own_status.simd_ge(splat(simd, PLANE));
@@ -293,7 +294,7 @@ impl Around {
     }
 }
 
-/// Sums over the surfaces around points, weighted by how well they fit.
+/// Sums over the surfaces around points, weighted by how well the surfaces fit.
 struct Voted<S: Simd> {
     total: S::f32s,
     /// Sum of weight times certainty times |side|, the divisor of `height`.
@@ -308,7 +309,7 @@ struct Voted<S: Simd> {
     curvature: S::f32s,
 }
 
-/// The mean of the surfaces around points that are like their own.
+/// The mean of those surfaces around each point that are like the point's own.
 struct Mean<S: Simd> {
     normal: Vec3<S>,
     height: S::f32s,
@@ -363,7 +364,7 @@ impl Surfaces {
         normals
     }
 
-    /// Finds the surfaces of points among the surfaces of the cells around them.
+    /// Derives the surfaces of points from the surfaces of the cells around them.
     #[inline(always)]
     fn surface_of<S: Simd>(
         &self,
@@ -389,7 +390,7 @@ impl Surfaces {
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: the part is from the first to the last cell around.
+                // SAFETY: the part extends from the first to the last of the visited cells.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
                     |channel| unsafe { cells.vector(simd, channel, at) },
@@ -427,7 +428,7 @@ impl Surfaces {
         voted
     }
 
-    /// Averages the surfaces around points that are like their own, whose normals are given.
+    /// Averages those surfaces around each point that are like the point's own, whose normal is `own_normal`.
     #[inline(always)]
     fn mean_around<S: Simd>(
         &self,
@@ -448,7 +449,7 @@ impl Surfaces {
             self.planes.row_len,
             #[inline(always)]
             |at, share| {
-                // SAFETY: the part is from the first to the last cell around.
+                // SAFETY: the part extends from the first to the last of the visited cells.
                 let [normal, place] = [RESULT_NORMAL, RESULT_POINT].map(
                     #[inline(always)]
                     |channel| unsafe { cells.vector(simd, channel, at) },

@@ -1,4 +1,4 @@
-//! Vote of the nine planes around a point on its surface (docs/method.md, section 10).
+//! The nine planes around a point vote on its surface (docs/method.md, section 10).
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 
@@ -17,11 +17,11 @@ pub(super) struct Vote<S: Simd> {
     weights: [S::f32s; 9],
     /// Gate weights of the planes by their distance from the point. Only valid for planes with a nonzero weight.
     nearness: [S::f32s; 9],
-    /// Sum of the planes' fits to their own points, F of (10.17).
+    /// Sum of the planes' fits to their own points, F of (10.17) in docs/method.md.
     pub(super) fitting: S::f32s,
 }
 
-/// The points whose surfaces are searched for, and the quantities that weight the planes around them.
+/// The points whose surfaces are to be found, and the quantities that weight the planes around them.
 pub(super) struct Voting<'a, S: Simd> {
     pub(super) measured: &'a PaddedFrame,
     /// Index of the first point.
@@ -81,7 +81,7 @@ impl FirstPlanes {
         let zero = splat(simd, 0.0);
         let lacking = splat(simd, 1.0) - rises(simd, vote.fitting, FITTING);
         let lacks: Mask<S> = lacking.simd_gt(zero);
-        // Most surfaces are flat.
+        // Most surfaces are flat, so planes fit.
         if lacks.any_true() { lacking * self.turning(simd, voting.here, vote) } else { zero }
     }
 
@@ -107,7 +107,7 @@ impl FirstPlanes {
         )
     }
 
-    /// Returns the sums over the planes, weighted by a vote, for the bend between them.
+    /// Returns the sums over the planes, weighted by a vote, from which the bend between the planes is computed.
     #[inline(always)]
     pub(super) fn around<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> Around<S> {
         let (zero, none) = (splat(simd, 0.0), Vec3::splat(simd, 0.0));

@@ -126,7 +126,7 @@ pub(super) fn find_surfaces<S: Simd>(
             let root = one / residual.mul_add(per_variance, one);
             let square = root * root;
             let weight = near.select(square * square * nearness, zero);
-            // Normals that point the other way are flipped.
+            // Normals on the opposite side to that of p's own plane are flipped.
             let facing = (plane.normal.dot(n) * per_facing).max(-one).min(one);
             let turned = weight * facing;
             normal = normal.add_scaled(turned, n);
@@ -134,7 +134,7 @@ pub(super) fn find_surfaces<S: Simd>(
             total = weight.mul_add(facing.abs(), total);
         },
     );
-    // Planes that disagree may be farther away than a point may move.
+    // The mean of disagreeing planes may be farther away than a point may move.
     let height = (height / total).max(-radius).min(radius);
     let length = has_plane.select(normal.dot(normal), one).sqrt();
     // A flipped normal with the opposite height describes the same plane.

@@ -1,5 +1,5 @@
-//! Estimates the noise of a cloud from how far a sample of its points moves, and chooses its neighbours, edge handling
-//! and passes (docs/method.md, section 8).
+//! Estimates a cloud's noise from how far smoothing moves a sample of its points, and chooses the number of
+//! neighbours, the edge handling and the number of passes (docs/method.md, section 8).
 
 use fearless_simd::Level;
 use glam::Vec3;
@@ -18,43 +18,47 @@ const TRIED: [u32; 10] = [40, 57, 80, 113, 160, 226, 320, 453, 640, 905];
 const FEW: [u32; 4] = [10, 14, 20, 28];
 /// Ratio of the mean square motion with 40 neighbours to that with 20 above which [`FEW`] is considered.
 const GROWS: f64 = 2.0;
-/// Minimum mean |cosine| between normals with 20 neighbours for [`FEW`] to be considered; less is noise.
+/// Minimum mean |cosine| between normals with 20 neighbours for [`FEW`] to be considered; a smaller value means
+/// noise.
 const COHERENT: f64 = 0.77;
-/// Ratio of the RMS motion with 40 neighbours to the mean radius above which [`FEW`] is considered; less is rounding.
+/// Ratio of the RMS motion with 40 neighbours to the mean radius above which [`FEW`] is considered; smaller motions
+/// are rounding errors.
 const LEAST_MOTION: f64 = 1e-4;
-/// Approximate number of points that are smoothed with each number of neighbours.
+/// Approximate number of points that are smoothed for each number of neighbours tried.
 const SAMPLE: usize = 2000;
-/// Ratio of the mean radius to the RMS motion from which neighbourhoods are wider than the noise.
+/// Minimum ratio of the mean radius to the RMS motion for neighbourhoods to count as wider than the noise.
 const CLEAR_RATIO: f64 = 3.2;
-/// Multiple of the smallest ratio of mean radius to RMS motion so far from which neighbourhoods also count as wider
-/// than the noise.
+/// Rise of the ratio of mean radius to RMS motion over its smallest value so far, as a factor, from which
+/// neighbourhoods also count as wider than the noise.
 const CLEAR_RISE: f64 = 1.2;
 /// Number of coefficients of the polynomial: with K neighbours, the fit follows 6/K of the noise's variance.
 const COEFFICIENTS: f64 = 6.0;
-/// Numerator of the share of the noise's variance that remains: smoothing with K neighbours leaves 12/K.
+/// Numerator of the share of the noise's variance that remains after smoothing: 12/K with K neighbours.
 const LEFT: f64 = 12.0;
 
 /// Ratio of the mean radius with 40 neighbours to the noise below which a cloud gets a first pass.
 const NOISY: f64 = 8.0;
-/// Ratio of the mean radius with 40 neighbours to the noise up to which edges are off.
+/// Maximum noise at which edges may be kept, as the ratio of the mean radius with 40 neighbours to the noise.
 const NOISIEST: f64 = 1.6;
 /// Ratio of the mean radius with 40 neighbours to the noise above which there is nothing to smooth.
 const CLEAN: f64 = 1000.0;
 /// Reach of a first pass around held-out points, in mean radii with 40 neighbours: more than twice the radius with
 /// 905.
 const REACH: f32 = 12.0;
-/// Reduction of the mean square error, in standard errors, above which a way counts as better.
+/// Reduction of the mean square error, in standard errors, above which a smoothing counts as better than another.
 const SURE: f64 = 1.0;
 
-/// Shortfall of the kurtosis of held-out points' distances below 3, that of noise, above which the sides of a wall
-/// were merged.
+/// Shortfall of the kurtosis of the held-out points' distances below 3, the kurtosis of noise, above which the two
+/// sides of a wall count as merged.
 const FLAT: f64 = 0.35;
-/// Shortfall of the kurtosis below 3, in standard errors, above which the sides of a wall were merged.
+/// Shortfall of the kurtosis of the held-out points' distances below 3, in standard errors, above which the two sides
+/// of a wall count as merged.
 const FLAT_ERRORS: f64 = 3.0;
-/// Ratio of mean square distances below which fewer than 40 neighbours are chosen to keep the sides of walls apart.
+/// Ratio of the mean square distance with fewer neighbours to the smallest so far below which the fewer neighbours
+/// are chosen, to keep the sides of walls apart.
 const MUCH_LESS: f64 = 2.0 / 3.0;
 
-/// The estimated noise of an unorganized cloud, and the way to smooth it that suits its noise and shape.
+/// The estimated noise of an unorganized cloud, and the smoothing parameters that suit its noise and shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudEstimate {
@@ -69,14 +73,14 @@ pub struct CloudEstimate {
     pub noise_m: f32,
 }
 
-/// Choices made by the settings.
+/// Parameters fixed by the settings; `None` for those to be estimated.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Decided {
     pub(crate) edges: Option<Edges>,
     pub(crate) passes: Option<u32>,
 }
 
-/// Motion of the sampled points when smoothed with a number of neighbours.
+/// Motion of the sampled points when smoothed with the given number of neighbours.
 #[derive(Debug, Clone, Copy)]
 struct Motion {
     neighbours: u32,
@@ -94,13 +98,14 @@ impl CloudEstimate {
     /// The number of neighbours of a first pass.
     pub const FIRST_NEIGHBOURS: u32 = 20;
 
-    /// Estimates the noise and chooses how to smooth a cloud, by smoothing about 2000 of its points in several ways.
-    /// `None` for a cloud of fewer than 160 distinct points, or if none of the sampled points has enough neighbours.
+    /// Estimates the noise and chooses how to smooth a cloud, by smoothing about 2000 of its points with several
+    /// numbers of neighbours and both kinds of edge handling. Returns `None` for a cloud of fewer than 160 distinct
+    /// points, or if none of the sampled points has enough neighbours.
     pub fn of(cloud: &PointsView<'_>) -> Option<Self> {
         Self::with(cloud, Decided::default())
     }
 
-    /// Same as [`of`](Self::of), with choices made by the settings.
+    /// Same as [`of`](Self::of), with parameters fixed by the settings.
     pub(crate) fn with(cloud: &PointsView<'_>, decided: Decided) -> Option<Self> {
         let mut index = PointIndex::default();
         index.fill(cloud);
@@ -109,7 +114,7 @@ impl CloudEstimate {
         let kernels = Kernels { sensor: Sensor::new(&geometry), level: Level::new() };
         let sample = Sample { index: &index, kernels };
         let mut tried = TRIED.into_iter().take_while(|&neighbours| neighbours <= most);
-        // Widens until neighbourhoods are wider than the noise.
+        // Try more neighbours until neighbourhoods are wider than the noise.
         let least = sample.motion(tried.next()?)?;
         let (mut narrow, mut least_ratio) = (least, least.ratio);
         while narrow.ratio < CLEAR_RATIO && narrow.ratio < CLEAR_RISE * least_ratio {
@@ -154,25 +159,25 @@ impl CloudEstimate {
     }
 }
 
-/// Comparison of ways to smooth, on held-out points.
+/// Compares smoothing parameters on held-out points.
 struct Compared<'a> {
     held_out: &'a HeldOut,
-    /// The largest number of neighbours.
+    /// Maximum number of neighbours to try.
     most: u32,
 }
 
 /// Selects the distance to compare.
 type Distance = fn(&Miss) -> f64;
 
-/// A way to smooth, and its misses at the held-out points.
+/// Smoothing parameters, and the resulting misses at the held-out points.
 struct Tried {
     way: Way,
     misses: Vec<Miss>,
 }
 
 impl Compared<'_> {
-    /// Returns the best way. Unless `edges` is given, edges are kept only if that is clearly better or, on fine
-    /// shapes, not clearly worse.
+    /// Returns the best smoothing parameters. Unless `edges` is given, edges are kept only if that is clearly better
+    /// or, on fine shapes, not clearly worse.
     fn choose(&self, start: Way, is_noisy: bool, edges: Option<Edges>) -> Tried {
         // With too few neighbours, normals follow the noise, which shortens distances along them.
         let whole: Distance = |miss| miss.whole;
@@ -183,7 +188,7 @@ impl Compared<'_> {
         if edges == Some(Edges::Off) {
             return smooth;
         }
-        // Beside an edge, held-out points have moved along rounded normals, so whole distances favour rounding.
+        // Next to an edge, held-out points have moved along rounded normals, so whole distances favour rounding.
         let along: Distance = |miss| miss.along;
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         let neighbours = smooth.way.neighbours;
@@ -207,8 +212,8 @@ impl Compared<'_> {
         self.walk(kept, &|neighbours| self.above(neighbours, 2), along)
     }
 
-    /// Returns a way that keeps the two sides of walls apart: with 40 neighbours, or with fewer if their misses are
-    /// much smaller. Fewer neighbours always miss by slightly less, since they follow the noise.
+    /// Returns parameters that keep the two sides of walls apart: 40 neighbours, or fewer if that makes the misses
+    /// much smaller. Fewer neighbours always make them slightly smaller, because the fit follows the noise.
     fn choose_apart(&self, edges: Edges) -> Tried {
         let mut best = self.try_way(Way { edges, neighbours: TRIED[0] });
         for neighbours in FEW.into_iter().rev() {
@@ -253,13 +258,13 @@ impl Compared<'_> {
 }
 
 impl Tried {
-    /// Returns true if this way misses by less than another, by more than [`SURE`] standard errors.
+    /// Returns true if these misses are smaller than those of `than`, by more than [`SURE`] standard errors.
     fn is_better(&self, than: &Self, distance: Distance) -> bool {
         let (gain, doubt) = self.gain(than, distance);
         gain > SURE * doubt
     }
 
-    /// Returns the mean reduction of the squared misses relative to another way, and its standard error.
+    /// Returns the mean reduction of the squared misses relative to those of `than`, and its standard error.
     fn gain(&self, than: &Self, distance: Distance) -> (f64, f64) {
         let pairs = than.misses.iter().zip(&self.misses);
         let gains: Vec<f64> =
@@ -270,7 +275,7 @@ impl Tried {
         (mean, (variance / count).sqrt())
     }
 
-    /// Returns the mean square distance in space of the points that count.
+    /// Returns the mean of the finite square distances in space, in m².
     fn mean_whole(&self) -> f64 {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
@@ -289,7 +294,7 @@ impl Tried {
         3.0 - count * squared / (sum * sum) > f64::max(FLAT, FLAT_ERRORS * (24.0 / count).sqrt())
     }
 
-    /// Returns the noise in metres that explains the median miss; `None` if no point counts.
+    /// Returns the noise in metres that explains the median miss; `None` if no miss is finite.
     fn noise_m(&self) -> Option<f32> {
         let mut squares: Vec<f64> =
             self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite()).collect();
@@ -311,8 +316,8 @@ impl Motion {
         1.0 / (1.0 - COEFFICIENTS / f64::from(self.neighbours))
     }
 
-    /// Returns the mean square error of another smoothing in m², (8.2), if this one removed the noise and kept the
-    /// shape.
+    /// Returns the mean square error of another smoothing in m² (docs/method.md, (8.2)), assuming that this smoothing
+    /// removed the noise and kept the shape.
     fn error_of(&self, other: &Self) -> f64 {
         other.square + LEFT * self.square * self.whole() / f64::from(other.neighbours)
     }
@@ -323,7 +328,7 @@ impl Motion {
     }
 }
 
-/// A cloud of which some leaves are smoothed.
+/// A cloud, and the kernels that smooth a sample of its leaves.
 struct Sample<'a> {
     index: &'a PointIndex,
     kernels: Kernels,

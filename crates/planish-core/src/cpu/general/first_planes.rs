@@ -13,8 +13,8 @@ pub(super) struct FirstPlane {
     pub(super) normal: [f32; 3],
     /// Height of the plane over the position along the normal, in metres.
     pub(super) height: f32,
-    /// Misfit of the plane to its points and its uncertainty, R of (10.22), in m²; infinite for too few or collinear
-    /// points.
+    /// Combined misfit and uncertainty of the plane, R of (10.22) in docs/method.md, in m²; infinite for too few or
+    /// collinear points.
     pub(super) residual: f32,
     pub(super) curvature: f32,
     /// The number of neighbours; negative if they are collinear, 0 if no plane was fitted.
@@ -73,7 +73,7 @@ impl FirstPlanes {
         size_of::<FirstPlane>() * self.planes.capacity() + 4 * self.radii.capacity()
     }
 
-    /// Returns one quantity of the planes from a place on.
+    /// Returns one quantity of the vector of planes that starts at a place.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, simd: S, place: usize, number: impl Fn(&FirstPlane) -> f32) -> S::f32s {
         let mut lanes = [0.0; LEAF];
@@ -83,8 +83,8 @@ impl FirstPlanes {
         S::f32s::from_slice(simd, &lanes[..S::f32s::LEN])
     }
 
-    /// Returns the planes fitted to the own neighbours of the positions from a place on, and the numbers of
-    /// neighbours.
+    /// Returns, for the vector of positions that starts at a place, the planes fitted to their own neighbours, and
+    /// the numbers of neighbours.
     #[inline(always)]
     pub(super) fn own<S: Simd>(&self, simd: S, place: usize) -> (Plane<S>, S::f32s) {
         let normal = Vec3::new(

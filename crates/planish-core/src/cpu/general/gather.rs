@@ -1,4 +1,5 @@
-//! The candidates of a vector of points: all positions within reach of any of the points, and some others nearby.
+//! Gathers the candidates of a vector of points: all positions within reach of any of the points, and some others
+//! nearby.
 
 use std::ops::Range;
 
@@ -13,7 +14,7 @@ const LARGEST_SQUARE: f32 = 1e24;
 /// The lane numbers.
 const LANES: [u32; LEAF] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
-/// Candidates copied together.
+/// Copies of the candidates of a vector of points.
 #[derive(Default)]
 pub(super) struct Gathered {
     /// Points of leaves that are fully within the gate of every lane, so that no gate is applied.
@@ -37,10 +38,10 @@ struct Copied {
     len: usize,
 }
 
-/// Reach of the points of a vector; NaN for lanes without a point.
+/// Reach of the points of a vector.
 #[derive(Clone, Copy)]
 pub(super) struct Reach<S: Simd> {
-    /// Distance in metres beyond which there are no candidates.
+    /// Distance in metres beyond which there are no candidates; NaN for lanes without a point.
     pub(super) outer: S::f32s,
     /// Distance in metres up to which candidates count fully. Never NaN: the minimum of a NaN and a number is
     /// unspecified.
@@ -49,7 +50,7 @@ pub(super) struct Reach<S: Simd> {
 
 impl Gathered {
     /// Gathers all positions within reach of at least one lane's point p, and others near them.
-    // One copy in the Web module, whose size matters.
+    // Not inlined in web builds, to keep them small.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub(super) fn fill<S: Simd>(&mut self, simd: S, index: &PointIndex, p: Vec3<S>, reach: Reach<S>) {
@@ -128,7 +129,7 @@ impl Copied {
         }
     }
 
-    /// Copies a leaf.
+    /// Appends the points of a leaf.
     #[inline(always)]
     fn push_leaf(&mut self, index: &PointIndex, leaf: usize) {
         self.reserve();
@@ -144,7 +145,7 @@ impl Copied {
         self.len += from.len();
     }
 
-    /// Copies the points of a leaf that are in a box.
+    /// Appends the points of a leaf that are in a box.
     #[inline(always)]
     fn push_inside<S: Simd>(&mut self, simd: S, index: &PointIndex, leaf: usize, bounds: &Bounds) {
         self.reserve();
@@ -173,7 +174,7 @@ fn is_between<S: Simd>(simd: S, values: S::f32s, low: f32, high: f32) -> Mask<S>
     values.simd_ge(splat(simd, low)) & values.simd_le(splat(simd, high))
 }
 
-/// Returns true if a box is within reach of some lane's point.
+/// Returns true if a box is within reach of at least one lane's point.
 #[inline(always)]
 fn is_reached<S: Simd>(simd: S, bounds: &Bounds, p: Vec3<S>, reach_squared: S::f32s) -> bool {
     let Bounds { low, high } = bounds;
@@ -210,7 +211,7 @@ fn farther<S: Simd>(simd: S, low: f32, high: f32, values: S::f32s) -> S::f32s {
     (values - splat(simd, low)).max(splat(simd, high) - values)
 }
 
-/// Returns the box that contains all points with their reaches, ignoring NaN.
+/// Returns the box around the reaches of all points, ignoring NaN.
 #[inline(always)]
 fn bounds_of<S: Simd>(p: Vec3<S>, reach: S::f32s) -> Bounds {
     Bounds {
@@ -271,7 +272,8 @@ impl<S: Simd> Candidates<S> for &Gathered {
         }
     }
 
-    /// Uses the moments of leaves that count fully.
+    /// First pass: returns the sums over the neighbours. Leaves whose points all count fully contribute their
+    /// moments.
     #[inline(always)]
     fn sums(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> Sums<S> {
         let mut sums = self.sums_of_rows(simd, p, radius, self.whole.len..self.len());
@@ -291,7 +293,7 @@ impl<S: Simd> Candidates<S> for &Gathered {
     }
 }
 
-/// Returns the points from a place on; NaN after the last.
+/// Returns the vector of points that starts at a place; NaN after the last point.
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, index: &PointIndex, place: usize) -> Vec3<S> {
     let [x, y, z] = &index.positions;

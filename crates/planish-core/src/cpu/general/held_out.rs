@@ -1,5 +1,5 @@
-//! Held-out points of a cloud, to compare ways to smooth it (docs/method.md, section 8). The best surface is the one
-//! nearest to points that it was not fitted to.
+//! Holds out points of a cloud to compare smoothing parameters (docs/method.md, section 8): the best surface is the
+//! one nearest to points that it was not fitted to.
 
 use glam::Vec3;
 
@@ -16,13 +16,13 @@ const GROUPS: usize = 32;
 /// Number of leaves in each group.
 const GROUP_LEAVES: usize = 1024 / LEAF;
 
-/// Squared distance in m² between a measured point and the point on the surface that it was moved to; NaN if that
-/// point does not count.
+/// Squared distances, in m², between a measured point and the point on the surface that it was moved to; NaN if it
+/// has no surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Miss {
-    /// Along the surface's normal.
+    /// Squared distance along the surface's normal.
     pub(super) along: f64,
-    /// In space.
+    /// Squared distance in space.
     pub(super) whole: f64,
 }
 
@@ -38,13 +38,13 @@ impl Miss {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FirstPass {
     pub(super) neighbours: u32,
-    /// Distance around the leaves with held-out points within which points are smoothed.
+    /// Distance, in metres, around the leaves with held-out points within which points are smoothed.
     pub(super) reach_m: f32,
 }
 
 /// A cloud with points held out.
 pub(super) struct HeldOut {
-    /// The other points, followed by the held-out ones.
+    /// The points that are not held out, followed by the held-out points.
     index: PointIndex,
     others: usize,
     /// Measured positions of the held-out points.
@@ -53,9 +53,9 @@ pub(super) struct HeldOut {
 }
 
 impl HeldOut {
-    /// Holds out points of a cloud. They are smoothed in the given way before they are compared with a surface;
-    /// otherwise their noise would decide which surface they belong to. A first pass, if any, smooths the other
-    /// points.
+    /// Holds out points of a cloud. They are smoothed with the parameters `way` before they are compared with a
+    /// surface; otherwise their noise would determine which surface they belong to. A first pass, if any, smooths the
+    /// other points.
     pub(super) fn new(
         cloud: &PointIndex,
         kernels: Kernels,
@@ -95,7 +95,7 @@ impl HeldOut {
         index_of(&points)
     }
 
-    /// Moves the held-out points onto the surface of the others.
+    /// Moves the held-out points onto the surface of the other points.
     fn move_held_out(&mut self, way: Way) {
         let onto = |(place, smoothed): (usize, Option<OnSurface>)| {
             smoothed.map_or(self.index.point(place), |smoothed| smoothed.point)
@@ -104,7 +104,7 @@ impl HeldOut {
         self.index.append(self.others, &points);
     }
 
-    /// Returns the held-out points, smoothed; `None` for those that do not count.
+    /// Returns the held-out points, smoothed; `None` for those without a surface.
     fn smoothed(&self, way: Way) -> Vec<Option<OnSurface>> {
         let first = self.others / LEAF;
         let leaves: Vec<_> = (first..self.index.leaves()).collect();
@@ -113,7 +113,7 @@ impl HeldOut {
         places.map(|place| smoothed[place / LEAF - first].on_surface(place % LEAF)).collect()
     }
 
-    /// Returns the squared distances of each held-out point, as measured, from the surface that `way` gives.
+    /// Returns the squared distances of each held-out point, as measured, from its surface when smoothed with `way`.
     pub(super) fn misses(&self, way: Way) -> Vec<Miss> {
         self.smoothed(way).iter().zip(&self.measured).map(|(surface, measured)| Miss::of(surface, *measured)).collect()
     }
@@ -125,7 +125,8 @@ fn index_of(points: &[[f32; 3]]) -> Result<PointIndex, FrameError> {
     Ok(index)
 }
 
-/// Returns a predicate for leaves with points to hold out: all of a small cloud, or groups of consecutive leaves.
+/// Returns a predicate for leaves with points to hold out: all leaves of a small cloud, otherwise groups of
+/// consecutive leaves.
 fn sampled_leaves(index: &PointIndex) -> impl Fn(usize) -> bool {
     let leaves = index.leaves();
     let is_small = leaves <= GROUPS * GROUP_LEAVES;

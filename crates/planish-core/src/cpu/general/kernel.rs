@@ -32,7 +32,7 @@ pub(super) enum Radii<'a> {
 }
 
 impl Kernel<'_> {
-    /// Gathers the candidates of the points p from a place on, and returns the points' radii.
+    /// Gathers the candidates of the vector of points p that starts at a place. Returns the points' radii.
     #[inline(always)]
     pub(super) fn gather<S: Simd>(
         &self,
@@ -61,7 +61,7 @@ impl Kernel<'_> {
     }
 }
 
-/// Returns the radii of the points from a place on.
+/// Returns the radii of the vector of points that starts at a place.
 #[inline(always)]
 pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S::f32s {
     match radii {
@@ -70,8 +70,8 @@ pub(super) fn load_radius<S: Simd>(simd: S, radii: Radii<'_>, place: usize) -> S
     }
 }
 
-/// Returns the mean of the radii around each point; infinite without neighbours. For an isolated point it is much
-/// smaller than the point's radius.
+/// Returns the mean radius of the other points around each point; infinite without other points. For an isolated
+/// point it is much smaller than the point's own radius.
 #[inline(always)]
 fn mean_radius<S: Simd>(simd: S, gathered: &Gathered, radii: &[f32], p: Vec3<S>, radius: S::f32s) -> S::f32s {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));

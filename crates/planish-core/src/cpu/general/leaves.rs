@@ -21,19 +21,20 @@ use crate::smoothed::Smoothed;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// Interval between the leaves in which first planes are fitted around the smoothed leaves: enough for a comparison.
+/// Interval between those leaves around the smoothed leaves in which first planes are fitted; it suffices for a
+/// comparison.
 const ONE_LEAF_IN: usize = 4;
-/// Distance within which first planes are fitted, in radii: slightly more than that of the planes that vote.
+/// Distance within which first planes are fitted, in radii: slightly more than the distance within which planes vote.
 const PLANES_REACH: f32 = 2.04;
 
-/// A way to smooth.
+/// Smoothing parameters to be compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Way {
     pub(super) edges: Edges,
     pub(super) neighbours: u32,
 }
 
-/// Inputs of the kernels other than points.
+/// The kernels' inputs other than the points.
 #[derive(Clone, Copy)]
 pub(super) struct Kernels {
     pub(super) sensor: Sensor,
@@ -41,7 +42,7 @@ pub(super) struct Kernels {
 }
 
 impl Kernels {
-    /// Smooths the points of some leaves. Not inlined, since the size of the Web module matters.
+    /// Smooths the points of some leaves. Not inlined, to keep web builds small.
     #[inline(never)]
     pub(super) fn smooth(self, index: &PointIndex, way: Way, leaves: &[usize]) -> Vec<SmoothedLeaf> {
         let Self { sensor, level } = self;
@@ -108,7 +109,7 @@ pub(super) fn leaves_around(
     (0..index.leaves()).filter(|&leaf| is_near[leaf]).collect()
 }
 
-/// Copies the values of the points of some leaves to their places.
+/// Copies values of the points of some leaves to the places of these points.
 fn put<T: Copy>(values: &mut [T], leaves: &[usize], of_leaves: Vec<[T; LEAF]>) {
     for (&leaf, of_leaf) in leaves.iter().zip(of_leaves) {
         values[LEAF * leaf..LEAF * (leaf + 1)].copy_from_slice(&of_leaf);
@@ -141,7 +142,8 @@ pub(super) struct SmoothedLeaf {
     points: Xyz,
     normals: Xyz,
     radii_m: [f32; LEAF],
-    /// False for points without a surface and for strays, whose neighbourhoods are much wider than the leaf's median.
+    /// False for points without a surface and for stray points, whose neighbourhoods are much wider than the leaf's
+    /// median.
     counts: [bool; LEAF],
 }
 
@@ -156,12 +158,12 @@ impl SmoothedLeaf {
         Self { points: smoothed.points, normals: smoothed.normals.unwrap_or_default(), radii_m, counts }
     }
 
-    /// Returns point `k`; `None` if it does not count.
+    /// Returns point `k`; `None` for a point without a surface or a stray point.
     pub(super) fn on_surface(&self, k: usize) -> Option<OnSurface> {
         self.counts[k].then(|| OnSurface { point: self.points.get(k), normal: self.normals.get(k) })
     }
 
-    /// Returns the radius of point `k`'s neighbourhood.
+    /// Returns the radius of point `k`'s neighbourhood, in metres.
     pub(super) fn radius_m(&self, k: usize) -> f32 {
         self.radii_m[k]
     }

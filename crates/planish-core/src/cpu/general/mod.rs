@@ -1,4 +1,4 @@
-//! Unorganized clouds (docs/method.md, section 8), smoothed in vectors of nearby points.
+//! Smooths unorganized clouds (docs/method.md, section 8) in vectors of nearby points.
 //!
 //! [`PointIndex`] sorts the points. The neighbours of all points of a vector are gathered once ([`gather`]) and then
 //! pass through the same stages as those of frames. Each point's result is computed independently of the others, in
@@ -44,7 +44,7 @@ use gather::{Gathered, load};
 use kernel::{Kernel, Radii};
 use radius::{Density, RadiusRows};
 
-/// Leaves per task: enough to make the overhead of a task negligible.
+/// Number of leaves per task, enough to make the overhead of a task negligible.
 const LEAVES_PER_TASK: usize = 64;
 
 /// The CPU engine for unorganized clouds, with its buffers.
@@ -165,7 +165,7 @@ impl ImmediateEngine for GeneralCpu {
         matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
     }
 
-    /// Returns the bytes of the index, the radii, the first planes and the sorted results.
+    /// Returns the size in bytes of the index, the radii, the first planes and the sorted results.
     fn buffer_bytes(&self) -> u64 {
         (self.index.bytes() + 4 * self.radii.capacity() + self.first_planes.bytes() + self.sorted.bytes()) as u64
     }
@@ -233,7 +233,7 @@ fn smooth_vector<S: Simd, const D: usize>(
             (surface, radius)
         }
     };
-    // So far away that squares overflow.
+    // Points so far away that squares overflow count as having one neighbour.
     let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
     let n = valid.select(is_far.select(splat(simd, 1.0), surface.n), splat(simd, 0.0));
     let surface = Surface { n, ..surface };

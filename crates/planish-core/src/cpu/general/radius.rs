@@ -1,4 +1,4 @@
-//! Radii from the density of the points (docs/method.md, section 8).
+//! Finds radii from the density of the points (docs/method.md, section 8).
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
@@ -11,12 +11,12 @@ use crate::neighbours::{LEAF, PointIndex};
 const FIRST_REACH: f32 = 1.2;
 /// Factor between successive trial reaches.
 const NEXT_REACH: f32 = 1.5;
-/// Number of trial reaches for all lanes together.
+/// Maximum number of trial reaches before the remaining lanes are solved one by one.
 const TRIES: usize = 4;
 /// Maximum number of Newton steps; five to eight usually suffice.
 const MOST_STEPS: usize = 50;
 
-/// The radii of some leaves.
+/// The radii of the points of some leaves.
 pub(super) struct RadiusRows<'a> {
     pub(super) first: usize,
     pub(super) radii: &'a mut [f32],
@@ -38,7 +38,7 @@ impl SplitRows for RadiusRows<'_> {
 pub(super) struct Density {
     /// Half the number of neighbours within the radius on evenly spread points.
     pub(super) half: f32,
-    /// Maximum radius.
+    /// Maximum radius, in metres.
     pub(super) largest_m: f32,
 }
 
@@ -64,7 +64,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
         let near_m = last_m.unwrap_or_else(|| reach_m(index, density, index.point(place)));
         let mut reach = splat(simd, (FIRST_REACH * near_m).min(density.largest_m));
         let mut radius = nan;
-        // Lanes without a radius yet; the others gather no more candidates.
+        // Lanes that have no radius yet; the other lanes gather no more candidates.
         let mut missing = valid;
         for _ in 0..TRIES {
             gathered.fill(simd, index, p, Reach { outer: missing.select(reach, nan), inner: zero });
@@ -76,7 +76,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
             }
             reach *= splat(simd, NEXT_REACH);
         }
-        // If that was not enough, solve the remaining lanes one by one.
+        // If the trial reaches were too small, solve the remaining lanes one by one.
         if missing.any_true() {
             let mut lanes = [f32::NAN; LEAF];
             lanes[..S::f32s::LEN].copy_from_slice(radius.as_slice());
@@ -115,7 +115,7 @@ fn reach_m(index: &PointIndex, density: Density, point: [f32; 3]) -> f32 {
         }
         // The sums so far cover exactly the points within this distance.
         if square > 0.0 && n - sum / square > density.half {
-            // Slightly larger, so that rounding excludes none.
+            // Slightly larger, so that rounding excludes no candidate.
             return (1.001 * square.sqrt()).min(density.largest_m);
         }
         n += 1.0;
@@ -163,11 +163,12 @@ fn radii_within<S: Simd>(
     enough.select(limit.sqrt(), splat(simd, f32::NAN))
 }
 
-/// Returns the number of candidates within a radius, and the sum of their squared distances.
+/// Returns the number of candidates whose squared distances are below a limit, and the sum of these squared
+/// distances.
 #[inline(always)]
 fn within<S: Simd>(simd: S, squares: &[S::f32s], limit: S::f32s) -> (S::f32s, S::f32s) {
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-    // Two sums each, since an addition has a longer latency than the other work per candidate.
+    // Each quantity has two sums, since an addition has a longer latency than the other work per candidate.
     let (mut n, mut sum) = ([zero; 2], [zero; 2]);
     let pairs = squares.chunks_exact(2);
     for (&square, k) in pairs.remainder().iter().zip([0]) {

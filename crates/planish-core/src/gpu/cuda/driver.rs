@@ -27,10 +27,10 @@ const DEVICE_ORDINAL: c_int = 9;
 const OUT_OF_MEMORY: c_int = 2;
 /// Flag of an event without timestamps.
 const NO_TIMING: c_uint = 2;
-/// The legacy default stream, on which the driver clears and uploads.
+/// The legacy default stream, on which the driver clears memory and uploads data.
 const DEFAULT_STREAM: usize = 0;
 
-/// CUDA_MEMCPY2D.
+/// Parameters of a copy: `CUDA_MEMCPY2D` in cuda.h.
 #[repr(C)]
 struct Copy2d {
     src_x: usize,
@@ -92,10 +92,10 @@ functions! {
 pub(super) struct Cuda {
     functions: Functions,
     context: Handle,
-    /// The device's CUDA number.
+    /// The device's number in CUDA.
     pub(super) device: c_int,
     pub(super) name: String,
-    /// The compute capability: 90 for 9.0.
+    /// Ten times the compute capability: 90 for 9.0.
     pub(super) capability: i32,
     /// The driver's major version.
     pub(super) driver_major: i32,
@@ -112,7 +112,7 @@ pub(super) struct Memory {
     pub(super) address: DevicePointer,
 }
 
-/// A compiled kernel with its entry point. No stream may still run it when it is dropped.
+/// A compiled kernel with its entry point. It must not be dropped while a stream runs it.
 pub(super) struct Kernel {
     cuda: Arc<Cuda>,
     module: usize,
@@ -125,12 +125,12 @@ pub(super) struct Event {
     event: usize,
 }
 
-/// The size of a launch.
+/// The numbers of blocks and threads of a launch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
     /// Number of blocks along x, y and z.
     pub(super) blocks: [u32; 3],
-    /// Number of threads of a block along x and y.
+    /// Number of threads per block along x and y.
     pub(super) threads: [u32; 2],
 }
 
@@ -149,7 +149,7 @@ impl Cuda {
             capability: 0,
             driver_major: 0,
         };
-        // SAFETY: the arguments are as cuda.h asks for.
+        // SAFETY: the arguments have the types and lifetimes that cuda.h requires.
         unsafe {
             cuda.check("cuInit", (cuda.functions.init)(0))?;
             let mut version = 0;
@@ -173,7 +173,7 @@ impl Cuda {
 
     fn choose(&self, wanted: Option<&str>) -> Result<c_int, String> {
         let mut count = 0;
-        // SAFETY: the arguments are as cuda.h asks for.
+        // SAFETY: the argument has the type and lifetime that cuda.h requires.
         self.check("cuDeviceGetCount", unsafe { (self.functions.device_count)(&mut count) })?;
         let device = |index: c_int| {
             let mut device = 0;
@@ -202,7 +202,7 @@ impl Cuda {
 
     fn name_of(&self, device: c_int) -> Result<String, String> {
         let mut name: [c_char; 256] = [0; 256];
-        // SAFETY: the buffer has the length stated; the driver ends the text with a zero.
+        // SAFETY: the buffer has the given length; the driver ends the text with a zero.
         unsafe {
             let code = (self.functions.device_name)(name.as_mut_ptr(), name.len() as c_int, device);
             self.check("cuDeviceGetName", code)?;
@@ -223,10 +223,10 @@ impl Cuda {
         Err(format!("{what}: {name} ({code})"))
     }
 
-    /// Runs a body in the device's context, and then restores the thread's context.
+    /// Runs `body` in the device's context, and then restores the thread's context.
     pub(super) fn within<T>(&self, body: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
         let mut current = ptr::null_mut();
-        // SAFETY: the context is retained for as long as this lives.
+        // SAFETY: the context is retained for as long as `self` lives.
         unsafe {
             self.check("cuCtxGetCurrent", (self.functions.context_current)(&mut current))?;
             if current == self.context {
@@ -245,7 +245,7 @@ impl Cuda {
         let name = CString::new(entry_point).map_err(|error| error.to_string())?;
         let mut kernel = Kernel { cuda: Arc::clone(self), module: 0, function: 0 };
         let (mut module, mut function) = (ptr::null_mut(), ptr::null_mut());
-        // SAFETY: the code is complete (NVRTC ends PTX with a zero), and the name is a text.
+        // SAFETY: the code is complete (NVRTC ends PTX with a zero), and the name ends with a zero.
         self.within(|| unsafe {
             self.check("cuModuleLoadData", (self.functions.load_module)(&mut module, code.as_ptr().cast()))?;
             kernel.module = module as usize;
@@ -259,8 +259,8 @@ impl Cuda {
     /// Launches a kernel on a stream.
     ///
     /// # Safety
-    /// Each argument must point to a value of the type of its kernel parameter. Addresses among these values must be
-    /// valid until the stream has run the kernel.
+    /// Each argument must point to a value of its kernel parameter's type. Addresses among these values must be valid
+    /// until the stream has run the kernel.
     pub(super) unsafe fn launch(
         &self,
         kernel: &Kernel,
@@ -270,7 +270,7 @@ impl Cuda {
     ) -> Result<(), String> {
         let Grid { blocks: [x, y, z], threads: [across, down] } = grid;
         let (function, stream) = (kernel.function as Handle, stream as Handle);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the arguments and the stream.
         let code = unsafe {
             let arguments = arguments.as_mut_ptr();
             (self.functions.launch)(function, x, y, z, across, down, 1, 0, stream, arguments, ptr::null_mut())
@@ -305,10 +305,10 @@ impl Cuda {
         Ok(memory)
     }
 
-    /// Copies parts from the host to device addresses, which must have room for them, and waits for the copies.
+    /// Copies parts of host memory to device addresses, and waits for the copies.
     ///
     /// # Safety
-    /// The addresses must be in device memory that is at least as long as their parts.
+    /// Each address must be in device memory with room for its part.
     pub(super) unsafe fn upload(
         &self,
         parts: impl Iterator<Item = (DevicePointer, impl AsRef<[u8]>)>,
@@ -316,7 +316,7 @@ impl Cuda {
         self.within(|| {
             for (to, from) in parts {
                 let from = from.as_ref();
-                // SAFETY: as the caller promises.
+                // SAFETY: the caller guarantees the address.
                 let code = unsafe { (self.functions.upload)(to, from.as_ptr().cast(), from.len()) };
                 self.check("cuMemcpyHtoD", code)?;
             }
@@ -327,7 +327,7 @@ impl Cuda {
         })
     }
 
-    /// Creates an event. Waiting for it returns at once until it is recorded.
+    /// Creates an event. Until it is recorded, waiting for it returns immediately.
     pub(super) fn event(self: &Arc<Self>) -> Result<Event, String> {
         let mut event = ptr::null_mut();
         // SAFETY: the driver writes the handle.
@@ -338,7 +338,7 @@ impl Cuda {
     /// Copies rows of device memory to contiguous rows.
     ///
     /// # Safety
-    /// Both addresses must be valid, for the rows that are copied, until the stream has run the copy.
+    /// Both addresses must be valid for the copied rows until the stream has run the copy.
     pub(super) unsafe fn copy_rows(
         &self,
         (to, from): (DevicePointer, DevicePointer),
@@ -346,7 +346,7 @@ impl Cuda {
         (row_bytes, rows): (usize, usize),
         stream: usize,
     ) -> Result<(), String> {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the addresses and the stream.
         unsafe {
             if from_stride == row_bytes {
                 let code = (self.functions.copy)(to, from, row_bytes * rows, stream as Handle);
@@ -392,10 +392,10 @@ impl Cuda {
 }
 
 impl Event {
-    /// Moves the event to the end of the stream's work so far.
+    /// Moves the event to the end of the work added to the stream so far.
     pub(super) fn record(&self, stream: usize) -> Result<(), String> {
         let Self { cuda, event } = self;
-        // SAFETY: the event is alive, and so is the stream of the present call.
+        // SAFETY: the event is alive, and so is the stream that the caller passed.
         cuda.within(|| unsafe {
             cuda.check("cuEventRecord", (cuda.functions.record_event)(*event as Handle, stream as Handle))
         })
@@ -404,7 +404,7 @@ impl Event {
     /// Makes a stream wait for the event.
     pub(super) fn wait_on(&self, stream: usize) -> Result<(), String> {
         let Self { cuda, event } = self;
-        // SAFETY: the event is alive, and so is the stream of the present call.
+        // SAFETY: the event is alive, and so is the stream that the caller passed.
         cuda.within(|| unsafe {
             cuda.check("cuStreamWaitEvent", (cuda.functions.wait_for_event)(stream as Handle, *event as Handle, 0))
         })
@@ -426,7 +426,7 @@ impl Drop for Memory {
     fn drop(&mut self) {
         let Self { cuda, address } = self;
         let _ = cuda.within(|| {
-            // SAFETY: it was allocated by the driver.
+            // SAFETY: the driver allocated the memory, which is freed only here.
             let code = unsafe { (cuda.functions.free)(*address) };
             cuda.check("cuMemFree", code)
         });
@@ -437,7 +437,7 @@ impl Drop for Kernel {
     fn drop(&mut self) {
         let Self { cuda, module, .. } = self;
         let _ = cuda.within(|| {
-            // SAFETY: it was loaded by the driver.
+            // SAFETY: the driver loaded the module, which is unloaded only here.
             let code = unsafe { (cuda.functions.unload_module)(*module as Handle) };
             cuda.check("cuModuleUnload", code)
         });
@@ -448,7 +448,7 @@ impl Drop for Event {
     fn drop(&mut self) {
         let Self { cuda, event } = self;
         let _ = cuda.within(|| {
-            // SAFETY: it was created by the driver.
+            // SAFETY: the driver created the event, which is destroyed only here.
             let code = unsafe { (cuda.functions.destroy_event)(*event as Handle) };
             cuda.check("cuEventDestroy", code)
         });
@@ -458,7 +458,7 @@ impl Drop for Event {
 impl Drop for Cuda {
     fn drop(&mut self) {
         if !self.context.is_null() {
-            // SAFETY: it was retained by this, once.
+            // SAFETY: `self` retained the context once.
             unsafe { (self.functions.release_context)(self.device) };
         }
     }

@@ -39,13 +39,13 @@ const LIMITS: WebGpuLimits = WebGpuLimits::new(48 << 10, WORD * MOST_WORDS, 65_5
 /// Number of bytes in a word.
 const WORD: u64 = 4;
 
-/// Smooths depth images of one camera in CUDA memory. Calls return at once; the work runs in the order of the stream.
+/// Smooths depth images of one camera in CUDA memory. Calls return at once; the GPU runs their work in stream order.
 pub struct CudaSmoother {
     passes: Vec<Pass>,
     frame: FrameSizes,
-    /// The uniform of the kernels.
+    /// The kernels' uniform, binding 0.
     batch: [u32; 4],
-    /// The first bytes of every frame: its header and the rays of its camera.
+    /// The bytes at the start of every frame's input: the header and the camera's rays.
     head: Vec<u8>,
     /// Buffers for `smooth`, which writes its output to the caller's memory.
     alone: Buffers,
@@ -70,7 +70,7 @@ pub struct CudaMemory {
     cuda: Arc<Cuda>,
 }
 
-/// A kernel with the parameters of its launch for one frame.
+/// A kernel and its launch parameters for one frame.
 struct Pass {
     kernel: Kernel,
     bindings: Vec<u32>,
@@ -96,10 +96,10 @@ struct Buffers {
 }
 
 impl CudaSmoother {
-    /// Opens a GPU for depth of a camera without distortion: u16 in the camera's units, or f32 in metres. The outputs
-    /// of the settings may be points, normals, curvature and depth_m. The setting `adapter` is the index or a part of
-    /// the name of a CUDA device. Without it, the device of the thread's context is used, or the first device if
-    /// there is no context.
+    /// Opens a GPU to smooth depth images of a camera without distortion: u16 in the camera's units, or f32 in
+    /// metres. The settings may request points, normals, curvature and depth_m. Their `adapter` is the index of a
+    /// CUDA device or a part of its name. If it is not set, the device of the calling thread's context is used, or
+    /// the first device if there is no context.
     ///
     /// # Errors
     /// If CUDA's driver or compiler (NVRTC) is missing, or a setting is not supported.
@@ -183,16 +183,17 @@ impl CudaSmoother {
         self.check_depth(depth, row_stride)?;
         self.check_memory("the result", result)?;
         let samples = self.alone.input.address + self.head.len() as u64;
-        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        // SAFETY: the caller guarantees the addresses and the stream; the buffers live until the last call's work is
+        // done.
         Ok(self.add_to(stream, || unsafe {
             self.copy_in((samples, depth), row_stride, stream)?;
             self.launch(self.alone.of_frame(0, &self.frame, result), 1, stream)
         })?)
     }
 
-    /// Submits an image in the same form as [`smooth`](Self::smooth); its result is received later, in the same
-    /// order. Frames that are submitted before the first is received are smoothed together, which takes less time per
-    /// frame.
+    /// Submits an image in the same form as for [`smooth`](Self::smooth). Results are received later, in the order of
+    /// submission. Frames that are submitted before the first is received are smoothed together, which takes less
+    /// time per frame.
     ///
     /// # Safety
     /// Same as [`smooth`](Self::smooth).
@@ -211,8 +212,8 @@ impl CudaSmoother {
         let Some(ring) = &self.ring else { return Ok(()) };
         let slot = self.submitted % FRAMES;
         let samples = ring.input.address + slot * self.frame.input + self.head.len() as u64;
-        // The result of the slot's previous frame has been copied out by earlier work.
-        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        // The result of the slot's previous frame has been copied out by earlier work. SAFETY: the caller guarantees
+        // the address and the stream; the buffers live until the last call's work is done.
         self.add_to(stream, || unsafe { self.copy_in((samples, depth), row_stride, stream) })?;
         self.submitted += 1;
         Ok(())
@@ -237,7 +238,8 @@ impl CudaSmoother {
         };
         let (bytes, mut launched) = (self.frame.output, self.launched);
         let most = self.frame.most_together();
-        // SAFETY: as the caller promises; the buffers live until the last call's work is done.
+        // SAFETY: the caller guarantees the address and the stream; the buffers live until the last call's work is
+        // done.
         let done = self.add_to(stream, || unsafe {
             while launched < self.submitted {
                 // Launch frames with adjacent buffers together, up to the end of the ring.
@@ -288,7 +290,7 @@ impl CudaSmoother {
         self.check_memory("the depth", depth)
     }
 
-    /// Rejects memory of the host and of other GPUs.
+    /// Rejects host memory and memory of other GPUs.
     fn check_memory(&self, what: &'static str, address: u64) -> Result<(), Error> {
         if self.cuda.has(address) {
             return Ok(());
@@ -297,7 +299,7 @@ impl CudaSmoother {
         Err(FrameError::NotOnGpu { what, gpu, device: self.cuda.device }.into())
     }
 
-    /// Adds work to a stream, after the work of the last call, even if that was added to another stream.
+    /// Adds work to a stream. It runs after the last call's work, even if that was added to another stream.
     fn add_to(&self, stream: usize, work: impl FnOnce() -> Result<(), String>) -> Result<(), EngineError> {
         let added = self.cuda.within(|| {
             self.last.wait_on(stream)?;
@@ -308,13 +310,13 @@ impl CudaSmoother {
         added.map_err(|reason| self.cuda.failed(reason))
     }
 
-    /// Copies an image to its place after the header and rays of its frame.
+    /// Copies an image into its frame's input, after the header and rays.
     ///
     /// # Safety
     /// Same as [`Cuda::copy_rows`].
     unsafe fn copy_in(&self, pointers: (u64, u64), row_stride: usize, stream: usize) -> Result<(), String> {
         let size = (self.frame.row_bytes, self.frame.height);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the same.
         unsafe { self.cuda.copy_rows(pointers, row_stride, size, stream) }
     }
 
@@ -339,7 +341,7 @@ impl CudaSmoother {
 }
 
 impl FrameSizes {
-    /// Returns the maximum number of frames whose words the kernels can count.
+    /// Returns the maximum number of frames per launch, which is limited because the kernels count words in 32 bits.
     fn most_together(&self) -> u64 {
         let [points, planes] = self.kept;
         let most = self.input.max(self.output).max(points).max(planes);
@@ -348,17 +350,17 @@ impl FrameSizes {
 }
 
 impl CudaMemory {
-    /// Returns its address.
+    /// Returns the address of the memory.
     pub fn address(&self) -> u64 {
         self.memory.address
     }
 
-    /// Returns the CUDA number of its GPU.
+    /// Returns the CUDA device number of the GPU.
     pub fn device(&self) -> i32 {
         self.cuda.device
     }
 
-    /// Declares that the memory is written by the stream's work so far.
+    /// Declares that the work added to the stream so far writes the memory.
     ///
     /// # Errors
     /// If the GPU fails.
@@ -383,14 +385,15 @@ impl CudaMemory {
 
 impl Drop for CudaSmoother {
     fn drop(&mut self) {
-        // Kernels may be unloaded only when no stream runs them. On a lost device, none does.
+        // Kernels must not be unloaded while a stream runs them. The error of a lost device is ignored: no stream
+        // runs on it.
         let _ = self.last.synchronize();
     }
 }
 
 impl Buffers {
-    /// Allocates buffers for `frames` frames and uploads the head of each. The output is omitted if the caller has
-    /// one.
+    /// Allocates buffers for `frames` frames and uploads the head of each. There is no output buffer unless
+    /// `has_output` is true.
     fn new(
         cuda: &Arc<Cuda>,
         sizes: &FrameSizes,
@@ -406,12 +409,12 @@ impl Buffers {
             kept: [allocate(points)?, allocate(planes)?],
         };
         let heads = (0..frames).map(|frame| (buffers.input.address + frame * sizes.input, head));
-        // SAFETY: a head is the beginning of a frame's input.
+        // SAFETY: each head fits at the start of its frame's input.
         unsafe { cuda.upload(heads) }.map_err(|reason| cuda.failed(reason))?;
         Ok(buffers)
     }
 
-    /// Returns the buffer addresses of a frame by binding, starting with binding 1.
+    /// Returns the addresses of the buffers of the frame in `slot`, in binding order from binding 1.
     fn of_frame(&self, slot: u64, sizes: &FrameSizes, output: DevicePointer) -> [DevicePointer; 4] {
         let [points, planes] = &self.kept;
         let kept = [points.address + slot * sizes.kept[0], planes.address + slot * sizes.kept[1]];

@@ -14,7 +14,7 @@ const LIBRARIES: [(i32, &str); 3] = [(13, "libnvrtc.so.13"), (12, "libnvrtc.so.1
 #[cfg(windows)]
 const LIBRARIES: [(i32, &str); 3] = [(13, "nvrtc64_130_0.dll"), (12, "nvrtc64_120_0.dll"), (11, "nvrtc64_112_0.dll")];
 
-/// Environment variables that contain the path of CUDA's toolkit, by its own convention.
+/// Environment variables that, by CUDA's convention, contain the path of the CUDA toolkit.
 const FOLDERS: [&str; 2] = ["CUDA_PATH", "CUDA_HOME"];
 
 /// Folders of the library within the toolkit.
@@ -59,8 +59,8 @@ pub(super) struct Nvrtc {
 }
 
 impl Nvrtc {
-    /// Loads the newest library whose code the driver can run and which compiles for GPUs of this compute capability
-    /// (90 for 9.0).
+    /// Loads the newest library that compiles for GPUs of the given compute capability (90 for 9.0) and whose code
+    /// the driver can run.
     pub(super) fn load(driver_major: i32, capability: i32) -> Result<Self, String> {
         let folders = FOLDERS.iter().filter_map(std::env::var_os).map(PathBuf::from);
         let folders: Vec<PathBuf> = folders.chain([PathBuf::from("/usr/local/cuda")]).collect();
@@ -84,8 +84,8 @@ impl Nvrtc {
         ))
     }
 
-    /// Compiles a source for a GPU of this compute capability: to machine code, or to PTX if the library does not
-    /// know the GPU.
+    /// Compiles a source for a GPU of the given compute capability: to machine code, or to PTX if the library does
+    /// not know the GPU.
     pub(super) fn compile(&self, source: &str, capability: i32) -> Result<Vec<u8>, String> {
         let target = self.target(capability);
         let target = target.ok_or_else(|| format!("NVRTC does not support GPUs of compute capability {capability}"))?;
@@ -116,7 +116,7 @@ impl Nvrtc {
         }
     }
 
-    /// Returns the compute capability to compile for: the GPU's, or the next lower one that the library knows.
+    /// Returns the compute capability to compile for: the GPU's, or the highest lower one that the library supports.
     fn target(&self, capability: i32) -> Option<i32> {
         self.architectures().into_iter().filter(|known| *known <= capability).max()
     }
@@ -151,7 +151,7 @@ impl Held<'_> {
     /// Returns an output of the program.
     fn bytes(&self, size: Size, copy: Copy) -> Result<Vec<u8>, String> {
         let mut len = 0;
-        // SAFETY: the program is alive, and the buffer has the length that the library states.
+        // SAFETY: the program is alive, and the buffer has the length that the library reports.
         unsafe {
             check(size(self.program, &mut len), "the size of NVRTC's output")?;
             let mut bytes = vec![0u8; len];

@@ -18,9 +18,10 @@ const SIZES_SLOT: u8 = 30;
 #[derive(Debug, PartialEq)]
 pub(super) struct CudaSource {
     pub(super) text: String,
-    /// The bindings of its parameters, in order. Binding 0 is the uniform, passed by value; the others are addresses.
+    /// The bindings of the kernel's parameters, in order. Binding 0 is the uniform, passed by value; the others are
+    /// addresses.
     pub(super) bindings: Vec<u32>,
-    /// Number of threads of a block, across and down.
+    /// Number of threads per block, across and down.
     pub(super) threads: [u32; 2],
 }
 

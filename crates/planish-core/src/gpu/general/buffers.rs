@@ -1,4 +1,4 @@
-//! The buffers of an unorganized cloud on the device, reused from cloud to cloud, and their bind groups.
+//! Device buffers for unorganized clouds, which are reused from cloud to cloud, and their bind groups.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -25,9 +25,9 @@ const PART_STRIDE: u64 = 256;
 pub(super) const MOST_PARTS: usize = 64;
 /// Size in bytes of the cloud-wide state that the kernels write (cloud.wgsl).
 pub(super) const STATE_BYTES: u64 = 8;
-/// Bytes of a node's box and moments.
+/// Size of a node's box and moments, in bytes.
 const NODE_BYTES: usize = 48;
-/// Bytes of a first plane.
+/// Size of a first plane, in bytes.
 const PLANE_BYTES: usize = 48;
 
 /// The uniform of all kernels, as declared in cloud.wgsl.
@@ -45,7 +45,7 @@ pub(super) struct CloudUniform {
     pub(super) least_neighbours: u32,
     pub(super) part_places: u32,
     pub(super) levels: [u32; LEVELS],
-    /// Number of points of a part that need results, without its halo; they come first.
+    /// Number of points that need results: a part without its halo. They precede all other points.
     pub(super) own_points: u32,
     pub(super) padding: [u32; 3],
 }
@@ -54,7 +54,7 @@ const _: () = assert!(size_of::<CloudUniform>() == 112);
 
 /// The levels of nodes over a cloud's points.
 pub(super) struct Levels {
-    /// Index of the first node of each level; beyond the highest level, the total number of nodes.
+    /// Index of the first node of each level; for levels above the highest, the total number of nodes.
     pub(super) firsts: [u32; LEVELS],
     pub(super) top: usize,
     pub(super) top_nodes: usize,
@@ -121,7 +121,7 @@ impl Sizes {
     }
 }
 
-/// Returns the size of the largest buffer that the device allows.
+/// Returns the size in bytes of the largest buffer that the device allows.
 fn largest_buffer(gpu: &GpuDevice) -> u64 {
     gpu.limits.max_buffer_size.min(gpu.limits.max_storage_buffer_binding_size)
 }
@@ -141,7 +141,7 @@ pub(super) fn most_points(gpu: &GpuDevice, output_words: usize, keeps_edges: boo
 /// The buffers for clouds of up to `capacity` points.
 pub(super) struct Buffers {
     pub(super) capacity: usize,
-    /// Written by the host; mapped whenever no cloud is being smoothed.
+    /// Buffer that the host writes. It is mapped whenever no cloud is being smoothed.
     pub(super) upload: wgpu::Buffer,
     pub(super) input: wgpu::Buffer,
     pub(super) output: wgpu::Buffer,
@@ -203,7 +203,7 @@ impl Buffers {
             parts.unmap();
             let kept = sizes.kept.map(|(label, size)| buffer(label, size, Usage::STORAGE, false));
             let bind = |kernel: &Compiled, part: usize, is_swapped: bool| {
-                // Every second pass of the sort writes back.
+                // Every second pass of the sort writes back to the first buffers.
                 let (from, to) = if is_swapped { (1, 0) } else { (0, 1) };
                 kernel.bind(gpu, |resource| {
                     let buffer = match resource {

@@ -1,8 +1,8 @@
 //! Smooths clouds with more points than the device can hold, part by part.
 //!
 //! Radii by density are known only after a part has been computed. If many of its points reach beyond the halo, the
-//! part is computed again with a wider halo. If only a few do, just these points are computed again, in small groups
-//! with wider halos. Radii with missing neighbours come out too large, so a halo as wide as such a radius is
+//! part is computed again with a wider halo. If only a few do, only these points are computed again, in small groups
+//! with wider halos. A radius computed with missing neighbours is too large, so a halo as wide as such a radius is
 //! sufficient.
 
 use std::collections::HashMap;
@@ -22,28 +22,29 @@ use crate::params::Radius;
 use crate::smoothing_engine::AdmittedFrame;
 use crate::xyz::Xyz;
 
-/// Share of a usual part's points that may reach beyond the halo; if more do, the halo is widened.
+/// Maximum share of a usual part's points that may reach beyond the halo before the halo is widened.
 const MAY_REACH_BEYOND: f64 = 0.01;
-/// Number of points beyond their halo that are recomputed together, unless [`FAR_SHARE`] gives more.
+/// Number of points beyond their halo that are recomputed together, unless [`FAR_SHARE`] gives a larger number.
 const FAR_TOGETHER: usize = 64;
 /// Ratio of a usual part's points to the points beyond their halo that are recomputed together.
 const FAR_SHARE: usize = 1024;
-/// Maximum number of runs per part of the initial division; clouds that need more are left to other engines. Scans
+/// Maximum number of runs per part of the initial division. Clouds that need more are left to other engines; scans
 /// need about four.
 const RUNS_A_PART: usize = 24;
 /// Share of a part's progress reported before its far-reaching points are done.
 const FIRST_SHARE: f64 = 0.8;
-/// Maximum share of a cloud's points whose neighbourhoods exceed the device; above it, smoothing fails.
+/// Maximum share of a cloud's points whose neighbourhoods exceed the device's capacity; above this share, smoothing
+/// fails.
 const MAY_BE_INEXACT: f64 = 1e-3;
-/// Maximum factor by which a halo is widened at once.
+/// Maximum factor by which a halo is widened in one step.
 const MOST_WIDENING: f64 = 4.0;
 /// Ratio of a neighbourhood's estimated size to the device's capacity above which the neighbourhood certainly exceeds
 /// it.
 const SURELY_TOO_MANY: f64 = 2.0;
 /// Width in metres below which a halo is not narrowed further: points closer than this count as coincident.
 const LEAST_HALO_M: f64 = 1e-9;
-/// Ratio of a usual part's points to those of a small part, whose halo is narrowed instead of dividing the part
-/// further.
+/// Ratio of a usual part's points to those of the largest small part. A small part's halo is narrowed instead of
+/// dividing the part further.
 const SMALL: usize = 64;
 /// Factor by which the halo of one point or of a small part is narrowed if it holds too many points.
 const NARROWER: f64 = 0.7;
@@ -54,45 +55,45 @@ const MOST_HALO_SHARE: f64 = 4.0;
 /// A part to be smoothed.
 struct Task {
     part: Arc<Part>,
-    /// Progress steps of its first run.
+    /// Number of progress steps reported for the part's first run.
     steps: usize,
 }
 
 /// A cloud that is being smoothed in parts.
 struct Work {
     parts: Parts,
-    /// Number of points of a usual part, without its halo.
+    /// Number of points in a usual part, without its halo.
     usual: usize,
     geometry: FrameGeometry,
-    /// Number of points of the whole cloud without holes, and its extent in metres.
+    /// Number of points in the whole cloud, not counting holes, and the cloud's extent in metres.
     whole: (usize, f64),
     wants_radii: bool,
-    /// Reach in metres of each point that reaches beyond the halo of its part, by index.
+    /// Reach, in metres, of each point that reaches beyond its part's halo, by point index.
     far: HashMap<u32, f64>,
     far_records: Vec<Record>,
     /// Ratio of the previous part's halo to the halo expected from its density.
     last_share: f64,
-    /// Points of a part, followed by its halo.
+    /// The points of a part, followed by those of its halo.
     points: Xyz,
     /// Number of remaining runs.
     runs_left: usize,
-    /// Number of points that may still keep the inexact result of their part.
+    /// Number of points that may still keep an inexact result, computed with a halo narrower than their reach.
     inexact_left: usize,
 }
 
 impl Work {
-    /// Takes the far-reaching points: the first at each position, in the order of the cloud, and a pair of indices
-    /// (first, other) for each other point at that position.
+    /// Takes the far-reaching points out of the work. Returns the first point at each position, in cloud order, and
+    /// an index pair (first, other) for each other point at the same position.
     fn far_places(&mut self) -> (Vec<Record>, Vec<(u32, u32)>) {
         let mut records = std::mem::take(&mut self.far_records);
-        // -0 and 0 are one place.
+        // -0 and 0 are the same coordinate.
         let place = |record: &Record| record.position.map(|value| (value + 0.0).to_bits());
         records.par_sort_unstable_by_key(|record| (place(record), record.number));
         let mut repeated = Vec::new();
         for at_place in records.chunk_by(|a, b| place(a) == place(b)) {
             let [first, others @ ..] = at_place else { continue };
             repeated.extend(others.iter().map(|other| (first.number, other.number)));
-            // Neighbours missing from a part make a reach too large, so the smallest is the best.
+            // Neighbours missing from a part make a reach too large, so the smallest reach is the most accurate.
             let reach_m = at_place.iter().filter_map(|record| self.far.get(&record.number));
             let reach_m = reach_m.copied().fold(f64::INFINITY, f64::min);
             self.far.insert(first.number, reach_m);
@@ -113,7 +114,7 @@ impl GeneralGpu {
     ) -> Result<(), Error> {
         let most = self.most_points;
         let usual = (OWN_SHARE * most as f64).ceil() as usize;
-        // Allocated first: if memory runs out, the caller tries again with smaller parts.
+        // The buffers are allocated first: if memory runs out, the caller tries again with smaller parts.
         let buffers = self.take_buffers(most)?;
         let mut work = Work {
             parts: Parts::of(view, usual),
@@ -136,7 +137,7 @@ impl GeneralGpu {
                 let around = work.parts.most_around(reach(&self.params) * f64::from(radius_m));
                 around > SURELY_TOO_MANY * most as f64
             }
-            // Half of them are within the radius, unless the extent limits it.
+            // Half of the neighbours are within the radius, unless the cloud's extent limits it.
             Radius::Neighbours { count } => count as usize / 2 > most,
             Radius::Sensor => false,
         };
@@ -230,8 +231,8 @@ impl GeneralGpu {
         }
     }
 
-    /// Smooths points that reach beyond the halo of their part. Returns false if they must be tried again: several in
-    /// halves, a single point with its new reach.
+    /// Smooths points that reach beyond the halo of their part. Returns false if they must be smoothed again: several
+    /// points in two halves, a single point with its new reach.
     fn smooth_far(
         &mut self,
         buffers: &Buffers,
@@ -255,8 +256,8 @@ impl GeneralGpu {
         self.run_part(buffers, work, Own { points: part.len(), steps: 0, largest_radius_m: halo_m as f32 })?;
         let radii = self.take_results(buffers, work, part, out)?;
         let (Some(&radius_m), Some(record)) = (radii.first(), part.own().first()) else { return Ok(true) };
-        // With more points around it than in its part, the point's radius is smaller. If it is hardly smaller, the
-        // point keeps this result.
+        // With more points around it than in its part, the point's radius is smaller than before. If it is only
+        // slightly smaller, the point keeps this result.
         let smaller_m = reach(&self.params) * f64::from(radius_m);
         let is_left = halo_m == reach_m || smaller_m > NARROWER * reach_m;
         work.far.insert(record.number, smaller_m);
@@ -266,8 +267,8 @@ impl GeneralGpu {
         Ok(is_left)
     }
 
-    /// Returns the error for clouds whose neighbourhoods exceed the device, or with so many wide neighbourhoods that
-    /// their parts would take too long.
+    /// Returns the error for clouds whose neighbourhoods exceed the device's capacity, or that have so many wide
+    /// neighbourhoods that their parts would take too long.
     fn crowded(&self) -> EngineError {
         EngineError::Crowded { device: self.gpu.name.clone(), points_at_once: self.most_points as u64 }
     }
@@ -281,8 +282,8 @@ impl GeneralGpu {
         Ok(self.run(buffers, &frame, &view, work.wants_radii, own)?)
     }
 
-    /// Copies the results of a part's own points to their places in the cloud. Returns their radii by density; empty
-    /// if they have none.
+    /// Copies the results of a part's own points into the cloud's results. Returns these points' radii by density, or
+    /// an empty vector if they have none.
     fn take_results(
         &mut self,
         buffers: &Buffers,

@@ -1,11 +1,11 @@
-//! Unorganized clouds on the GPU (docs/method.md, section 8): the points are sorted on the device along a curve, boxes
-//! are built over them, and each position is fitted by a thread that walks through the boxes within its reach. Nothing
-//! is read back before the results.
+//! Smooths unorganized clouds on the GPU (docs/method.md, section 8). The points are sorted along a curve on the
+//! device, boxes are built over them, and each position is fitted by a thread that walks through the boxes within its
+//! reach. Nothing is read back before the results.
 //!
 //! [`passes`] lists the kernels in execution order, [`buffers`] their data. Passes over all positions are submitted in
 //! parts, to stay below the GPU watchdog timeout and to report progress.
 //!
-//! Clouds that exceed the device are smoothed in overlapping parts ([`in_parts`]).
+//! Clouds that exceed the device's capacity are smoothed in overlapping parts ([`in_parts`]).
 
 mod buffers;
 mod in_parts;
@@ -40,23 +40,23 @@ use results::GeneralResults;
 const PART_PLACES: usize = 1 << 18;
 /// Maximum number of workgroups along the first axis of a dispatch; every device allows more.
 const MOST_GROUPS_ACROSS: usize = 1 << 15;
-/// Minimum half extent in metres; smaller ones are raised to it, so that the inverse stays within f32.
+/// Minimum half extent in metres. Smaller half extents are raised to it, so that the inverse stays within f32.
 const LEAST_EXTENT_M: f64 = 1e-18;
 
-/// The points of a run that need results; they come first.
+/// The points of a run that need results. They precede all other points.
 #[derive(Debug, Clone, Copy)]
 struct Own {
     points: usize,
-    /// Progress steps of the run.
+    /// Number of progress steps reported for the run.
     steps: usize,
-    /// Maximum radius by density in metres, of all points of the run.
+    /// Upper limit of the radius by density, in metres, for all points of the run.
     largest_radius_m: f32,
 }
 
 /// The GPU engine for unorganized clouds, with its buffers.
 pub(crate) struct GeneralGpu {
     gpu: Arc<GpuDevice>,
-    /// Keeps the adapter open for others to share.
+    /// Keeps the adapter open, so that other smoothers can share it.
     _adapter: Arc<OpenAdapter>,
     params: EngineParams,
     outputs: Outputs,
@@ -66,7 +66,7 @@ pub(crate) struct GeneralGpu {
     buffers: Option<Buffers>,
     /// Maximum number of points on the device at once.
     most_points: usize,
-    /// Whether radii by density are read back for [`ImmediateEngine::own_radius_m`].
+    /// True if radii by density are read back for [`ImmediateEngine::own_radius_m`].
     keeps_radii: bool,
     /// Radii by density of the last cloud, in metres.
     radii: Vec<f32>,
@@ -76,17 +76,17 @@ pub(crate) struct GeneralGpu {
 }
 
 impl GeneralGpu {
-    /// Opens the adapter that the options select.
+    /// Opens the engine on the adapter that the options select.
     pub(crate) fn open(params: EngineParams, outputs: Outputs, options: &GpuOptions) -> Result<Self, EngineError> {
         let adapter = OpenAdapter::open(choose(&super::adapters(), options.adapter.as_deref())?, Purpose::OneAtATime)?;
         let gpu = Arc::clone(&adapter.devices[0]);
         gpu.check_timestamps(options)?;
-        // In parallel: drivers compile on the calling thread.
+        // Kernels are compiled in parallel, because drivers compile on the calling thread.
         let compile = |pass| Compiled::new(&gpu, pass, &params, outputs, options.bounds_checks);
         let failed = || Err(gpu.failed("a kernel was not compiled"));
         let compiled = on_a_thread_each(Pass::ALL, compile).into_iter();
         let kernels = compiled.map(|result| result.unwrap_or_else(|_| failed())).collect::<Result<_, _>>()?;
-        // Unorganized clouds have no rays (section 7).
+        // Unorganized clouds have no rays (docs/method.md, section 7).
         let uploader = Uploader::new(params);
         let options = options.clone();
         let (radii, progress, bytes) = Default::default();
@@ -122,12 +122,12 @@ impl GeneralGpu {
         Layout { width: points, height: 1, kind, outputs, keeps_points: false, keeps_planes: false, cell: 1 }
     }
 
-    /// Returns the number of words of a point's result.
+    /// Returns the number of words in the result of a point.
     fn output_words(&self) -> usize {
         self.layout(1).output_words() + usize::from(self.outputs.status || self.outputs.neighbours)
     }
 
-    /// Returns buffers for this many points; allocates new ones if the present ones are too small.
+    /// Returns buffers for `points` points; allocates new ones if the existing ones are too small.
     fn take_buffers(&mut self, points: usize) -> Result<Buffers, EngineError> {
         if let Some(buffers) = self.buffers.take().filter(|buffers| buffers.capacity >= points) {
             return Ok(buffers);
@@ -162,8 +162,8 @@ impl GeneralGpu {
         }
     }
 
-    /// Writes a cloud, runs all passes, and waits for the results. The readback buffer contains, in this order: results
-    /// of the points, the state, and radii by density if requested.
+    /// Uploads a cloud, runs all passes, and waits for the results. The readback buffer then contains, in this order:
+    /// the results of the points, the state, and the radii by density if requested.
     fn run(
         &mut self,
         buffers: &Buffers,
@@ -287,7 +287,7 @@ impl GeneralGpu {
         Ok(())
     }
 
-    /// Calls a function with the results of a run in mapped memory, then unmaps it.
+    /// Calls `use_results` with the results of a run in mapped memory, then unmaps the memory.
     fn with_results<T>(
         &self,
         buffers: &Buffers,
@@ -312,11 +312,11 @@ impl GeneralGpu {
     }
 }
 
-/// A pass, its part, and the number of points, positions or nodes.
+/// A pass, the number of its part, and the number of points, positions or nodes that it processes.
 type Step = (Pass, usize, usize);
 
-/// Returns the steps that sort the points and build the boxes, per submission: sorting by the lowest, the middle and
-/// the highest bits of the keys, and finally finding positions and building boxes.
+/// Returns the steps that sort the points and build the boxes, one list per submission. The first three submissions
+/// sort by the lowest, the middle and the highest bits of the keys; the last finds positions and builds boxes.
 fn index_steps(points: usize, levels: &Levels) -> [Vec<Step>; 4] {
     let sort = |digits: std::ops::Range<usize>| {
         digits.flat_map(|digit| {
@@ -373,7 +373,7 @@ impl ImmediateEngine for GeneralGpu {
                 self.smooth_in_parts(frame, &view, out.reborrow())
             };
             match result {
-                // The device's limits allow more than its memory holds.
+                // The device's limits allow more points than its memory holds: try again with half as many.
                 Err(Error::Engine(EngineError::OutOfMemory { .. }))
                     if self.most_points.min(view.len()) > PART_PLACES =>
                 {

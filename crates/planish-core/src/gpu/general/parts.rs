@@ -1,4 +1,4 @@
-//! Division of clouds with more points than the device can hold. Cuts at medians give boxes, each of which is
+//! Divides clouds with more points than the device can hold. They are cut at medians into boxes, each of which is
 //! smoothed with a halo of surrounding points (`neighbours/halo.rs`).
 //!
 //! The points of a part keep the order of the cloud, so that results can be stored in parallel.
@@ -31,7 +31,7 @@ pub(super) struct Record {
 pub(super) struct Part {
     records: Vec<Record>,
     /// Smallest and largest coordinates; `None` for points that cannot be neighbours of others: holes, and points too
-    /// far away.
+    /// far from the origin.
     bounds: Option<[[f32; 3]; 2]>,
 }
 
@@ -49,22 +49,22 @@ impl Part {
         Self { bounds: Some(bounds(&records)), records }
     }
 
-    /// Returns its points without the halo, in the order of the cloud.
+    /// Returns the part's points without the halo, in the order of the cloud.
     pub(super) fn own(&self) -> &[Record] {
         &self.records
     }
 
-    /// Returns the number of its points without the halo.
+    /// Returns the number of the part's points without the halo.
     pub(super) fn len(&self) -> usize {
         self.records.len()
     }
 
-    /// Returns whether its points may have neighbours.
+    /// Returns true if the part's points may have neighbours.
     pub(super) fn has_neighbours(&self) -> bool {
         self.bounds.is_some()
     }
 
-    /// Returns the area of the largest side of its box in square metres.
+    /// Returns the area of the largest face of the part's bounding box, in square metres.
     pub(super) fn area_m2(&self) -> f64 {
         let Some([low, high]) = self.bounds else { return 0.0 };
         let mut sides = [0, 1, 2].map(|axis| f64::from(high[axis]) - f64::from(low[axis]));
@@ -72,14 +72,14 @@ impl Part {
         sides[1] * sides[2]
     }
 
-    /// Returns the distance in metres from a point of the box to the nearest side of the box.
+    /// Returns the distance in metres from a point in the part's bounding box to the nearest face of the box.
     pub(super) fn to_border_m(&self, point: [f32; 3]) -> f64 {
         let Some([low, high]) = self.bounds else { return 0.0 };
         let along = |axis: usize| f64::from((point[axis] - low[axis]).min(high[axis] - point[axis]));
         along(0).min(along(1)).min(along(2))
     }
 
-    /// Splits its points into halves, each with its bounding box.
+    /// Splits the part into halves, each with its own bounding box.
     pub(super) fn halves(&self) -> [Self; 2] {
         cut(&self.records, self.len() / 2)
             .map(|records| Self { bounds: self.bounds.map(|_| bounds(&records)), records })
@@ -141,9 +141,10 @@ impl Parts {
         most as f64 * count as f64 / sample.len().max(1) as f64
     }
 
-    /// Writes the points of a part to `to`, then the points of its halo. Returns false if there are more than `most`.
+    /// Writes the points of a part to `to`, then the points of its halo. Returns false if these are more than `most`
+    /// points.
     ///
-    /// The part may be one of these parts or a subset of their points.
+    /// `part` may be one of these parts or contain any subset of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {
         to.clear();
         push(to, &part.records);
@@ -161,7 +162,7 @@ impl Parts {
             if to.len() > most {
                 return false;
             }
-            // In parallel: a part may have millions of points, of which few are near.
+            // This runs in parallel, because a part may have millions of points, few of which are near.
             let near = other.records.par_iter().filter(|record| {
                 (0..3).all(|axis| (low[axis]..=high[axis]).contains(&f64::from(record.position[axis])))
                     && !is_own(record.number)
@@ -312,7 +313,7 @@ mod tests {
         }
         assert!(seen.iter().all(|&times| times == 1 || times == 2));
         assert_eq!(seen.iter().filter(|&&times| times == 2).count(), twice_count);
-        // The points at one place, and all.
+        // The points at one position, and then all points.
         for (half_m, expected) in [(1e-3, 2000), (20.0, 4998)] {
             let most = parts.most_around(half_m);
             assert!((most / f64::from(expected) - 1.0).abs() < 0.01, "{most} of {expected}");

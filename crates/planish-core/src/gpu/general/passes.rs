@@ -1,4 +1,4 @@
-//! The kernels of an unorganized cloud: the buffers that each reads and writes, and its WGSL.
+//! The kernels for unorganized clouds: the buffers that each kernel reads and writes, and its WGSL.
 
 use std::fmt::Write;
 
@@ -10,16 +10,16 @@ use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, Radius};
 
-/// Number of values of a digit: four bits of a key, by which one pass of the sort orders the points.
+/// Number of values of a digit. A digit is four bits of a key; each pass of the sort orders the points by one digit.
 pub(super) const DIGITS: usize = 16;
 /// Number of points per tile of the sort; one workgroup handles one tile.
 pub(super) const TILE: usize = 2048;
-/// Threads per workgroup of passes in which each thread handles one position or node.
+/// Number of threads per workgroup in passes in which each thread handles one position or node.
 const THREADS: usize = 64;
-/// Threads per workgroup of passes in which each thread handles one point.
+/// Number of threads per workgroup in passes in which each thread handles one point.
 const POINT_THREADS: usize = 256;
 
-/// A buffer of a kernel; its discriminant is the binding.
+/// A kernel's buffer; the discriminant is its binding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Resource {
     Batch,
@@ -70,7 +70,7 @@ impl Resource {
 /// The kernels, in the order in which they run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Pass {
-    /// Computes the position of each point along the curve; finishes holes.
+    /// Computes the position of each point along the curve, and writes the results of holes.
     Keys,
     /// Counts the keys of each tile by digit, in one pass of the sort.
     CountDigits,
@@ -157,7 +157,7 @@ impl Pass {
         }
     }
 
-    /// Returns the number of workgroups for this many points, positions or nodes.
+    /// Returns the number of workgroups for `count` points, positions or nodes.
     pub(super) fn groups(self, count: usize) -> usize {
         match self {
             Self::Keys | Self::Repeat | Self::PointRadii => count.div_ceil(POINT_THREADS),
@@ -223,7 +223,7 @@ impl Pass {
                 let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
                 let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
                 let _ = writeln!(text, "const KEEPS_RESULTS: bool = false;");
-                // Section 10 bends the surfaces of frames only.
+                // Only the surfaces of frames bend (docs/method.md, section 10).
                 let _ = writeln!(text, "const BENDS: bool = false;");
                 text += shader!("../shaders/plane.wgsl");
                 text += shader!("../shaders/general/neighbours.wgsl");
@@ -308,7 +308,7 @@ impl Compiled {
         Ok(Self { pipeline, layout, resources: [read, written].concat() })
     }
 
-    /// Creates the bind group of the kernel's buffers, which `buffer` returns.
+    /// Creates the kernel's bind group from the buffers that `buffer` returns.
     pub(super) fn bind<'a>(
         &self,
         gpu: &GpuDevice,

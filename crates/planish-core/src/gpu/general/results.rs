@@ -1,4 +1,4 @@
-//! Layout of the readback buffer after a run: results of the points, channel by channel, and their radii by density.
+//! Reads the readback buffer after a run: the results of the points, channel by channel, and their radii by density.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use crate::status::Status;
 
 /// The results of a cloud, or of a part with its halo.
 pub(super) struct GeneralResults<'a> {
-    /// Status and neighbours follow the other channels, one word per point.
+    /// Layout of the words. Words with status and neighbours, one per point, follow the other channels.
     pub(super) layout: Layout,
     pub(super) words: &'a [u32],
-    /// Radii in metres, before their limit; NaN for holes. Undefined unless requested.
+    /// Radii by density in metres, before they are limited; NaN for holes. Undefined unless requested.
     pub(super) radii: &'a [f32],
 }
 
@@ -143,7 +143,7 @@ fn put_from<T: Send, U: Copy + Sync>(
     let half = own.len() / 2;
     let (own, own_after) = own.split_at(half);
     let (from, from_after) = from.split_at(half);
-    // Their numbers ascend.
+    // The points' indices ascend, so `to` is split where the second half begins.
     let first_after = own_after.first().map_or(first, |record| record.number as usize);
     let (to, to_after) = to.split_at_mut(first_after - first);
     rayon::join(|| put_from(first, own, to, from, set), || put_from(first_after, own_after, to_after, from_after, set));

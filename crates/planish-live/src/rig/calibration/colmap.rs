@@ -94,7 +94,7 @@ fn of_lists(cameras: &str, images: &str, options: &CalibrationOptions) -> Result
         let problem = |what: &str| malformed(format!("image {name:?}: {what}"));
         let camera_from_world = SensorPose { position_m: [tx, ty, tz], orientation: [w, x, y, z] };
         let intrinsics = intrinsics.get(*id).ok_or_else(|| problem("its camera is not in cameras.txt"))?;
-        // The name of the image's folder or, without one, of the image.
+        // The camera is named after the image's folder or, without one, after the image.
         let of_camera = name.rsplit_once('/').map_or_else(
             || name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem),
             |(folder, _)| folder.rsplit('/').next().unwrap_or(folder),

@@ -49,7 +49,8 @@ pub(super) fn camchain(text: &str) -> Result<Vec<RigCamera>, FormatError> {
             None => return Err(problem("T_cn_cnm1 is missing; calibrate this camera with the previous one".into())),
         }
         let camera = camera_at(&name, &rig_from_camera).with_camera(Some(intrinsics));
-        // Both are added to timestamps, which converts them to the IMU's clock.
+        // The rig's and Kalibr's offsets are both added to timestamps. Kalibr's offset converts them to the IMU's
+        // clock.
         cameras.push(camera.with_time_offset_s(entry.timeshift_cam_imu.unwrap_or(0.0)));
     }
     let is_camera = |key: &&str| key.strip_prefix("cam").is_some_and(|number| number.parse::<usize>().is_ok());

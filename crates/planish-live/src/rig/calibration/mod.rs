@@ -39,7 +39,7 @@ impl Default for CalibrationOptions {
 }
 
 impl CalibrationOptions {
-    /// Sets the ROS frame of the rig.
+    /// Sets the ROS frame that becomes the rig's.
     pub fn with_base(self, base: Option<String>) -> Self {
         Self { base, ..self }
     }
@@ -54,7 +54,7 @@ impl CalibrationOptions {
         Self { metres_per_unit, ..self }
     }
 
-    /// Refuses the options for ROS frames.
+    /// Returns an error if the options name ROS frames, which `what` does not have.
     fn refuse_of_ros(&self, what: &str) -> Result<(), FormatError> {
         let given = [("base", self.base.is_some()), ("frames", !self.frames.is_empty())];
         match given.iter().find(|(_, is_given)| *is_given) {
@@ -63,7 +63,7 @@ impl CalibrationOptions {
         }
     }
 
-    /// Refuses a scale for lengths that are in metres.
+    /// Returns an error if the options set a scale, since lengths in `what` are in metres.
     fn refuse_scale(&self, what: &str) -> Result<(), FormatError> {
         if self.metres_per_unit == 1.0 {
             return Ok(());

@@ -10,13 +10,13 @@ use crate::rig::RigCamera;
 use planish_core::{FormatError, SensorPose, internal::RigidTransform};
 use planish_io::internal::parse_yaml;
 
-/// Maximum depth of a tree of frames; a deeper one has a cycle.
+/// Maximum depth of a tree of frames; a deeper tree has a cycle.
 const DEEPEST: usize = 1000;
 
 /// Suffixes of the frame names of depth cameras, and of cameras in general (REP 103).
 const OPTICAL: [&str; 2] = ["depth_optical_frame", "optical_frame"];
 
-/// A tree of frames: the parent of each frame, and its pose there, parent_from_child.
+/// A tree of coordinate frames: the parent of each frame, and the transform parent_from_child.
 #[derive(Default)]
 pub(super) struct Tree {
     parents: BTreeMap<String, (String, RigidTransform)>,
@@ -273,7 +273,7 @@ transforms:
         assert!(urdf("fixed").cameras(&CalibrationOptions::default()).is_ok());
         let error = urdf("revolute").cameras(&CalibrationOptions::default()).unwrap_err().to_string();
         assert!(error.contains("\"a\" moves"), "{error}");
-        // Beyond the joint nothing moves.
+        // Beyond the joint, all frames are fixed to each other.
         let beyond = CalibrationOptions::default()
             .with_base(Some("left_link".to_owned()))
             .with_frames(vec!["left_depth_optical_frame".to_owned()]);

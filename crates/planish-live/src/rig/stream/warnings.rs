@@ -4,14 +4,14 @@ use super::{Inbox, Received, RigEvent, Running, SinkThread};
 use crate::{source::OwnedFrame, stream::ALL_SINKS_FAILED};
 use planish_core::{FrameError, IntoFrame, Smoothed};
 
-/// Time in seconds by which a camera's frames must end before the last camera's to be reported.
+/// Minimum time in seconds by which a camera's frames must end before another camera's for a warning.
 const TOLD_EARLIER_S: f64 = 0.5;
 
 /// Maximum number of reported reasons why a camera's frames are refused; further ones are only counted.
 const MOST_REFUSALS_TOLD: usize = 5;
 
 impl Running<'_> {
-    /// Returns true, and reports it, if no sink is left to receive results.
+    /// Returns true and emits a warning if all sinks have failed.
     pub(super) fn sinks_are_gone(&self, tell: &mut impl FnMut(RigEvent<'_>)) -> bool {
         let are_gone = SinkThread::all_failed(&self.sinks);
         if are_gone {

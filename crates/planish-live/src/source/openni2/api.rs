@@ -99,7 +99,7 @@ pub(super) struct DeviceCallbacks {
 
 c_functions! {
     #[expect(non_snake_case, reason = "the library's own names")]
-    /// OpenNI2.
+    /// The functions of OpenNI2.
     pub(super) struct Functions("oni") {
         Initialize(c_int) -> c_int;
         GetExtendedError() -> *const c_char;
@@ -144,7 +144,7 @@ impl Functions {
         })
     }
 
-    /// Turns a status into an error.
+    /// Returns an error unless the status is OK.
     pub(super) fn check(&self, what: &str, status: c_int) -> Result<(), DeviceError> {
         if status == STATUS_OK {
             return Ok(());
@@ -163,7 +163,7 @@ impl Functions {
     /// Returns the URIs and names of the connected devices.
     pub(super) fn devices(&self) -> Vec<(String, String)> {
         let (mut list, mut count) = (std::ptr::null_mut(), 0);
-        // SAFETY: the list is valid until it is released, and is only read before.
+        // SAFETY: the list is valid until it is released, and is only read before that.
         unsafe {
             if (self.GetDeviceList)(&raw mut list, &raw mut count) != STATUS_OK || list.is_null() {
                 return Vec::new();
@@ -236,7 +236,7 @@ impl Functions {
         (status == STATUS_OK).then_some(value)
     }
 
-    /// Sets a property; an error if the device refuses it.
+    /// Sets a property; returns an error if the device refuses it.
     pub(super) fn set<T: Property>(&self, of: Holder, property: c_int, value: T) -> Result<(), DeviceError> {
         let (from, bytes) = ((&raw const value).cast(), size_of::<T>() as c_int);
         // SAFETY: as above.
@@ -250,7 +250,7 @@ impl Functions {
     }
 }
 
-/// Returns a text in a field of fixed size.
+/// Returns the text in a fixed-size field, up to its first zero byte.
 fn text(field: &[c_char]) -> String {
     let bytes: Vec<u8> = field.iter().map(|&c| c as u8).take_while(|&c| c != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()

@@ -143,11 +143,11 @@ impl Drop for OwnedFrame {
     }
 }
 
-/// Detects that a device is gone, or that a recording is over.
+/// A watch that detects that a device is gone, or that a recording is over.
 pub(super) struct Watch {
     library: &'static Functions,
     registration: Handle,
-    /// Data of the library's callbacks: owned here, allocated by a box.
+    /// Data of the library's callbacks: a box that this struct owns as a raw pointer.
     watched: *mut Watched,
 }
 

@@ -2,11 +2,11 @@
 //! run time and never linked.
 //!
 //! The library is `libOpenNI2.so.0`, or the path in the environment variable PLANISH_LIBOPENNI2. Depth is mapped to
-//! the colour camera if the device supports it and has colour images of the same size. The library states fields of
-//! view but not intrinsics: the focal length follows from them, and the principal point is assumed at the centre.
-//! Mirrored images are flipped back. A live camera delivers its newest frame, and gaps in frame numbers are counted
-//! as dropped. A recording (.oni) delivers every depth frame in order; frames that the library loses are also counted
-//! as dropped.
+//! the colour camera if the device supports it and has colour images of the same size. The library reports fields of
+//! view but no intrinsics: the focal lengths are computed from the fields of view, and the principal point is assumed
+//! at the centre. Mirrored images are flipped back. A live camera delivers its newest frame, and gaps in frame
+//! numbers are counted as dropped. A recording (.oni) delivers every depth frame in order; frames that the library
+//! loses are also counted as dropped.
 
 mod api;
 mod device;
@@ -41,7 +41,7 @@ pub struct OpenNi2Source {
     recording: Option<PathBuf>,
     rgb: Option<Image>,
     last_index: Option<u64>,
-    /// True once a recording is over, at its end or after an error, which is returned once.
+    /// True once a recording is over: at its end, or after an error, which is returned only once.
     has_ended: bool,
     dropped: u64,
     ended: Arc<AtomicBool>,
@@ -80,7 +80,7 @@ impl OpenNi2Source {
         }
         let recording = Self::is_recording(uri).then(|| PathBuf::from(uri));
         if let Some(file) = &recording {
-            // The library's error does not tell whether the file exists.
+            // The library's error does not say whether the file exists.
             std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
             if let Some(mode) = mode {
                 let allowed = "a recording has a fixed mode; omit mode";
@@ -120,7 +120,7 @@ impl OpenNi2Source {
             }
         }
         // Map depth to colour only if colour is delivered; otherwise the camera of the depth image would be unknown.
-        // A recording does not state whether its depth was mapped, but its user may.
+        // A recording does not state whether its depth was mapped, but the caller may, by the alignment.
         let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
         let color =
             if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };
@@ -135,7 +135,7 @@ impl OpenNi2Source {
             return Err(DeviceError::Failed { what }.into());
         }
         for stream in std::iter::once(&depth).chain(&color) {
-            // Not every device lets mirroring be set; images that are still mirrored are flipped back.
+            // Some devices do not allow mirroring to be set; images that are still mirrored are flipped back.
             let _ = library.set(Holder::Stream(stream.handle), api::MIRRORING, 0);
             stream.start()?;
         }
@@ -156,7 +156,7 @@ impl OpenNi2Source {
         })
     }
 
-    /// Waits for a frame of either stream, and keeps a colour frame.
+    /// Waits for a frame of either stream. A colour frame is kept for the next depth frames.
     fn poll(&mut self) -> Result<Polled, Error> {
         let mut streams: Vec<Handle> = std::iter::once(&self.depth).chain(&self.color).map(|s| s.handle).collect();
         let mut ready = -1;
@@ -247,7 +247,7 @@ impl OpenNi2Source {
         Ok(None)
     }
 
-    /// Returns the result at the end: `None` for a recording with frames, otherwise an error.
+    /// Returns the result at the end of the source: `None` for a recording with frames, otherwise an error.
     fn over(&self) -> Result<Option<OwnedFrame>, Error> {
         match &self.recording {
             Some(_) if self.last_index.is_some() => Ok(None),
@@ -256,7 +256,7 @@ impl OpenNi2Source {
         }
     }
 
-    /// Returns the error of a source that has been silent for too long.
+    /// Returns the error for a source that has been silent for too long.
     fn silent(&self) -> Error {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
@@ -294,8 +294,8 @@ impl Source for OpenNi2Source {
     }
 }
 
-/// Returns the mode to set: the requested one, or 640x480 at 30 frames per second if available, in millimetres or
-/// tenths of them.
+/// Returns the mode to set: the requested one, or 640x480 at 30 frames per second if available, with depth units of 1
+/// mm or 0.1 mm.
 fn mode_of(modes: &[VideoMode], asked: Option<StreamMode>) -> Result<Option<VideoMode>, DeviceError> {
     let usable = |mode: &&VideoMode| matches!(mode.format, api::DEPTH_1_MM | api::DEPTH_100_UM);
     let wanted = asked.unwrap_or(StreamMode { width: 640, height: 480, fps: Some(30) });
@@ -340,7 +340,7 @@ fn colour_stream(library: &'static Functions, device: Handle, depth: &Stream, is
     library.get(Holder::Stream(color.handle), api::VIDEO_MODE).filter(fits).map(|_| color)
 }
 
-/// Adds the name of the recording to an error of its device.
+/// Adds the name of the recording to a device error.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
         (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),

@@ -1,12 +1,12 @@
 //! All depth frames of a recording, with colour if available.
 //!
-//! The library pairs depth and colour from the first colour image to the last, and leaves out depth before and after.
-//! A second player, for depth alone, delivers all of it.
+//! The library pairs depth and colour from the first colour image to the last, and skips depth frames before and
+//! after. A second player, for depth alone, delivers all depth frames.
 
 use crate::source::{OwnedFrame, Source};
 use planish_core::{DepthFrame, Error};
 
-/// The second player, and the pending frame of the first.
+/// The second player, and the pending coloured frame of the first player.
 pub(super) struct AllDepth {
     pub(super) player: Box<dyn Source>,
     coloured: Option<DepthFrame>,
@@ -14,7 +14,7 @@ pub(super) struct AllDepth {
 }
 
 impl AllDepth {
-    /// Creates it from a second player of the same recording, which delivers depth alone.
+    /// Creates the state from a second player of the same recording, which delivers depth alone.
     pub(super) fn new(player: Box<dyn Source>) -> Self {
         Self { player, coloured: None, is_colour_over: false }
     }

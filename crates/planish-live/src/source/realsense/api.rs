@@ -50,7 +50,7 @@ const _: () = assert!(size_of::<Intrinsics>() == 48);
 type Error = *mut Object;
 
 c_functions! {
-    /// librealsense2.
+    /// The functions of librealsense2.
     pub(super) struct Functions("rs2_") {
         get_api_version(Error) -> c_int;
         get_librealsense_exception_type(Object) -> c_int;
@@ -130,7 +130,7 @@ impl Owned {
 
 impl Drop for Owned {
     fn drop(&mut self) {
-        // SAFETY: `delete` is the library's own for objects of this type, and this is the only owner.
+        // SAFETY: `delete` is the library's function for deleting objects of this type, and this is the only owner.
         unsafe { (self.delete)(self.object) }
     }
 }

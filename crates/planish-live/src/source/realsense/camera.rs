@@ -25,8 +25,8 @@ const SAMPLES: u32 = 25;
 /// Maximum error of a distortion fit, in pixels.
 const MOST_ERROR_PX: f64 = 0.1;
 
-/// Returns the camera of a depth image with this many metres per unit, as measured or, if `is_aligned`, as mapped
-/// onto the colour image by `align`.
+/// Returns the camera of a depth image, either as measured or, if `is_aligned`, as mapped onto the colour image by
+/// the library's `align`.
 pub(super) fn camera_of(
     intrinsics: &Intrinsics,
     metres_per_unit: f32,
@@ -149,7 +149,7 @@ mod tests {
         let fisheye = camera_of(&intrinsics(5, [0.1, 0.0, 0.0, 0.0, 0.0]), 0.001, false);
         assert!(fisheye.unwrap_err().to_string().contains("fisheye"));
         assert!(camera_of(&intrinsics(5, [0.0; 5]), 0.001, false).unwrap().distortion.is_none());
-        // Beyond any lens: the image folds over itself.
+        // Coefficients beyond those of any lens: the image folds over itself.
         assert!(camera_of(&intrinsics(MODIFIED_BROWN_CONRADY, [-3.0, 2.0, 0.5, 0.5, -9.0]), 0.001, false).is_err());
         // An L515 counts quarters of a millimetre, a D405 tenths.
         assert_eq!(units_per_metre(0.000_25), 4000.0);

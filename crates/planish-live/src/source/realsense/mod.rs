@@ -30,7 +30,7 @@ use start::{Colour, Started, check_device, start};
 /// Interval at which a wait checks whether a frame is still wanted.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Number of waits of [`PATIENCE`] without a frame after which a recording with a stopped player is over.
+/// Number of waits of [`PATIENCE`] without a frame after which a recording is over once its player has stopped.
 const WAITS_AT_END: u32 = 5;
 
 /// Maximum gap in frame numbers that counts as lost frames.
@@ -45,13 +45,13 @@ pub struct RealSenseSource {
     recording: Option<PathBuf>,
     aligner: Option<Aligner>,
     held: Option<Held>,
-    /// The player of all depth, for a recording whose colour is mapped onto depth.
+    /// A second player, which delivers all depth frames, for a recording whose colour is mapped onto depth.
     all_depth: Option<AllDepth>,
     /// True once a recording has begun.
     has_begun: bool,
     /// Number of frames delivered.
     delivered: u64,
-    /// True once a recording is over, at its end or after an error, which is returned once.
+    /// True once a recording is over: at its end, or after an error, which is returned only once.
     is_over: bool,
     last_number: Option<u64>,
     last_camera: Option<(Intrinsics, f32, Camera)>,
@@ -63,18 +63,18 @@ pub struct RealSenseSource {
     _context: Owned,
 }
 
-/// Frames of a recording, held in case a colour image follows that is closer in time.
+/// Depth and colour frames of a recording, held in case a colour image follows that is closer in time.
 struct Held {
-    /// Frame number of the depth.
+    /// Number of the depth frame.
     number: u64,
-    /// Time between depth and colour, in milliseconds.
+    /// Time between the depth and the colour frame, in milliseconds.
     apart_ms: f64,
     frames: Owned,
 }
 
-/// Maps colour onto depth, or depth onto colour.
+/// A processing block that maps colour onto depth, or depth onto colour.
 struct Aligner {
-    /// The stream that the other is mapped onto.
+    /// The stream onto which the other one is mapped.
     to: c_int,
     block: Owned,
     queue: Owned,
@@ -92,7 +92,7 @@ impl RealSenseSource {
         let library = Functions::load()?;
         let context = library.create_context()?;
         match input {
-            // The library's error does not tell whether the file exists.
+            // The library's error does not say whether the file exists.
             RealSenseInput::Recording(file) => {
                 std::fs::File::open(file).map_err(|error| IoError { path: file.clone(), problem: error.into() })?;
             }
@@ -233,7 +233,8 @@ impl RealSenseSource {
         Ok(Some(OwnedFrame::Depth(frame)))
     }
 
-    /// Returns the camera of a depth frame: the caller's, if given, with the device's depth units.
+    /// Returns the camera of a depth frame: the caller's if given, otherwise the device's. The depth units are the
+    /// device's.
     fn camera_of(&mut self, depth: &Owned, metres_per_unit: f32) -> Result<Camera, DeviceError> {
         let intrinsics = self.library.intrinsics_of(depth)?;
         if let Some((of, units, camera)) = &self.last_camera
@@ -263,7 +264,7 @@ impl RealSenseSource {
                     (self.has_begun, quiet) = (true, 0);
                     self.take(frames)?
                 }
-                // Frames may still be on their way within the library when its player has stopped.
+                // Frames may still be in transit within the library after its player has stopped.
                 None if self.has_begun && !is_playing => {
                     quiet += 1;
                     match self.held.take_if(|_| quiet >= WAITS_AT_END) {
@@ -292,19 +293,19 @@ impl RealSenseSource {
         Ok(None)
     }
 
-    /// Returns advice for the case that the library waits for colour.
+    /// Returns advice for an error message, in case the library waits for colour.
     fn advice(&self) -> &'static str {
         if self.aligner.is_some() { "; --align none plays depth without colour" } else { "" }
     }
 
-    /// Returns the error of a recording that delivered no frame.
+    /// Returns the error for a recording that delivered no frame.
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
         let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
         malformed(file, format!("contains {what}, or is damaged{}", self.advice())).into()
     }
 
-    /// Returns the error of a source that has been silent for too long.
+    /// Returns the error for a source that has been silent for too long.
     fn silent(&self) -> Error {
         let what = format!("{} delivered no depth for {} s", self.description, longest_silence().as_secs());
         match &self.recording {
@@ -394,7 +395,7 @@ pub unsafe fn start_realsense(
     RealSenseSource::start(library, context, pipeline, &RealSenseInput::Any, None, alignment, mode)
 }
 
-/// Adds the name of the recording to an error of its device.
+/// Adds the name of the recording to a device error.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
         (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),

@@ -7,7 +7,7 @@ use super::input::RealSenseInput;
 use crate::source::{Alignment, StreamMode};
 use planish_core::DeviceError;
 
-/// Refuses a missing device and lists the connected ones.
+/// Returns an error that lists the connected devices if the requested device is missing.
 pub(super) fn check_device(devices: &[DeviceName], serial: Option<&str>) -> Result<(), DeviceError> {
     let help = "check its cable (USB 3) and your permissions (librealsense's udev rules); name a recording \
                 realsense:FILE.bag or FILE.db3";

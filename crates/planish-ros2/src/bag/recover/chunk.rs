@@ -21,7 +21,7 @@ pub(super) struct Contents {
     pub schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     pub channels: BTreeMap<u16, Channel>,
     pub times: Option<(u64, u64)>,
-    /// The offset of the next record.
+    /// The offset of the next record in bytes, within the records of the chunk.
     end: u64,
 }
 
@@ -71,7 +71,7 @@ pub(super) fn cut_contents(chunk: &[u8]) -> Option<Contents> {
     Some(contents)
 }
 
-/// Size in bytes of the part of a chunk before the name of its compression: two times, the size and the checksum.
+/// Number of bytes in a chunk record before the name of its compression: two timestamps, the size and the checksum.
 const BEFORE_COMPRESSION: usize = 8 + 8 + 8 + 4;
 
 /// Returns the size in bytes of a chunk's header, which ends with the compression's name and the records' size.
@@ -84,7 +84,7 @@ pub(super) fn header_bytes(chunk: &[u8]) -> Option<usize> {
 pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions) -> (Contents, bool) {
     let mut contents = Contents::default();
     let mut bytes = Vec::with_capacity(chunk.len() + RECORD_HEADER as usize);
-    // The record has the length that its header states, so that a cut chunk is detected.
+    // The chunk record gets the length computed from the sizes in its header, so that a cut chunk is detected.
     let length = length_of(chunk).unwrap_or(chunk.len() as u64);
     bytes.push(op::CHUNK);
     bytes.extend(length.to_le_bytes());
@@ -105,7 +105,7 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
         if count > most_records(chunk.len() as u64) || (with_bytes && total_bytes > limit) {
             return (contents, false);
         }
-        // With overflow checks the reader panics on a record that reaches beyond its chunk.
+        // In builds with overflow checks, the reader panics on a record that reaches beyond its chunk.
         let next = guarded(|| match reader.next_event() {
             None => Step::End,
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => Step::Read(wanted),
@@ -140,7 +140,7 @@ enum Step {
     Damaged,
 }
 
-/// Returns the length of a chunk's record that the chunk's header states; a cut chunk is shorter.
+/// Returns the length of a chunk record, computed from the sizes in its header; a cut chunk is shorter.
 fn length_of(chunk: &[u8]) -> Option<u64> {
     let header = header_bytes(chunk)?;
     let size = u64::from_le_bytes(*chunk.get(header - 8..)?.first_chunk()?);

@@ -72,11 +72,16 @@ fn lists_of_vertices_are_dropped_with_a_note() {
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_be_bytes()).collect::<Vec<u8>>();
     let (one, two) = ([floats(&[1.0]), vec![1, 0, 0, 0, 9], floats(&[2.0, 3.0])].concat(), floats(&[4.0]));
     let binary = [header("binary_big_endian").into_bytes(), one, two, vec![0], floats(&[5.0, 6.0])].concat();
-    for bytes in [ascii.as_bytes(), &binary] {
+    let over_lines = header("ascii") + "1\n2 8\n9 2 3\n4\n0\n5 6\n";
+    for bytes in [ascii.as_bytes(), over_lines.as_bytes(), &binary] {
         let (cloud, notes) = cloud_as("a.ply", bytes);
         assert_eq!((cloud.positions.get(0), cloud.positions.get(1)), ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0]));
         assert_eq!(notes, ["list properties of the vertices are dropped: seen_by"]);
         assert!(read_as("a.ply", &bytes[..bytes.len() - 3]).is_err());
+    }
+    // A value is missing, and the next record follows.
+    for body in ["1 2 8 9 2\n4 0 5 6\n7 0 8 9\n", "1 2 8\n4 0 5 6\n"] {
+        assert!(read_as("a.ply", (header("ascii") + body).as_bytes()).is_err(), "{body:?}");
     }
 }
 
