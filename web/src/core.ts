@@ -58,9 +58,9 @@ export class Core {
       const usedMiB = Math.round(this.memoryBytes / 2 ** 20);
       this.startAnew();
       const isFull = usedMiB > NEARLY_FULL_MIB;
-      const why = isFull ? `out of memory: ${usedMiB} MiB were in use and it needed more` : error.message;
+      const why = isFull ? `out of memory, with ${usedMiB} MiB in use` : error.message;
       throw new PlanishError(
-        `the module stopped (${why}). It has started anew, and what it held is gone: open the frame again${isFull ? ", or a smaller one" : ""}`,
+        `the WebAssembly module stopped (${why}) and was restarted; its frames and results are lost. Open the frame again${isFull ? ", or a smaller one" : ""}`,
       );
     }
     const { frame, plan, result } = (answer.ok ?? {}) as { frame?: number; plan?: number; result?: number };
@@ -135,7 +135,7 @@ function written(request: object): string {
     return JSON.stringify(renamed(request, snakeCase), onlyFinite);
   } catch (error) {
     if (error instanceof PlanishError) throw error;
-    throw new PlanishError(`not a value of JSON: ${String(error)}`, { cause: error });
+    throw new PlanishError(`the request cannot be written as JSON: ${String(error)}`, { cause: error });
   }
 }
 

@@ -163,7 +163,7 @@ export class Planish {
 
   /** Smooths raw depth, `width` x `height` values in units of the camera's `depthUnitsPerMetre`, 0 for holes. */
   async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
-    if (typeof camera !== "object" || camera === null) throw new PlanishError("the second argument is the camera: { width, height, fx, fy, cx, cy }");
+    if (typeof camera !== "object" || camera === null) throw new PlanishError("expected a camera as the second argument: { width, height, fx, fy, cx, cy }");
     const frame = this.depth(depth, camera.width, camera.height);
     let result: Result | undefined;
     try {
@@ -178,20 +178,20 @@ export class Planish {
   /** Reads a file: PCD, PLY, NPY, 16-bit PNG, XYZ or CSV, OBJ, STL. */
   open(name: string, bytes: Uint8Array | ArrayBuffer): Frame {
     const given = bytes instanceof ArrayBuffer ? new Uint8Array(bytes) : bytes;
-    if (!(given instanceof Uint8Array)) throw new PlanishError(`${name}: the file's bytes are given as Uint8Array or ArrayBuffer`);
+    if (!(given instanceof Uint8Array)) throw new PlanishError(`${name}: expected the file's bytes as Uint8Array or ArrayBuffer`);
     return this.core.call<Frame>({ op: "open", name }, given).ok;
   }
 
   /** Creates a frame from raw depth. */
   depth(depth: Uint16Array, width: number, height: number): Frame {
-    if (!(depth instanceof Uint16Array)) throw new PlanishError("raw depth is given as Uint16Array");
+    if (!(depth instanceof Uint16Array)) throw new PlanishError("expected raw depth as Uint16Array");
     checkShape(depth.length, width, height, 1);
     return this.core.call<Frame>({ op: "depth", width, height }, bytesOf(depth)).ok;
   }
 
   /** Creates a frame from points on a grid: x, y and z of each pixel in metres, NaN for holes. */
   points(points: Float32Array, width: number, height: number): Frame {
-    if (!(points instanceof Float32Array)) throw new PlanishError("points are given as Float32Array");
+    if (!(points instanceof Float32Array)) throw new PlanishError("expected points as Float32Array");
     checkShape(points.length, width, height, 3);
     return this.core.call<Frame>({ op: "points", width, height }, bytesOf(points)).ok;
   }
@@ -240,7 +240,7 @@ export class Planish {
         // beyond the device's limits.
         if (plan !== undefined) this.releaseIds([plan.plan]);
         if (plan === undefined) withoutGpu = error instanceof Error ? error.message : String(error);
-        else if (error instanceof FrameTooLarge) withoutGpu = `WebGPU has no room for this frame: ${error.message}`;
+        else if (error instanceof FrameTooLarge) withoutGpu = `this frame is too large for WebGPU: ${error.message}`;
         else if (error instanceof PlanishError && !(await gpu.isLost())) throw error;
         else withoutGpu = await this.loseGpu(gpu, error);
       }
@@ -299,9 +299,9 @@ export class Planish {
   private async openGpu(): Promise<void> {
     try {
       this.gpu = await Gpu.open();
-      this.withoutGpu = this.gpu ? undefined : "this browser has no WebGPU, or no adapter for it";
+      this.withoutGpu = this.gpu ? undefined : "this browser does not support WebGPU, or has no adapter for it";
     } catch (error) {
-      this.withoutGpu = `WebGPU did not open: ${String(error)}`;
+      this.withoutGpu = `WebGPU could not be opened: ${String(error)}`;
     }
   }
 
@@ -333,10 +333,10 @@ function sideOf(side: Side): Side {
 
 function checkShape(length: number, width: number, height: number, values: number): void {
   const isSize = [width, height].every((side) => Number.isInteger(side) && side > 0);
-  if (!isSize) throw new PlanishError(`width and height are ${width} and ${height}: whole numbers above 0 are allowed`);
+  if (!isSize) throw new PlanishError(`width and height are ${width} and ${height}; expected whole numbers above 0`);
   if (length !== values * width * height) {
-    const each = values === 1 ? "a value" : `${values} values`;
-    throw new PlanishError(`${length} values came; ${width}x${height} pixels of ${each} each are ${values * width * height}`);
+    const each = values === 1 ? "one value" : `${values} values`;
+    throw new PlanishError(`found ${length} values; expected ${values * width * height}: ${width}x${height} pixels with ${each} each`);
   }
 }
 
@@ -352,7 +352,7 @@ async function fetched(address: URL | string): Promise<Response | BufferSource> 
     return files.readFile(new URL(address));
   }
   const response = await fetch(address);
-  if (!response.ok) throw new PlanishError(`${String(address)} was not found (${response.status})`);
+  if (!response.ok) throw new PlanishError(`${String(address)} cannot be loaded (HTTP ${response.status})`);
   // Some servers do not know the type of .wasm files, so pass the bytes instead.
   return response.headers.get("Content-Type")?.startsWith("application/wasm") ? response : response.arrayBuffer();
 }

@@ -212,7 +212,7 @@ impl<'a> Bench<'a> {
             match (clock, told) {
                 (Clock::Host, _) => Ok(waited),
                 (Clock::Device, Some(told)) => Ok(ms(told.kernel)),
-                (Clock::Device, None) => bail!("{}: the device returned no time stamps", subject.name),
+                (Clock::Device, None) => bail!("{}: the device returned no timestamps", subject.name),
             }
         })?;
         // Drop the times of the warm-up.

@@ -45,7 +45,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     for subject in subjects.iter().filter(|_| !context.stopped()) {
         bar.inc(1);
         if subject.is_gpu() && !subject.clocks()?.contains(&Clock::Device) {
-            section.note(format!("{} has no time stamps.", subject.name));
+            section.note(format!("{} has no timestamps.", subject.name));
             continue;
         }
         let row = if subject.is_gpu() { of_gpu(context, subject, input) } else { of_cpu(context, subject, input) };
@@ -122,7 +122,7 @@ fn stages(context: &Bench<'_>, subject: &Subject, input: &Input, degree: u32, fr
     let stamped = subject.with_time_stamps();
     let Timed { time, stages, .. } = context.time_frames(&stamped, Clock::Host, params, input, frames)?;
     if stages.is_empty() {
-        bail!("{}: the device returned no time stamps", subject.name);
+        bail!("{}: the device returned no timestamps", subject.name);
     }
     let median = |of: &dyn Fn(&FrameTimings) -> f64| Spread::of(stages.iter().map(of).collect()).median;
     Ok(Stages {

@@ -62,8 +62,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         });
     }
     section.note(format!(
-        "By {}. Variance of the points around the largest plane, before and after; the pictures (half size) show raw, \
-         paper, default.",
+        "Engine: {}. Variance of the points around the largest plane, before and after; the pictures (half size) show \
+         raw, paper, default.",
         subject.name
     ));
     section.table(

@@ -54,8 +54,8 @@ impl Origin {
         let gpus = if gpus.is_empty() { "none".to_owned() } else { gpus.join("; ") };
         format!(
             "`{command}`\n\nCPU: {cpu}, {threads} threads, {simd}{memory}; {system}. GPU: {gpus}. planish {version}, \
-             {rustc}. No engine is \
-             timed before its points, taken the way that is timed, agree with the f64 reference.\n"
+             {rustc}. Each engine is timed only after its points, obtained in the timed way, agree with the f64 \
+             reference.\n"
         )
     }
 }

@@ -22,7 +22,7 @@ mod with_cuda {
     use crate::handles::Handles;
     use crate::session::{settings_from, writable};
 
-    static ALL: Handles<Mutex<CudaSmoother>> = Handles::new("smoother for CUDA");
+    static ALL: Handles<Mutex<CudaSmoother>> = Handles::new("CUDA smoother");
 
     pub(super) unsafe fn new(
         settings: *const c_char,
@@ -50,7 +50,9 @@ mod with_cuda {
         let held = ALL.get(cuda)?;
         let mut smoother = match held.try_lock() {
             Ok(smoother) => smoother,
-            Err(TryLockError::WouldBlock) => return failure(PLANISH_BUSY, "another thread is using the smoother"),
+            Err(TryLockError::WouldBlock) => {
+                return failure(PLANISH_BUSY, "another thread is using the smoother; open one smoother per thread");
+            }
             Err(TryLockError::Poisoned(_)) => {
                 return failure(
                     PLANISH_INTERNAL,
@@ -68,7 +70,7 @@ mod with_cuda {
         stream: *mut c_void,
     ) -> Done<()> {
         if depth.is_null() || result.is_null() {
-            return failure(PLANISH_NULL, "the address of the depth or of the result is null");
+            return failure(PLANISH_NULL, "the depth or the result is null");
         }
         with(cuda, |smoother| {
             // SAFETY: as the caller promises.
@@ -83,7 +85,7 @@ mod with_cuda {
         stream: *mut c_void,
     ) -> Done<()> {
         if depth.is_null() {
-            return failure(PLANISH_NULL, "the address of the depth is null");
+            return failure(PLANISH_NULL, "the depth is null");
         }
         with(cuda, |smoother| {
             // SAFETY: as the caller promises.
@@ -99,7 +101,7 @@ mod with_cuda {
         received: *mut bool,
     ) -> Done<()> {
         if result.is_null() {
-            return failure(PLANISH_NULL, "the address of the result is null");
+            return failure(PLANISH_NULL, "the result is null");
         }
         // SAFETY: as the caller promises.
         let place = unsafe { writable("received", received)? };

@@ -165,9 +165,7 @@ impl Given {
             other => {
                 return failure(
                     PLANISH_ARGUMENT,
-                    format!(
-                        "unknown kind {other} of the frame; expected PLANISH_DEPTH_U16 or another kind in planish.h"
-                    ),
+                    format!("unknown frame kind {other}; expected PLANISH_DEPTH_U16 or another kind in planish.h"),
                 );
             }
         };
@@ -181,9 +179,7 @@ impl Given {
             // The pointers of an empty cloud may be null.
             PLANISH_PLANES_F32 | PLANISH_PLANES_F64 if width == 0 => {}
             PLANISH_PLANES_F32 | PLANISH_PLANES_F64 => {
-                for (what, plane) in
-                    ["the plane of x", "the plane of y", "the plane of z"].into_iter().zip(frame.planes)
-                {
+                for (what, plane) in ["the x plane", "the y plane", "the z plane"].into_iter().zip(frame.planes) {
                     extents.push(Extent::new(what, plane, scalar, (scalar * width * height, 0, 1))?);
                 }
             }

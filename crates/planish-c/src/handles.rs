@@ -60,6 +60,6 @@ impl<T> Handles<T> {
     pub(crate) fn remove<H>(&self, handle: *mut H) -> Done<()> {
         let removed = self.all.write().unwrap_or_else(PoisonError::into_inner).remove(&handle.addr());
         // The value is dropped after the lock is released, since closing a GPU takes time.
-        removed.map_or_else(|| failure(PLANISH_HANDLE, format!("the {} was freed already", self.what)), |_| Ok(()))
+        removed.map_or_else(|| failure(PLANISH_HANDLE, format!("the {} has already been freed", self.what)), |_| Ok(()))
     }
 }

@@ -100,7 +100,7 @@ pub(crate) fn outputs_of(mask: u32) -> Done<Outputs> {
     const ALL: u32 = 2 * PLANISH_SIGMA - 1;
     if mask == 0 || mask & !ALL != 0 {
         let text =
-            format!("the outputs {mask:#x} are invalid; expected a sum of PLANISH_POINTS, PLANISH_NORMALS and so on");
+            format!("invalid outputs {mask:#x}; expected PLANISH_POINTS or a combination of the outputs in planish.h");
         return failure(PLANISH_ARGUMENT, text);
     }
     let has = |bit: u32| mask & bit != 0;

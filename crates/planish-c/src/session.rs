@@ -37,7 +37,9 @@ impl Held {
     pub(crate) fn lock(&self) -> Done<MutexGuard<'_, State>> {
         match self.state.try_lock() {
             Ok(state) => Ok(state),
-            Err(TryLockError::WouldBlock) => failure(PLANISH_BUSY, "another thread is using the session"),
+            Err(TryLockError::WouldBlock) => {
+                failure(PLANISH_BUSY, "another thread is using the session; make one session per thread")
+            }
             Err(TryLockError::Poisoned(_)) => {
                 failure(PLANISH_INTERNAL, "the session had an internal error before; free it and make another")
             }

@@ -142,7 +142,7 @@ pub unsafe extern "C" fn planish_smooth_new(
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
         // SAFETY: as the caller promises.
-        let (result, given) = unsafe { (writable("the place for the result", result)?, Given::new(frame)?) };
+        let (result, given) = unsafe { (writable("the pointer to the result", result)?, Given::new(frame)?) };
         let outputs: Outputs = outputs_of(outputs)?;
         state.check_idle()?;
         state.session.set_outputs(outputs);
@@ -244,7 +244,7 @@ pub unsafe extern "C" fn planish_in_flight(
         for (place, value) in [(in_flight, state.session.in_flight()), (most, state.session.max_in_flight())] {
             if !place.is_null() {
                 // SAFETY: as the caller promises.
-                *unsafe { writable("the place for a number", place)? } = value;
+                *unsafe { writable("the pointer to a number", place)? } = value;
             }
         }
         Ok(())

@@ -112,7 +112,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
     }
     release_reserve();
     print_unlocked(format_args!(
-        "error: out of memory: the system refuses {} KiB more; see --max-memory\n",
+        "error: out of memory: cannot allocate {} KiB; see --max-memory\n",
         bytes.div_ceil(1024)
     ));
     #[cfg(feature = "mcap")]

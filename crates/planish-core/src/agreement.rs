@@ -123,7 +123,7 @@ impl Agreement {
             misses.push("no frame was compared".to_owned());
         }
         if self.equal_status() < EQUAL_STATUS - one_pixel {
-            misses.push(format!("the status is equal for a share of only {}", self.equal_status()));
+            misses.push(format!("the status agrees for a share of only {} of the points", self.equal_status()));
         }
         let times = if self.nine_samples { NINE_SAMPLES } else { 1.0 };
         for (share, tolerance_m) in [(0.999, POSITION_999_M), (0.9999, POSITION_9999_M), (1.0, POSITION_WORST_M)] {
@@ -131,7 +131,7 @@ impl Agreement {
             let found_m = self.position_m(share);
             if found_m > tolerance_m {
                 misses.push(format!(
-                    "{} % of the points are within {found_m:e} m, above the tolerance of {tolerance_m:e} m",
+                    "{} % of the points agree only to within {found_m:e} m; the tolerance is {tolerance_m:e} m",
                     100.0 * share
                 ));
             }

@@ -131,8 +131,8 @@ pub(crate) fn choose<'a>(adapters: &'a [GpuAdapter], wanted: Option<&str>) -> Re
     let unavailable = |reason: String| EngineError::Unavailable { engine: "gpu", reason };
     if adapters.is_empty() {
         return Err(unavailable(
-            "no adapter was found; a GPU with a driver for Vulkan, Metal or DirectX 12 is needed (on Linux also the \
-             loader libvulkan.so.1)"
+            "no adapter was found; install a GPU driver for Vulkan, Metal or DirectX 12 (on Linux also the loader \
+             libvulkan.so.1)"
                 .to_owned(),
         ));
     }

@@ -205,7 +205,7 @@ impl fmt::Display for Doubt {
             Self::Range { median_m, units: Some(units) } => write!(
                 f,
                 "most depths are about {median_m} m at {units} depth units per metre, which no depth camera measures; \
-                 check the unit of depth"
+                 check the depth unit"
             ),
             Self::Range { median_m, units: None } => write!(
                 f,
@@ -214,13 +214,13 @@ impl fmt::Display for Doubt {
             ),
             Self::Swapped { camera: Camera { fx, fy, cx, cy, .. } } => write!(
                 f,
-                "the focal length {fx}, {fy} is half the size of the image; fx, fy, cx, cy may be swapped: \
+                "the focal length {fx}, {fy} is half the image size; fx, fy and cx, cy may be swapped: try \
                  {cx},{cy},{fx},{fy}"
             ),
             Self::PrincipalPoint { camera: Camera { width, height, cx, cy, .. } } => write!(
                 f,
-                "the principal point {cx}, {cy} is far from the middle of an image of {width}x{height}; the camera may \
-                 be for images of another size"
+                "the principal point {cx}, {cy} is far from the centre of the {width}x{height} image; the camera may \
+                 belong to images of another size"
             ),
             Self::FocalLength { camera: Camera { width, height, fx, .. } } => {
                 write!(f, "a focal length of {fx} pixels is unusual for an image of {width}x{height}; check its unit")
@@ -228,14 +228,14 @@ impl fmt::Display for Doubt {
             Self::Coarse { step_m, spacing_m, share } => write!(
                 f,
                 "{:.0} % of the points have coordinates too large for f32, which rounds them to {step_m:.1e} m, but \
-                 neighbours are {spacing_m:.1e} m apart; remove stray points with `planish clean --crop`, or give distant \
-                 parts as separate files",
+                 neighbours are {spacing_m:.1e} m apart; remove stray points with `planish clean --crop`, or save \
+                 distant parts as separate files",
                 100.0 * share
             ),
             Self::Lens { lost } => write!(
                 f,
                 "{:.0} % of the pixels are holes, since the lens model folds or reaches beyond 86 degrees there; check \
-                 its distortion coefficients",
+                 the distortion coefficients",
                 100.0 * lost
             ),
         }

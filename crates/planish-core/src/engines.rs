@@ -123,7 +123,7 @@ impl std::fmt::Display for ChoiceReason {
             },
             Self::GpuFailed(adapter, error) => write!(f, "{} could not be opened: {error}", adapter.name),
             Self::SingleFrame { points } => {
-                write!(f, "a single frame of {points} points is smoothed before a GPU has opened")
+                write!(f, "a single frame of {points} points is smoothed faster than a GPU opens")
             }
         }?;
         write!(f, "; the CPU has {}", SimdLevel::best().name())

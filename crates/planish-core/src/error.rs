@@ -88,7 +88,7 @@ pub enum FrameError {
         expected: String,
     },
     /// A stride so small that rows or points would overlap.
-    #[error("a {what} of {stride} is not allowed; at least {least} is needed")]
+    #[error("a {what} of {stride} is not allowed; expected at least {least}")]
     BadStride {
         /// The name of the stride.
         what: &'static str,
@@ -119,7 +119,7 @@ pub enum FrameError {
     #[error("the cloud has no points")]
     NoPoints,
     /// Coordinates that f32 cannot hold.
-    #[error("a coordinate exceeds 3.4e38 m, the largest in f32")]
+    #[error("a coordinate exceeds 3.4e38 m, the limit of f32")]
     TooFar,
     /// Coordinates that f32 rounds too coarsely for the distances between points. Contains the text of
     /// [`Doubt::Coarse`](crate::Doubt::Coarse).
@@ -145,7 +145,7 @@ pub enum FrameError {
         expected: usize,
     },
     /// A frame without the required camera.
-    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), which are unknown")]
+    #[error("{what} needs the camera's intrinsics (fx, fy, cx, cy), which are unknown; give the camera")]
     MissingCamera {
         /// The feature that needs the camera.
         what: &'static str,
@@ -297,7 +297,7 @@ pub enum FormatError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// Reading the file needs more memory than allowed.
-    #[error("needs {} of memory, but only {} are allowed; raise the limit if the file is correct", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
+    #[error("needs {} of memory, but the limit is {}; raise the limit if the file is correct", memory(needed.saturating_add(KIB - 1)), memory(*allowed))]
     TooLarge {
         /// Number of bytes needed.
         needed: u64,

@@ -422,7 +422,7 @@ pub(crate) fn needs_range(params: &EngineParams) -> bool {
 pub(crate) fn check_frame(frame: Frame<'_>, outputs: Outputs, grid: Option<(usize, usize)>) -> Result<(), FrameError> {
     check_grid(frame.grid(), grid)?;
     if outputs.needs_camera() && frame.camera().is_none() {
-        return Err(FrameError::MissingCamera { what: "depth as an output" });
+        return Err(FrameError::MissingCamera { what: "the output depth" });
     }
     Ok(())
 }
@@ -471,7 +471,7 @@ pub(crate) fn check_options(
     match grid {
         Some((width, height)) => validate_shape(width, height)?,
         None if options.outputs.needs_camera() => {
-            return Err(FrameError::MissingCamera { what: "depth as an output" }.into());
+            return Err(FrameError::MissingCamera { what: "the output depth" }.into());
         }
         None => {}
     }

@@ -65,7 +65,7 @@ pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, For
     let axes: Vec<Attribute> = taken.into_iter().flatten().collect();
     if let Some(axis) = axes.iter().find(|axis| axis.count != 1) {
         return Err(FormatError::Unsupported(format!(
-            "{} has {} values per point; a coordinate has only one",
+            "the coordinate {} has {} values per point; expected one",
             axis.name, axis.count
         )));
     }

@@ -232,7 +232,7 @@ pub(crate) fn left_out(format: Format) -> FormatError {
         _ => "more-formats",
     };
     FormatError::Unsupported(format!(
-        "{}, which this build does not include (planish's feature `{feature}`)",
+        "{} is not supported by this build; enable planish's feature `{feature}`",
         format.name()
     ))
 }

@@ -87,7 +87,7 @@ pub(super) fn decode(
         cloud.attributes.push(Attribute { name: name.clone(), count: 1, values });
     }
     if options.columns.is_none() && !has_ring {
-        notes.push(format!("its {count} columns are taken as x y z {}", names.join(" ")).trim_end().to_owned());
+        notes.push(format!("its {count} columns are read as x y z {}", names.join(" ")).trim_end().to_owned());
     }
     cloud.provenance = Provenance::new(Columns { names, colour_scale });
     Ok(cloud)

@@ -57,7 +57,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     #[cfg(feature = "scans")]
     if super::las::has_header(cloud) || super::e57::has_scans(cloud) {
         cloud.provenance = planish_core::Provenance::default();
-        notes.push("its header is not kept, since it is in the old unit".into());
+        notes.push("its header is dropped, since its values are in the old unit".into());
     }
     Ok(())
 }

@@ -137,7 +137,7 @@ pub(super) fn decode(
                 others.map(|(name, _)| format!("the array {} is dropped: depth images have no fields", brief(name))),
             );
             let camera = intrinsics.map(|(name, (focal_length, centre))| {
-                notes.push(format!("its array {} is used as the camera's intrinsics", brief(&name)));
+                notes.push(format!("the array {} is used as the camera's intrinsics", brief(&name)));
                 Camera::new(contents.shape(), focal_length, centre)
             });
             return Ok((contents, camera));

@@ -114,7 +114,7 @@ fn with_times(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
             return Err(malformed(&format!("line {number} has {} numbers instead of 8", values.len())));
         };
         if times_s.last().is_some_and(|&last_s| time_s <= last_s) {
-            return Err(malformed(&format!("the time stamp in line {number} is not later than the one before")));
+            return Err(malformed(&format!("the timestamp in line {number} is not later than the previous one")));
         }
         if [qx, qy, qz, qw] == [0.0; 4] {
             return Err(malformed(&format!("the quaternion in line {number} is zero")));
@@ -130,11 +130,11 @@ fn by_frame(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
         let number = block[0].0;
         let numbers: Vec<&[f64]> = block.iter().map(|(_, values)| values.as_slice()).collect();
         let &[[_, _, _], [a, b, c, x], [d, e, f, y], [g, h, i, z], [.., one]] = numbers.as_slice() else {
-            return Err(malformed(&format!("line {number} does not begin three numbers and a 4x4 matrix")));
+            return Err(malformed(&format!("line {number} does not start a block of three numbers and a 4x4 matrix")));
         };
         let rotation = [[*a, *b, *c], [*d, *e, *f], [*g, *h, *i]];
         let pose = SensorPose::from_rotation([*x, *y, *z], rotation).filter(|_| *one == 1.0);
-        pose.ok_or_else(|| malformed(&format!("the matrix after line {number} is not a rotation and a position")))
+        pose.ok_or_else(|| malformed(&format!("the matrix after line {number} is not a rotation and translation")))
     };
     Ok(Trajectory { times_s: None, poses: rows.chunks(5).map(pose).collect::<FormatResult<_>>()? })
 }
@@ -185,7 +185,7 @@ mod tests {
             ("1 0 0 0 0 0 0 x\n", "line 1 has values that are not numbers"),
             ("1 0 0 0 0 0 0 0.5\n", "length 1"),
             ("1 0 0 0 0 0 0 0\n", "line 1 is zero"),
-            ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not begin"),
+            ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "line 1 does not start"),
             ("0 0 1\n2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "not a rotation"),
         ];
         for (text, expected) in cases {

@@ -41,8 +41,8 @@ pub(crate) fn check_f32(origin_m: [f64; 3], mut positions: impl Iterator<Item = 
     };
     let is_coarse = |p: [f32; 3]| (0..3).any(|axis| rounding_m(axis, p[axis]) > FINE_M);
     if origin_m != [0.0; 3] && positions.any(is_coarse) {
-        let text = "the format stores coordinates as f32, which would round these by more than 0.1 mm; write .ply or another \
-                    format, or subtract an offset";
+        let text = "the format stores coordinates as f32, which would round them by more than 0.1 mm; write .ply or \
+                    another format, or subtract an offset";
         return Err(FormatError::Unsupported(text.into()));
     }
     Ok(())

@@ -58,7 +58,7 @@ impl PyCamera {
         warn(py, &path, &notes, 1)?;
         if camera.width == 0 || camera.height == 0 {
             return Err(PyValueError::new_err(format!(
-                "{}: does not state the image size; give shape=(height, width)",
+                "{}: the file does not state the image size; give shape=(height, width)",
                 path.display()
             )));
         }

@@ -131,7 +131,8 @@ pub fn encoding_of(names: &[String]) -> PyResult<(Option<Encoding>, Option<Preci
             "f64" => precision = Some(Precision::F64),
             _ => {
                 return Err(PyValueError::new_err(format!(
-                    "encoding = {name:?} is not allowed: \"binary\", \"ascii\", \"compressed\", \"f32\", \"f64\""
+                    "encoding = {name:?} is not allowed; expected \"binary\", \"ascii\", \"compressed\", \"f32\" or \
+                     \"f64\""
                 )));
             }
         }
@@ -214,7 +215,7 @@ pub fn simulate<'py>(
         }
         _ => {
             return Err(PyValueError::new_err(format!(
-                "scene = {scene:?} is not allowed: \"table\", \"room\", \"shapes\""
+                "scene = {scene:?} is not allowed; expected \"table\", \"room\" or \"shapes\""
             )));
         }
     };

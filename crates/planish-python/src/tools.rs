@@ -34,7 +34,9 @@ where
 /// Refuses to overwrite an input.
 fn check_not_input(input: &Path, output: &Path) -> PyResult<()> {
     match io::is_same_file(input, output) {
-        true => Err(PyValueError::new_err(format!("{}: is the input; write to another file", output.display()))),
+        true => {
+            Err(PyValueError::new_err(format!("{}: the output is the input; write to another file", output.display())))
+        }
         false => Ok(()),
     }
 }

@@ -39,7 +39,8 @@ impl Arguments {
         let mut arguments = arguments.into_iter();
         let (mut of_ros, mut files, mut set) = (false, Vec::new(), Vec::new());
         while let Some(argument) = arguments.next() {
-            let mut value = |what: &str| arguments.next().with_context(|| format!("{argument} needs {what} after it"));
+            let mut value =
+                |what: &str| arguments.next().with_context(|| format!("{argument}: expected {what} after it"));
             match argument.as_str() {
                 "--ros-args" => of_ros = true,
                 "--" if of_ros => of_ros = false,

@@ -171,7 +171,9 @@ fn node_options(
             .cloned()
             .or_else(|| declared().into_iter().find(|(known, ..)| *known == name).map(|(_, default, ..)| default));
         if is_fixed && current.as_ref() != Some(value) {
-            return Err(format!("{name} can only be set at the start: -p {name}:=VALUE"));
+            return Err(format!(
+                "{name} cannot be changed while the node runs; set it at startup with -p {name}:=VALUE"
+            ));
         }
         NodeSettings::of(&with(&known, name, value)).map(drop).map_err(|error| format!("{error:#}"))
     };

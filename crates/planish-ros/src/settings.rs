@@ -98,7 +98,7 @@ impl NodeSettings {
             values.keys().find(|name| !is_common(name) && declared.iter().all(|(known, ..)| known != name))
         {
             let known: Vec<_> = declared.iter().map(|(name, ..)| *name).collect();
-            bail!("{name}: unknown parameter; parameters are {}", known.join(", "));
+            bail!("{name}: unknown parameter; expected one of {}", known.join(", "));
         }
         let get = |name: &str| -> Result<ParameterValue> {
             let default = declared.iter().find(|(known, ..)| *known == name).map(|(_, value, ..)| value.clone());

@@ -320,7 +320,7 @@ def test_attachments_metadata_and_channels_come_through(tmp_path):
         writer.add_metadata("place", {"room": "7"})
         writer.finish()
     text = smooth(source, out, code=1)
-    assert "copied unchanged because of errors: 1 message" in text
+    assert "1 message copied unchanged because of errors" in text
     before, after = raw_messages(source), raw_messages(out)
     assert [m[:5] for m in before] == [m[:5] for m in after] and before[3] == after[3] and before[0][5] != after[0][5]
     with open(out, "rb") as file:

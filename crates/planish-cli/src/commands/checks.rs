@@ -60,10 +60,10 @@ pub fn check_not_input(input: &Path, output: &Path, overwrite: Option<bool>) -> 
     }
     let hint = if overwrite.is_some() { ", or add --overwrite" } else { "" };
     if io::is_same_file(input, output) {
-        bail!("{}: is the input; write to another file{hint}", output.display());
+        bail!("{}: the output is the input; write to another file{hint}", output.display());
     }
     if io::is_read_only(output) {
-        bail!("{}: is read-only; write to another file{hint}", output.display());
+        bail!("{}: the file is read-only; write to another file{hint}", output.display());
     }
     Ok(())
 }
@@ -83,7 +83,7 @@ pub fn report_unit(input: &Path, cloud: &PointCloud) {
 /// Refuses to overwrite the settings file.
 pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
     if settings.is_some_and(|settings| io::is_same_file(settings, output)) {
-        bail!("{}: is the settings file; write to another file", output.display());
+        bail!("{}: the output is the settings file; write to another file", output.display());
     }
     Ok(())
 }
@@ -107,7 +107,7 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
         }
         return Ok(());
     }
-    let slip = if extent_m < 2.0 { "is the cloud in kilometres?" } else { "is the radius in millimetres?" };
+    let slip = if extent_m < 2.0 { "the cloud may be in kilometres" } else { "the radius may be in millimetres" };
     bail!(
         "{}: a radius of {radius_m} m is too large for a cloud {extent_m} m wide and would flatten everything \
          ({slip}); choose a smaller --radius in the file's unit, or add --force",

@@ -139,8 +139,10 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
     if let (Some(max), false) = (args.max, is_within) {
         let [only_a, only_b] = found.only_in;
         let reason = match only_a + only_b {
-            0 => format!("differ by more than {}", length(max, found.unit)),
-            only => format!("differ: {only} pixels are holes in only one of them, or a distance exceeds --max"),
+            0 => format!("the points differ by more than {}", length(max, found.unit)),
+            only => {
+                format!("the files differ: {only} pixels are holes in only one of them, or a distance exceeds --max")
+            }
         };
         errln!("{}: {reason}", names());
     }
@@ -233,5 +235,5 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
 
 fn missing_pose(input: &Path, poses: Option<&PathBuf>) -> String {
     let file = poses.map_or(String::new(), |file| file.display().to_string());
-    format!("{}: has no pose in {file}", input.display())
+    format!("{}: no pose for this cloud in {file}", input.display())
 }

@@ -69,7 +69,7 @@ pub fn run(args: &DemoArgs) -> Result<ExitCode> {
         let after = errors(&truth, &smoothed.points, normals, selected);
         print_row(near, far, before, after);
     }
-    outln!("\n  engine {}, {:.1} ms a frame", session.engine().unwrap_or_default().name(), times_ms[TIMED_RUNS / 2]);
+    outln!("\n  engine {}, {:.1} ms per frame", session.engine().unwrap_or_default().name(), times_ms[TIMED_RUNS / 2]);
     outln!("  {}: relief above, error below (white 0, colour 5 mm), before and after", picture.display());
     outln!("  raw.pcd and smoothed.pcd are in {}", args.out.display());
     Ok(ExitCode::SUCCESS)

@@ -71,7 +71,7 @@ fn print_text(Devices { cpu, gpus, auto }: &Devices) {
     if cfg!(not(feature = "gpu")) {
         outln!("gpu    not in this build (feature gpu)");
     } else if gpus.is_empty() {
-        outln!("gpu    none found; a driver for Vulkan, Metal or DirectX 12 is needed (on Linux also libvulkan.so.1)");
+        outln!("gpu    none found; install a driver for Vulkan, Metal or DirectX 12 (on Linux also libvulkan.so.1)");
     }
     outln!("auto   selects {}: {}", auto.engine, auto.reason);
 }

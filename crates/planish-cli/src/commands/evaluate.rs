@@ -148,14 +148,17 @@ fn on_general(args: &EvaluateArgs, file: &Path, cloud: &PointCloud) -> Result<Ex
         Some(result) => {
             let Contents::General(other) = read_measured(&args.memory, result)? else {
                 bail!(
-                    "{}: has a grid, but {} is an unorganized cloud; both must be unorganized",
+                    "{}: the cloud has a grid, but {} is an unorganized cloud; both must be unorganized",
                     result.display(),
                     file.display()
                 );
             };
             if other.len() != cloud.len() {
                 let counts = format!("{} points but {} has {}", other.len(), file.display(), cloud.len());
-                bail!("{}: has {counts}; both must contain the same points in the same order", result.display());
+                bail!(
+                    "{}: the cloud has {counts}; both must contain the same points in the same order",
+                    result.display()
+                );
             }
             let normals = normals_field(&other);
             (moved_to_origin(&other, cloud.origin_m), normals)
@@ -421,7 +424,7 @@ fn read_measured(memory: &MemoryArgs, file: &Path) -> Result<Contents> {
 /// Reads another program's result for a frame of the given shape: points and normals.
 fn result_in(args: &EvaluateArgs, file: &Path, (width, height): (usize, usize)) -> Result<(Xyz, Xyz)> {
     let Contents::Organized(cloud) = read_measured(&args.memory, file)? else {
-        bail!("{}: is not an organized cloud; results must keep each point on its pixel", file.display());
+        bail!("{}: not an organized cloud; results must keep each point on its pixel", file.display());
     };
     if (cloud.width(), cloud.height()) != (width, height) {
         bail!("{}: the size differs from the frame's; expected {width}x{height}", file.display());

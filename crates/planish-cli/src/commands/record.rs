@@ -61,8 +61,8 @@ impl Recorder {
             (Self::Tum(recorder), OwnedFrame::Depth(frame)) => Ok(recorder.add(frame)?),
             (Self::Tum(_), _) => {
                 bail!(
-                    "{source}: delivers clouds, which a data set in TUM layout cannot store; write a recording (.mcap) \
-                     instead"
+                    "{source}: the source delivers clouds, which a data set in TUM layout cannot store; write a \
+                     recording (.mcap) instead"
                 )
             }
             #[cfg(feature = "mcap")]
@@ -167,7 +167,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
         outln!("{frames} frames in {:.1} s, {} dropped -> {}", report.seconds, report.dropped, args.folder.display());
     }
     if frames == 0 {
-        errln!("{}: delivered no frames; nothing was recorded", args.source.name());
+        errln!("{}: the source delivered no frames; nothing was recorded", args.source.name());
     }
     let is_empty = frames == 0 && !stop.load(Ordering::Relaxed);
     Ok(if unreadable > 0 || is_empty { ExitCode::from(1) } else { ExitCode::SUCCESS })

@@ -27,7 +27,7 @@ pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
         outln!(
             "{path}: {} messages, {}",
             found.messages,
-            if found.was_whole { "complete already" } else { "complete now" }
+            if found.was_whole { "already complete" } else { "now complete" }
         );
         if found.dropped_bytes > 0 {
             outln!("  dropped {} bytes of incomplete data at the end", found.dropped_bytes);

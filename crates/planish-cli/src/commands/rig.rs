@@ -76,7 +76,7 @@ pub fn run(args: &RigArgs) -> Result<ExitCode> {
         describe(&rig);
         if let Some(out) = &args.out {
             let without = rig.cameras.iter().filter(|camera| camera.source.is_none()).count();
-            let sources = if without > 0 { "; add the source of each camera, then" } else { ";" };
+            let sources = if without > 0 { "; add the source of each camera, then run" } else { ";" };
             outln!("\nwritten to {}{sources} planish stream --rig {}", out.display(), out.display());
         }
     }
@@ -111,7 +111,7 @@ fn read_calibration(args: &RigArgs, file: &Path) -> Result<Rig> {
 fn describe(rig: &Rig) {
     let frame = rig.frame.as_ref().map_or(String::new(), |frame| format!(", in the frame {frame}"));
     outln!(
-        "{} cameras{frame}; time stamps within a moment differ by at most {:.0} ms",
+        "{} cameras{frame}; timestamps within a moment differ by at most {:.0} ms",
         rig.cameras.len(),
         1e3 * rig.tolerance_s
     );
@@ -129,8 +129,8 @@ fn describe(rig: &Rig) {
             "  {:<16} source {}, intrinsics {}, sensor {}",
             "",
             camera.source.as_deref().unwrap_or("none yet"),
-            intrinsics.as_deref().unwrap_or("its source's"),
-            sensor.unwrap_or("of the options")
+            intrinsics.as_deref().unwrap_or("from the source"),
+            sensor.unwrap_or("from the options")
         );
     }
     for Viewpoint { pose, camera, .. } in &rig.viewpoints {
@@ -274,7 +274,7 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
         .into_iter()
         .any(|source| folder.starts_with(&source) || picture.canonicalize().is_ok_and(|picture| picture == source))
     {
-        bail!("{}: is part of the input; give another name", picture.display());
+        bail!("{}: the picture would replace part of the input; choose another name", picture.display());
     }
     Ok(())
 }
@@ -303,7 +303,7 @@ fn open_sources(rig: &Rig, args: &SourceArgs, stop: &Arc<AtomicBool>) -> Result<
     }
     let open = |camera: &RigCamera| {
         let name = camera.source.as_deref();
-        let name = name.with_context(|| format!("camera {}: has no source; add \"source\"", camera.name))?;
+        let name = name.with_context(|| format!("camera {}: no source is set; add \"source\"", camera.name))?;
         let is_camera = source::is_camera(name);
         let options = camera
             .source_options()

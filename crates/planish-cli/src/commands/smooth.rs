@@ -419,8 +419,8 @@ impl Worker<'_> {
             let reason = match isolated {
                 0 => "every point became a hole, since none has enough neighbours; nothing is written",
                 _ => {
-                    "no point has enough neighbours to be smoothed; nothing is written (are the coordinates in metres? \
-                     see --unit)"
+                    "no point has enough neighbours to be smoothed; nothing is written. Check the unit of the \
+                     coordinates (--unit)"
                 }
             };
             return Err(NothingLeft(format!("{}: {reason}", input.display())).into());

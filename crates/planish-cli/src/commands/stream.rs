@@ -84,7 +84,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         bail!("{name} applies only to rigs; give --rig instead of a source");
     }
     if args.source.name().ends_with("rig.json") && Path::new(args.source.name()).is_file() {
-        bail!("{}: is a rig; run `planish stream --rig {0}`", args.source.name());
+        bail!("{}: the source is a rig; run `planish stream --rig {0}`", args.source.name());
     }
     let mut settings = args.smoothing.settings_with(&args.gpus)?;
     let mut outputs = outputs_of(&args.fields);
@@ -139,7 +139,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
     }
     let is_empty = args.save.is_some() && statistics.frames_out == 0 && !stop.load(Ordering::Relaxed);
     if is_empty {
-        errln!("{}: delivered no frames; nothing was written", args.source.name());
+        errln!("{}: the source delivered no frames; nothing was written", args.source.name());
     }
     let has_failed = statistics.failed_sinks + statistics.unreadable > 0 || is_empty;
     Ok(if has_failed { ExitCode::from(1) } else { ExitCode::SUCCESS })
@@ -205,7 +205,7 @@ fn print_report(report: &Report) {
         outln!("  {} frames without a pose in --poses, smoothed as if the camera stood still", report.without_pose);
     }
     if report.gaps > 0 {
-        outln!("  {} gaps in time, after each of which smoothing over time restarted", report.gaps);
+        outln!("  {} time gaps; smoothing over time restarted after each", report.gaps);
     }
     let LatencyMs { p50, p95, p99, max } = latency_ms;
     outln!("  from frame to result: {p50:.1} ms, 95 % within {p95:.1}, 99 % within {p99:.1}, all within {max:.1}");

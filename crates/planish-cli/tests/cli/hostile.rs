@@ -58,7 +58,7 @@ fn fields_of_one_name_and_long_names_are_refused_in_a_short_sentence() {
     fs::write(&pcd, pcd_with(&"q".repeat(5000), 1)).unwrap();
     refused_at_once(&["info", str(&pcd)]);
     fs::write(&pcd, format!("VERSION {}\n", "9".repeat(5000))).unwrap();
-    assert!(refused_at_once(&["info", str(&pcd)]).contains("0.5, 0.6 and 0.7"));
+    assert!(refused_at_once(&["info", str(&pcd)]).contains("0.5, 0.6 or 0.7"));
 
     let header = "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float x\n\
                   property float y\nproperty float z\nend_header\n";
@@ -239,13 +239,13 @@ fn read_only_files_are_replaced_only_with_overwrite_and_keep_their_owner() {
     fs::rename(&output, &picture).unwrap();
     let error = refused(&["render", str(&path), str(&picture)]);
     assert!(
-        error.contains("kept.png: is read-only; write to another file") && !error.contains("--overwrite"),
+        error.contains("kept.png: the file is read-only; write to another file") && !error.contains("--overwrite"),
         "{error}"
     );
     fs::rename(&picture, &output).unwrap();
     for command in ["smooth", "convert"] {
         let error = refused(&[command, str(&path), str(&output)]);
-        assert!(error.contains("kept.pcd: is read-only") && error.contains("--overwrite"), "{error}");
+        assert!(error.contains("kept.pcd: the file is read-only") && error.contains("--overwrite"), "{error}");
     }
     assert_eq!(fs::read(&output).unwrap(), b"precious");
     ok(&["smooth", str(&path), str(&output), "--overwrite"]);

@@ -16,7 +16,7 @@ fn inputs_that_make_no_sense_are_questioned_before_any_work() {
     let smooth = ["smooth", str(&depth), str(&output), "--camera"];
     for (options, reason) in [
         (&[camera.as_str(), "--depth-units-per-metre", "0.001"][..], "the inverse"),
-        (&[&camera, "--depth-units-per-metre", "10"], "unit of depth"),
+        (&[&camera, "--depth-units-per-metre", "10"], "check the depth unit"),
         (&["79.5,59.5,131.25,131.25"], "swapped"),
         (&[&format!("{fx},{fy},319.5,239.5")], "another size"),
     ] {

@@ -88,7 +88,7 @@ fn clouds_are_merged_by_their_poses() {
     let third = path("2.pcd");
     fs::copy(&a, &third).unwrap();
     let said = refused(&["merge", str(&a), str(&b), str(&third), "--poses", str(&log), "--out", str(&out)]);
-    assert!(said.contains("2.pcd: has no pose"), "{said}");
+    assert!(said.contains("2.pcd: no pose for this cloud"), "{said}");
 }
 
 #[test]

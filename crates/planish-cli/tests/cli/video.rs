@@ -70,7 +70,7 @@ fn poses_of_a_folder_are_read_and_checked() {
     let smooth = [&smooth[..], &["--poses", str(&poses)]].concat();
     let given = [&smooth[..], &["--temporal", "steady"]].concat();
     fs::write(&poses, (0..3).map(block).collect::<String>()).unwrap();
-    assert!(refused(&given).contains("has 3 poses without time stamps") && !smoothed.exists());
+    assert!(refused(&given).contains("has 3 poses without timestamps") && !smoothed.exists());
     fs::write(&poses, (0..4).map(block).collect::<String>()).unwrap();
     ok(&given);
     let by_time = folder.path().join("poses.txt");

@@ -88,7 +88,7 @@ impl Camera {
                 Err(FrameError::BadCamera(ParamError { field, value: value.to_string(), allowed }))
             }
         };
-        let focal_length = "0.001 to 1e12 pixels (if y points up in the data set, give its absolute value)";
+        let focal_length = "0.001 to 1e12 pixels (if y points up in the data set, use the absolute value)";
         within("fx", self.fx, 1e-3..=1e12, focal_length)?;
         within("fy", self.fy, 1e-3..=1e12, focal_length)?;
         within("depth_units_per_metre", self.depth_units_per_metre, 1e-6..=1e12, "1e-6 to 1e12, 1000 for millimetres")?;

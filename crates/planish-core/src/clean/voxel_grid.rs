@@ -182,7 +182,7 @@ impl Grid {
         let first: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.low[axis]));
         let last: [f64; 3] = std::array::from_fn(|axis| along(axis, bounds.high[axis]) - first[axis]);
         if last.iter().any(|&last| last >= MOST_ALONG_AXIS) {
-            return refuse("a size in metres of at least a 2-millionth of the cloud's extent");
+            return refuse("a size in metres of at least 1/2,097,152 of the cloud's extent");
         }
         Ok(Self { size_m, origin_m: cloud.origin_m, first, along: last.map(|last| last as u64 + 1) })
     }

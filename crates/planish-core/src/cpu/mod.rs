@@ -115,7 +115,7 @@ impl Kernel {
 fn level(simd: Option<SimdLevel>) -> Result<Level, EngineError> {
     let machine = Level::new();
     let Some(level) = simd else { return Ok(machine) };
-    let reason = || format!("this machine or build has no {}", level.name());
+    let reason = || format!("{} is not available on this machine or in this build", level.name());
     level.token(machine).ok_or_else(|| EngineError::Unavailable { engine: "cpu", reason: reason() })
 }
 

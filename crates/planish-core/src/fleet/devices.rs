@@ -44,7 +44,10 @@ impl FleetDevice {
             };
             for device in named {
                 if devices.contains(&device) {
-                    return Err(unavailable(format!("the device list '{list}' names {} twice", device.name(adapters))));
+                    return Err(unavailable(format!(
+                        "the device list '{list}' names {} twice; name each device once",
+                        device.name(adapters)
+                    )));
                 }
                 devices.push(device);
             }

@@ -139,7 +139,7 @@ impl<'a> PointsView<'a> {
         validate_shape(width, height)?;
         let row_bytes = (width - 1).checked_mul(layout.point_stride).and_then(|row| row.checked_add(point_end));
         let row_stride = if height == 1 { row_bytes.unwrap_or(usize::MAX) } else { layout.row_stride };
-        check_rows("points, in bytes,", bytes.len(), (row_bytes.unwrap_or(usize::MAX), height), row_stride)?;
+        check_rows("the byte buffer of points", bytes.len(), (row_bytes.unwrap_or(usize::MAX), height), row_stride)?;
         let view = Self::of(positions, width * height);
         if height > 1 { view.with_grid(width, height) } else { Ok(view) }
     }

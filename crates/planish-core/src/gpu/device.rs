@@ -296,7 +296,7 @@ impl GpuDevice {
             Ok(Ok(_)) => Ok(true),
             Ok(Err(wgpu::PollError::Timeout)) => Ok(false),
             Ok(Err(error)) => Err(self.lose(error)),
-            Err(_) => Err(self.lose("the driver has no more")),
+            Err(_) => Err(self.lose("wgpu panicked while waiting for the GPU")),
         }
     }
 

@@ -173,7 +173,7 @@ impl Gpu {
         let keys: HashSet<KernelKey> = InputKind::ALL.into_iter().flat_map(|kind| self.kernel_keys(kind)).collect();
         let all = adapter.devices.iter().flat_map(|gpu| keys.iter().map(move |&key| (gpu, key)));
         let compiled = on_a_thread_each(all, |(gpu, key)| gpu.kernel(key).map(drop));
-        let failed = || Err(self.gpu().failed("a kernel was not compiled"));
+        let failed = || Err(self.gpu().failed("a kernel could not be compiled"));
         compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))?;
         let all = adapter.devices.iter().flat_map(|gpu| InputKind::ALL.map(|kind| (gpu, kind)));
         all.into_iter().try_for_each(|(gpu, kind)| self.sigma_kernels(gpu, kind).map(drop))

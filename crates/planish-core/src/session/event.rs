@@ -132,14 +132,14 @@ impl fmt::Display for SessionEvent {
             }
             Self::Doubtful(doubt) => doubt.fmt(f),
             Self::CameraUnknown => f.write_str(
-                "the motion of the camera cannot be compensated, since the points fit no camera without distortion; \
+                "the camera's motion cannot be compensated, since the points do not match a camera without distortion; \
                  give the camera",
             ),
             // WebAssembly builds fill no holes.
             Self::NotFilled if ONE_THREAD => Ok(()),
-            Self::NotFilled => {
-                f.write_str("holes are not filled, since the points fit no camera without distortion; give the camera")
-            }
+            Self::NotFilled => f.write_str(
+                "holes are not filled, since the points do not match a camera without distortion; give the camera",
+            ),
             Self::TooLargeForGpu { error } => write!(f, "{error}; smoothed on the CPU"),
             Self::Reopening { error } => write!(f, "{error}; reopening the GPU"),
             Self::UsingCpu { error } => write!(f, "{error}; continuing with the CPU engine"),

@@ -264,13 +264,13 @@ impl Settings {
             );
         }
         if ONE_THREAD && self.even == Some(true) {
-            return contradiction("even", "true", "only outside a browser, whose module is kept small");
+            return contradiction("even", "true", "not available in the browser");
         }
         if !ONE_THREAD && self.tracks_camera() && self.temporal == Some(TemporalChoice::Off) {
             return contradiction("track", "true", "only with temporal=steady");
         }
         if ONE_THREAD && (self.temporal == Some(TemporalChoice::Steady) || self.tracks_camera()) {
-            return contradiction("temporal", "steady", "only outside a browser, whose module is kept small");
+            return contradiction("temporal", "steady", "not available in the browser");
         }
         let wants_frames = !ONE_THREAD && self.outputs.is_some_and(|outputs| outputs.frames);
         if wants_frames && self.temporal_params().is_none() {

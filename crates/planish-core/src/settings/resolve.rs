@@ -28,7 +28,7 @@ impl Settings {
                 Frame::Points(cloud) if self.chooses_neighbours() => {
                     let refused = |_| {
                         let value = threads.map_or(String::new(), |threads| threads.to_string());
-                        ParamError { field: "threads", value, allowed: "as many as the system can start" }
+                        ParamError { field: "threads", value, allowed: "a number of threads that the system can start" }
                     };
                     let decided = Decided { edges: self.edges, passes: self.passes };
                     // Shared threads do not survive a fork.
@@ -57,7 +57,7 @@ impl Settings {
     pub fn frame_params(&self) -> Result<FrameParams, ParamError> {
         self.validate()?;
         let sensor = self.known_sensor().ok_or_else(|| {
-            let allowed = "a named sensor, since there is no frame yet for an estimate (`planish info` reports the \
+            let allowed = "a named sensor, since no frame is available for an estimate (`planish info` reports the \
                            nearest sensor of a frame)";
             ParamError { field: "sensor", value: "auto".into(), allowed }
         })?;

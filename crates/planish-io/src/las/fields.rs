@@ -371,7 +371,8 @@ pub(super) fn encode_field(
     let values_a_point = if let Stored::Bytes(size) = stored { size } else { count };
     let out_of_range = || {
         FormatError::Unsupported(format!(
-            "field {} has values that LAS cannot store in it (negative, too large, or not integers); rename the field",
+            "field {} has values that the LAS field of this name cannot store (negative, too large, or not integers); \
+             rename the field",
             field.name
         ))
     };

@@ -81,7 +81,7 @@ impl Repaired {
             let has_offset = size >= TIME_OFFSET_AT + 2;
             let offset = if has_offset { i16::from_le_bytes(read_at(file, TIME_OFFSET_AT)?) } else { 0 };
             if u16::from_le_bytes(read_at(file, ENCODING)?) & TIME_OFFSET != 0 && offset != 0 {
-                repaired.notes.push(format!("the offset of its GPS times, {offset} million seconds, is not kept"));
+                repaired.notes.push(format!("the offset of its GPS times, {offset} million seconds, is dropped"));
             }
         }
         if u16::from_le_bytes(read_at(file, ENCODING)?) & WAVEFORMS != 0 {

@@ -131,7 +131,7 @@ impl<'a> Dict<'a> {
                 "descr" if descr.is_none() => descr = Some(self.descr()?),
                 "fortran_order" if is_fortran.is_none() => is_fortran = Some(self.boolean()?),
                 "shape" if shape.is_none() => shape = Some(self.shape()?),
-                _ => return Err(damaged("one each of 'descr', 'fortran_order' and 'shape'")),
+                _ => return Err(damaged("'descr', 'fortran_order' and 'shape', each once")),
             }
             if !self.eat(b',') {
                 self.require(b'}')?;
@@ -145,7 +145,7 @@ impl<'a> Dict<'a> {
         match descr {
             Descr::Number(descr) => {
                 let field = RecordField::of("", descr, 1).filter(|field| field.kind != 'V').ok_or_else(|| {
-                    let text = format!("the array has the type {}, which is not a number type", quoted(descr));
+                    let text = format!("the array has the type {}; expected integers or floats", quoted(descr));
                     FormatError::Unsupported(text)
                 })?;
                 let RecordField { kind, size, is_big_endian, .. } = field;
@@ -164,7 +164,8 @@ impl<'a> Dict<'a> {
             return self.text().map(Descr::Number);
         }
         if cfg!(not(feature = "more-formats")) {
-            let text = "an array of records, which this build does not include (planish's feature `more-formats`)";
+            let text =
+                "the array has records, which this build does not support; enable planish's feature `more-formats`";
             return Err(FormatError::Unsupported(text.into()));
         }
         let mut fields = Vec::new();
@@ -179,7 +180,8 @@ impl<'a> Dict<'a> {
             let count = shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n));
             let count = count.filter(|count| (1..=MAX_BYTES).contains(count));
             let field = count.and_then(|count| RecordField::of(name, descr, count)).ok_or_else(|| {
-                let text = format!("field {} has the type {}, which is not a number type", quoted(name), quoted(descr));
+                let text =
+                    format!("field {} has the type {}; expected integers or floats", quoted(name), quoted(descr));
                 FormatError::Unsupported(text)
             })?;
             fields.push(field);
@@ -234,7 +236,7 @@ impl<'a> Dict<'a> {
         self.0 = rest.strip_prefix(b"L").unwrap_or(rest);
         let number = std::str::from_utf8(number).ok().filter(|number| !number.is_empty());
         // Larger numbers become `usize::MAX`, which no file can contain.
-        number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("a shape of numbers"))
+        number.map(|number| number.parse().unwrap_or(usize::MAX)).ok_or_else(|| damaged("numbers in the shape"))
     }
 
     /// Parses a string in single or double quotes.
@@ -247,7 +249,7 @@ impl<'a> Dict<'a> {
             }),
             _ => None,
         };
-        text.and_then(|text| std::str::from_utf8(text).ok()).ok_or_else(|| damaged("a text between quotes"))
+        text.and_then(|text| std::str::from_utf8(text).ok()).ok_or_else(|| damaged("text in quotes"))
     }
 
     fn require(&mut self, byte: u8) -> Result<(), FormatError> {
@@ -307,10 +309,10 @@ mod tests {
             ("{".into(), "quotes"),
             ("{'descr': '<f4'}".into(), "'shape'"),
             (format!("{{'descr': '<f4', {shape}}} x"), "nothing after"),
-            (format!("{{'descr': '<f4', 'descr': '<f4', {shape}}}"), "one each"),
-            (format!("{{'descr': '|O', {shape}}}"), "not a number type"),
-            (format!("{{'descr': '<f9999999', {shape}}}"), "not a number type"),
-            (format!("{{'descr': [('x', '|O')], {shape}}}"), "not a number type"),
+            (format!("{{'descr': '<f4', 'descr': '<f4', {shape}}}"), "each once"),
+            (format!("{{'descr': '|O', {shape}}}"), "expected integers or floats"),
+            (format!("{{'descr': '<f9999999', {shape}}}"), "expected integers or floats"),
+            (format!("{{'descr': [('x', '|O')], {shape}}}"), "expected integers or floats"),
             (format!("{{'descr': [], {shape}}}"), "a record with a field"),
             ("{'descr': '<f4', 'fortran_order': Maybe".into(), "True or False"),
             ("{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}".into(), "numbers"),

@@ -146,7 +146,7 @@ fn of_table(
     let column = |k: usize| values.iter().skip(k).step_by(columns).copied().collect::<Vec<f64>>();
     let all: Vec<Vec<f64>> = (0..columns).map(column).collect();
     let names = guessed_names(&all.iter().map(Vec::as_slice).collect::<Vec<_>>(), false);
-    notes.push(format!("its {columns} columns are taken as {}", names.join(" ")));
+    notes.push(format!("its {columns} columns are read as {}", names.join(" ")));
     let typed = |(name, values): (String, Vec<f64>)| {
         let values: AttributeValues = match name.as_str() {
             "red" | "green" | "blue" => values.iter().map(|value| *value as u8).collect::<Vec<u8>>().into(),

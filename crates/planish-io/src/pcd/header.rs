@@ -220,7 +220,7 @@ impl<'a> Entries<'a> {
                 // Older versions lack some lines, COUNT or VIEWPOINT.
                 if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
                     let version = quoted(&values.join(" "));
-                    return malformed(format!("PCD version {version} is unknown; 0.5, 0.6 and 0.7 are supported"));
+                    return malformed(format!("unsupported PCD version {version}; expected 0.5, 0.6 or 0.7"));
                 }
             }
             // Versions up to 0.5 call the fields COLUMNS.
@@ -247,7 +247,7 @@ impl<'a> Entries<'a> {
                     "binary_compressed" => Encoding::BinaryCompressed,
                     _ => {
                         return malformed(format!(
-                            "DATA {} is unknown; ascii, binary and binary_compressed are supported",
+                            "unknown DATA {}; expected ascii, binary or binary_compressed",
                             quoted(&values.join(" "))
                         ));
                     }
@@ -274,7 +274,7 @@ impl<'a> Entries<'a> {
         for (i, &count) in counts.iter().enumerate() {
             let Some(scalar) = Scalar::parse(self.kinds[i], self.sizes[i]) else {
                 return malformed(format!(
-                    "field {} has TYPE {} and SIZE {}: I and U have 1, 2, 4 or 8 bytes, F has 4 or 8",
+                    "field {} has TYPE {} and SIZE {}; expected SIZE 1, 2, 4 or 8 for I and U, 4 or 8 for F",
                     quoted(self.fields[i]),
                     quoted(self.kinds[i]),
                     quoted(self.sizes[i])
@@ -282,7 +282,7 @@ impl<'a> Entries<'a> {
             };
             let count = number("COUNT", &[count])?;
             if count > 1 << 20 {
-                return malformed(format!("field {} has COUNT {count}; up to 2^20 is allowed", quoted(self.fields[i])));
+                return malformed(format!("field {} has COUNT {count}; expected at most 2^20", quoted(self.fields[i])));
             }
             // Skip fields without values.
             if count == 0 {

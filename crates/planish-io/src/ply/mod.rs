@@ -28,7 +28,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Gridded, FormatError> {
     let (header, at) = Header::read(bytes)?;
-    let Some(vertex) = header.element("vertex") else { return malformed("the PLY has no element vertex") };
+    let Some(vertex) = header.element("vertex") else { return malformed("the PLY has no vertex element") };
     for element in &header.elements {
         check_size(element, bytes.len())?;
         options.check(element.count, 8 * element.properties.len())?;
@@ -52,7 +52,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         }
         (Some(width), Some(height), None) => {
             return malformed(format!(
-                "num_cols x num_rows is {width} x {height}, but there are {} vertices and no range_grid",
+                "num_cols x num_rows is {width} x {height}, but the file has {} vertices and no range_grid",
                 vertex.count
             ));
         }

@@ -139,7 +139,8 @@ pub fn smooth_tiles(
     progress: &Progress,
 ) -> Result<TilesReport, Error> {
     if !are_tiled(input, output) {
-        let reason = "smoothing in tiles needs .las or .laz files, or .ply files, as input and output".to_owned();
+        let reason =
+            "smoothing in tiles needs an input and an output of the same kind: .las or .laz, or .ply".to_owned();
         return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
     }
     match Format::of_extension(input) {

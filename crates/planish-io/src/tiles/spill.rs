@@ -50,7 +50,8 @@ pub(super) struct TileFiles {
 pub(super) fn too_large(points: usize, record: usize, max_memory_bytes: u64) -> FormatError {
     let (allowed, whole) = (memory(max_memory_bytes), memory(points as u64 * bytes_a_point(record) + KIB - 1));
     FormatError::Unsupported(format!(
-        "a tile with its surrounding points exceeds the memory limit of {allowed}; raise it (the file needs {whole})"
+        "a tile with its surrounding points exceeds the memory limit of {allowed}; raise the limit (the whole file \
+         needs {whole})"
     ))
 }
 

@@ -86,7 +86,7 @@ impl Title {
             (None, Some(first @ 3..=MOST_UNNAMED)) => Ok(first),
             (None, None) if self.stated == Some(0) => Ok(3),
             (None, Some(first)) if first > MOST_UNNAMED => Err(FormatError::Malformed(format!(
-                "the first line has {first} numbers without column names; its line ends may be missing"
+                "the first line has {first} numbers but no column names; the file may lack line ends"
             ))),
             _ => Err(FormatError::Malformed("no line has three or more numbers; expected x, y and z".into())),
         }

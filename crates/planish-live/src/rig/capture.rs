@@ -238,7 +238,7 @@ impl State {
         if unmatched > 1 && !self.has_told_unmatched {
             self.has_told_unmatched = true;
             self.warnings.push_back(
-                "no time stamps of different cameras are within the tolerance; set time offsets (time_offset_s) or a \
+                "no timestamps of different cameras are within the tolerance; set time offsets (time_offset_s) or a \
                  larger tolerance (tolerance_ms), or \"clock\": \"arrival\" for live cameras with different clocks"
                     .to_owned(),
             );

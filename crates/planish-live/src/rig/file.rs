@@ -107,7 +107,7 @@ impl Rig {
     pub fn read(path: &Path) -> Result<Self, IoError> {
         let read = || {
             let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
-            let text = String::from_utf8(bytes).map_err(|_| malformed("not text"))?;
+            let text = String::from_utf8(bytes).map_err(|_| malformed("the file is not text; expected JSON"))?;
             parse(&text, &folder_of(path))
         };
         read().map_err(IoError::at(path))

@@ -206,7 +206,7 @@ impl Rig {
             if let Some(source) = camera.source.as_ref().filter(is_device)
                 && before.iter().any(|other| other.source.as_ref() == Some(source))
             {
-                let value = format!("{source} (of {:?})", camera.name);
+                let value = format!("{source} (camera {:?})", camera.name);
                 return bad(
                     "camera.source",
                     value,
@@ -269,8 +269,10 @@ impl RigCamera {
     }
 
     fn validate(&self) -> Result<(), ParamError> {
-        let of =
-            |problem: ParamError| ParamError { value: format!("{} (of {:?})", problem.value, self.name), ..problem };
+        let of = |problem: ParamError| ParamError {
+            value: format!("{} (camera {:?})", problem.value, self.name),
+            ..problem
+        };
         let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         let is_name = (1..=LONGEST_NAME).contains(&self.name.len())
             && !self.name.starts_with('.')

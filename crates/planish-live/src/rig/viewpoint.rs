@@ -37,10 +37,10 @@ impl Viewpoint {
         let valid = self.pose.validate().and_then(|()| self.camera.validate());
         valid.map_err(|error| match error {
             FrameError::BadPose(of) | FrameError::BadCamera(of) => {
-                ParamError { value: format!("{} (of viewpoint {index})", of.value), ..of }
+                ParamError { value: format!("{} (viewpoint {index})", of.value), ..of }
             }
             error => {
-                let value = format!("{error} (of viewpoint {index})");
+                let value = format!("{error} (viewpoint {index})");
                 ParamError {
                     field: "viewpoint.camera",
                     value,

@@ -109,6 +109,6 @@ pub(super) fn read_frame(file: &Path, camera: Option<Camera>, read: &ReadOptions
             cloud.camera = camera.map(of_shape).transpose()?;
             Ok(OwnedFrame::Cloud { cloud, timestamp_s: None })
         }
-        _ => Err(malformed(file, "is an unorganized cloud; a stream needs frames on a grid").into()),
+        _ => Err(malformed(file, "the cloud is unorganized; a stream needs frames on a grid").into()),
     }
 }

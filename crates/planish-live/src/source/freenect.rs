@@ -121,7 +121,7 @@ impl FreenectRecording {
             }
         }
         if files.is_empty() {
-            return Err(malformed(&index, "lists no depth images (d-*.pgm)").into());
+            return Err(malformed(&index, "the index lists no depth images (d-*.pgm)").into());
         }
         Ok(Self { files, camera, next: 0 })
     }

@@ -303,7 +303,7 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
     }
     if !path.is_dir() {
         let problem =
-            "no such file or folder; a source is kinect, realsense, openni2, synthetic, a data set, a folder or a file";
+            "no such file or folder; expected kinect, realsense, openni2, synthetic, a data set, a folder or a file";
         return Err(malformed(path, problem).into());
     }
     if path.join("INDEX.txt").is_file() {

@@ -113,7 +113,7 @@ fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
     const MAX_BYTES: u64 = 256 << 20;
     let bytes = io::read_bytes(list, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
     let bytes = bytes.map_err(|problem| IoError { path: list.to_path_buf(), problem })?;
-    let text = String::from_utf8(bytes).map_err(|_| malformed(list, "is not text"))?;
+    let text = String::from_utf8(bytes).map_err(|_| malformed(list, "the list is not text"))?;
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     Ok(lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect())
 }
@@ -121,7 +121,7 @@ fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
 fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| {
-        malformed(list, format!("'{word}' is not a time stamp; expected lines of the form: seconds file"))
+        malformed(list, format!("'{word}' is not a timestamp; expected lines of the form: seconds file"))
     })
 }
 

@@ -43,7 +43,7 @@ impl Sink for BagSink {
                 OwnedFrame::Depth(depth) => Some(depth.camera),
                 OwnedFrame::Cloud { cloud, .. } => cloud.camera,
             };
-            let camera = camera.ok_or(FrameError::MissingCamera { what: "depth as an output" })?;
+            let camera = camera.ok_or(FrameError::MissingCamera { what: "the output depth" })?;
             let (width, height) = (frame.smoothed.width, frame.smoothed.height);
             if let OwnedFrame::Depth(planish_core::DepthFrame { rgb: Some(rgb), .. }) = &frame.source {
                 writer.add_colour((width, height), rgb, timestamp_s)?;

@@ -162,7 +162,7 @@ fn run(
 ) -> Result<StreamStatistics, Error> {
     let live = source.is_live();
     if live && options.poses.as_ref().is_some_and(|poses| !poses.has_times()) {
-        let allowed = "poses need time stamps for a live source, which drops frames";
+        let allowed = "poses need timestamps for a live source, which drops frames";
         return Err(ParamError { field: "poses", value: "one per frame".into(), allowed }.into());
     }
     let mailbox = Arc::new(Mailbox::new(if live { Policy::NewestWins } else { Policy::Every(READ_AHEAD) }));
@@ -281,7 +281,7 @@ impl Running<'_> {
             }
             if self.left_out_in_a_row >= MOST_LEFT_OUT {
                 tell(StreamEvent::Warning(format!(
-                    "the stream ends, since {MOST_LEFT_OUT} frames in a row were unreadable or refused"
+                    "the stream stops after {MOST_LEFT_OUT} unreadable or refused frames in a row"
                 )));
                 break;
             }

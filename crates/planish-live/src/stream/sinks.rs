@@ -96,7 +96,7 @@ impl FolderSink {
     /// Writes depth, its colour and the lists of a data set.
     fn write_depth(&mut self, frame: &StreamFrame, name: &str) -> Result<(), Error> {
         let (width, height) = (frame.smoothed.width, frame.smoothed.height);
-        let missing = planish_core::FrameError::MissingCamera { what: "depth as an output" };
+        let missing = planish_core::FrameError::MissingCamera { what: "the output depth" };
         let raw = frame.smoothed.depth.clone().ok_or(missing)?;
         let file = format!("{name}.{}", self.format.extension());
         if frame.smoothed.status.is_some() {
@@ -163,7 +163,7 @@ impl Sink for FolderSink {
 const FRAMES_PER_SECOND: f64 = 30.0;
 
 /// Warning when a stream ends because all of its sinks have failed.
-pub(crate) const ALL_SINKS_FAILED: &str = "the stream ends, since every sink has failed";
+pub(crate) const ALL_SINKS_FAILED: &str = "the stream stops, since every sink has failed";
 
 /// Length of a sink's queue in results, a quarter of a second at 30 frames/s. When the queue is full, a live stream
 /// drops results, and any other stream waits.
@@ -230,12 +230,12 @@ impl<T: Send + Sync + 'static> SinkThread<T> {
             Err(TrySendError::Full(_)) => {
                 self.dropped += 1;
                 let is_first = !std::mem::replace(&mut self.warned, true);
-                is_first.then(|| format!("{}: is slower than the stream; frames are dropped", self.name))
+                is_first.then(|| format!("{}: the sink is slower than the stream; frames are dropped", self.name))
             }
             Err(TrySendError::Disconnected(_)) => {
                 self.frames = None;
-                let reason = self.reason().unwrap_or_else(|| "it ended".to_owned());
-                Some(format!("{}: stopped: {reason}", self.name))
+                let reason = self.reason().unwrap_or_else(|| "its thread ended".to_owned());
+                Some(format!("{}: the sink stopped: {reason}", self.name))
             }
         }
     }

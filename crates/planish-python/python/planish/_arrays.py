@@ -34,7 +34,7 @@ def as_array(given: Any) -> NDArray[Any]:
     if hasattr(given, "__dlpack_device__"):
         device, _ = given.__dlpack_device__()
         if int(device) not in _HOST_DEVICES:
-            warnings.warn("an array on a device is copied to the host before it is smoothed", stacklevel=4)
+            warnings.warn("the array is on a device; it is copied to the host before smoothing", stacklevel=4)
             given = given.cpu() if hasattr(given, "cpu") else given.get()
         if hasattr(given, "detach"):
             given = given.detach()
@@ -88,8 +88,8 @@ def as_frame(given: Any, camera: Camera | None) -> tuple[NDArray[Any], bool]:
         array = array.astype(np.float32)
     allowed = (np.uint16, np.float32) if is_depth else (np.float32, np.float64)
     if array.dtype.newbyteorder("=") not in allowed:
-        expected = "depth is uint16 (raw values), float32 or float64 (metres)" if is_depth else "points are float32 or float64"
-        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: {expected}")
+        expected = "depth must be uint16 (raw values), float32 or float64 (metres)" if is_depth else "points must be float32 or float64"
+        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed; {expected}")
     if 0 in array.shape and array.shape != (0, 3):
         raise ValueError(f"a frame of shape {list(array.shape)} has no pixels")
     if is_depth and camera is None:

@@ -56,7 +56,7 @@ class CudaSmoother:
         names = list(outputs) if not isinstance(outputs, str) else [outputs]
         unknown = [name for name in names if name not in CHANNELS]
         if unknown or not names:
-            raise ValueError(f"outputs: some of {', '.join(CHANNELS)} are expected, not {', '.join(unknown) or 'none'}")
+            raise ValueError(f"outputs: expected some of {', '.join(CHANNELS)}, not {', '.join(unknown) or 'none'}")
         self._camera = camera
         self._metres = metres
         given = {name: value for name, value in settings.items() if value is not None}

@@ -191,7 +191,7 @@ def write(
         return
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind != "f":
         raise ValueError(
-            f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: points [H, W, 3] or [N, 3], or depth [H, W] of uint16 or float32"
+            f"an array of {array.dtype} and shape {list(array.shape)} is not allowed; expected points [H, W, 3] or [N, 3], or depth [H, W] of uint16 or float32"
         )
     rows, origin, grid, flat, pose = _cloud(array, fields, pose)
     _planish.write_points(path, rows, origin, grid, flat, pose, encoding)

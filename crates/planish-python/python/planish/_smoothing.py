@@ -370,8 +370,8 @@ def _checked_outputs(outputs: Iterable[str]) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(outputs))
     unknown = [name for name in names if name not in _OUTPUTS]
     if unknown or not names:
-        found = f"{unknown[0]!r} is not allowed" if unknown else "none are given"
-        raise ValueError(f"outputs: {found}: {', '.join(_OUTPUTS)}")
+        found = f"{unknown[0]!r} is not allowed" if unknown else "none given"
+        raise ValueError(f"outputs: {found}; expected some of {', '.join(_OUTPUTS)}")
     return names
 
 
@@ -380,7 +380,7 @@ def _checked_pose(pose: Pose | None, name: str = "pose") -> tuple[float, ...] | 
         return None
     values = tuple(float(value) for value in pose)
     if len(values) != 7:
-        raise ValueError(f"{name}: 7 numbers are expected (x, y, z, qw, qx, qy, qz), not {len(values)}")
+        raise ValueError(f"{name}: expected 7 numbers (x, y, z, qw, qx, qy, qz), not {len(values)}")
     return values
 
 

@@ -190,9 +190,9 @@ def merge(
     if placed is not None and len(placed) != len(files):
         raise ValueError(f"poses: expected one per input ({len(files)}), not {len(placed)}")
     if placed is not None and any(len(pose) != 7 for pose in placed):
-        raise ValueError("poses: 7 numbers each are expected: x, y, z, qw, qx, qy, qz")
+        raise ValueError("poses: expected 7 numbers each: x, y, z, qw, qx, qy, qz")
     if placed is not None and any(abs(sum(value * value for value in pose[3:]) - 1.0) > 1e-3 for pose in placed):
-        raise ValueError("poses: unit quaternions qw, qx, qy, qz are expected")
+        raise ValueError("poses: expected unit quaternions qw, qx, qy, qz")
     points, notes = _planish.merge(files, output, placed, [] if encoding is None else [encoding])
     for note in notes:
         warnings.warn(f"{output}: {note}", RuntimeWarning, stacklevel=2)
@@ -326,7 +326,7 @@ def prepare(
     """
     array = _native(as_array(depth))
     if array.ndim != 2 or array.dtype != np.uint16:
-        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: depth [H, W] of uint16")
+        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed; expected depth [H, W] of uint16")
     given: dict[str, Any] = {"min_range_m": min_range_m, "max_range_m": max_range_m, "decimate": decimate}
     steps = {name: value for name, value in given.items() if value is not None}
     return _planish.prepare(np.ascontiguousarray(array), camera, {"remove_floating": remove_floating, "sensor": sensor, **steps})
@@ -335,5 +335,5 @@ def prepare(
 def _points(cloud: Any) -> NDArray[Any]:
     array = _native(as_array(cloud))
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind != "f":
-        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed: points [H, W, 3] or [N, 3]")
+        raise TypeError(f"an array of {array.dtype} and shape {list(array.shape)} is not allowed; expected points [H, W, 3] or [N, 3]")
     return array

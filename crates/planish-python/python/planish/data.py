@@ -57,7 +57,7 @@ class SmoothFrames:
         **settings: Any,
     ) -> None:
         if output not in ("depth", "points"):
-            raise ValueError(f'output = {output!r} is not allowed: "depth", "points"')
+            raise ValueError(f'output = {output!r} is not allowed; expected "depth" or "points"')
         self._columns = (column, result_column, error_column)
         self._output = output
         if settings.get("engine") == "gpu" and "adapter" not in settings and os.environ.get("CUDA_VISIBLE_DEVICES"):

@@ -101,7 +101,7 @@ impl Records {
             };
             let damage = match &next {
                 Ok(Next::End) => None,
-                Ok(Next::CutOff) => Some("ends in the middle of a record".to_owned()),
+                Ok(Next::CutOff) => Some("the recording ends in the middle of a record".to_owned()),
                 Err(error) => Some(error.to_string()),
                 _ => return next,
             };

@@ -133,7 +133,9 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
         )));
     }
     if !scan.has_header {
-        return Err(FormatError::Malformed("ends before its first record; nothing can be recovered".into()));
+        return Err(FormatError::Malformed(
+            "the recording ends before its first record; nothing can be recovered".into(),
+        ));
     }
     let tail = scan.tail(end.valid)?;
     // The file is changed only from here on.

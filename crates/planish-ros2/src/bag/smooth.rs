@@ -124,14 +124,17 @@ pub fn smooth_bag(
     }
     let names = || survey.topics.iter().map(|topic| &topic.name).chain(survey.others.iter().map(|topic| &topic.name));
     if let Some(taken) = options.points_topic.as_ref().filter(|topic| names().any(|name| name == *topic)) {
-        let problem =
-            FormatError::Unsupported(format!("already has a topic {taken}; choose another name for the clouds"));
+        let problem = FormatError::Unsupported(format!(
+            "the recording already has a topic {taken}; choose another name for the clouds"
+        ));
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     }
     if smoother.flags_origins() {
         let of_depth = chosen.iter().filter(|chosen| chosen.kind != MessageKind::PointCloud2);
         if let Some(taken) = of_depth.map(Chosen::origin_topic).find(|topic| names().any(|name| name == topic)) {
-            let text = format!("already has a topic {taken}, which shows filled pixels; smooth the original recording");
+            let text = format!(
+                "the recording already has a topic {taken}, which shows filled pixels; smooth the original recording"
+            );
             return Err(IoError { path: input.to_path_buf(), problem: FormatError::Unsupported(text) }.into());
         }
     }
@@ -192,11 +195,11 @@ pub fn smooth_bag(
             }
             Ok(Next::End) => break,
             Ok(Next::CutOff) if copy.done + copy.copied == 0 => {
-                let problem = FormatError::Malformed("ends before its first message".into());
+                let problem = FormatError::Malformed("the recording ends before its first message".into());
                 return Err(IoError { path: input.to_path_buf(), problem }.into());
             }
             Ok(Next::CutOff) => {
-                cut_off = Some("ends in the middle of a record".to_owned());
+                cut_off = Some("the recording ends in the middle of a record".to_owned());
                 break;
             }
             // Keep the messages that were read.
@@ -208,7 +211,7 @@ pub fn smooth_bag(
         }
     }
     let Some(mut writer) = writer else {
-        let problem = FormatError::Malformed("ends before its header".into());
+        let problem = FormatError::Malformed("the recording ends before its header".into());
         return Err(IoError { path: input.to_path_buf(), problem }.into());
     };
     writer.finish().map_err(|error| at_output(of_mcap(error)))?;

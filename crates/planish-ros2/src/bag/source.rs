@@ -54,7 +54,7 @@ impl BagSource {
         let chosen = survey.choose(path, &topics, camera_info_topic, camera.as_ref())?;
         let chosen = chosen.into_iter().next().ok_or_else(|| IoError {
             path: path.to_path_buf(),
-            problem: FormatError::Unsupported("has no topic to read".into()),
+            problem: FormatError::Unsupported("the recording has no topic to read".into()),
         })?;
         let records = Records::open(path, &options)?;
         Ok(Self {

@@ -134,7 +134,7 @@ impl Survey {
             let named = |name: &String| {
                 let topic =
                     self.topics.iter().find(|topic| topic.name == *name && topic.kind != MessageKind::CameraInfo);
-                topic.ok_or_else(|| refuse(format!("has no images or clouds on {name}; {}", self.told())))
+                topic.ok_or_else(|| refuse(format!("the recording has no images or clouds on {name}; {}", self.told())))
             };
             let mut known = BTreeSet::new();
             topics.iter().filter(|topic| known.insert(topic.as_str())).map(named).collect::<Result<_, _>>()?
@@ -143,8 +143,8 @@ impl Survey {
             let of_topic = self.camera_of(topic, camera_info_topic).map_err(refuse)?;
             if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
                 return Err(refuse(format!(
-                    "has no camera for {}: no CameraInfo on {} or in the frame of its images; name a topic with \
-                     --camera-info-topic, or give --camera FX,FY,CX,CY",
+                    "the recording has no camera for {}: no CameraInfo on {} or in the frame of its images; name a \
+                     topic with --camera-info-topic, or give --camera FX,FY,CX,CY",
                     topic.name,
                     beside(&topic.name)
                 )));
@@ -165,13 +165,16 @@ impl Survey {
                 (Some(only), None) => return Ok(only),
                 (Some(_), Some(_)) => {
                     let names: Vec<_> = found().map(|topic| topic.name.as_str()).collect();
-                    return Err(format!("has depth on several topics; choose one with --topic: {}", names.join(", ")));
+                    return Err(format!(
+                        "the recording has depth on several topics; choose one with --topic: {}",
+                        names.join(", ")
+                    ));
                 }
             }
         }
         let is_damaged = self.topics.iter().any(|topic| topic.encoding == DAMAGED);
         let hint = if is_damaged { "; name a topic with --topic to read beyond its first message" } else { "" };
-        Err(format!("has no depth images and no clouds; {}{hint}", self.told()))
+        Err(format!("the recording has no depth images and no clouds; {}{hint}", self.told()))
     }
 
     /// Returns the topics with depth that were not chosen and are copied unchanged.
@@ -185,8 +188,7 @@ impl Survey {
         let described: Vec<_> =
             self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
         match &described[..] {
-            [] => "the recording has no images or clouds as ROS 2 (CDR) or Foxglove (Protocol Buffers) messages"
-                .to_owned(),
+            [] => "expected images or clouds as ROS 2 (CDR) or Foxglove (Protocol Buffers) messages".to_owned(),
             all => format!("available are {}", all.join(", ")),
         }
     }
@@ -196,7 +198,9 @@ impl Survey {
         let of = |(topic, info): (&Topic, &CameraInfo)| (topic.name.clone(), info.clone());
         if let Some(named) = named {
             let found = cameras().find(|(topic, _)| topic.name == named).map(of);
-            return found.map(Some).ok_or_else(|| format!("has no CameraInfo on {named}; {}", self.told()));
+            return found
+                .map(Some)
+                .ok_or_else(|| format!("the recording has no CameraInfo on {named}; {}", self.told()));
         }
         let beside = beside(&topic.name);
         if let Some(found) = cameras().find(|(topic, _)| topic.name == beside) {
@@ -329,7 +333,9 @@ fn survey(path: &Path, options: &ReadOptions) -> Result<Survey, FormatError> {
         }
     }
     if is_cut_off && topics.is_empty() {
-        return Err(FormatError::Malformed("ends before its first message with an image, a cloud or a camera".into()));
+        return Err(FormatError::Malformed(
+            "the recording ends before its first message with an image, a cloud or a camera".into(),
+        ));
     }
     let Summary { channels: of_summary, schemas, messages, compression, .. } = summary.unwrap_or_default();
     let all = of_summary.values().chain(channels.all.values());

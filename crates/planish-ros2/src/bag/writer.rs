@@ -226,7 +226,7 @@ impl BagWriter {
         let stamp = Time::from_seconds(seconds).ok_or_else(|| {
             let allowed = "ROS 2 messages allow 0 to 2147483647 s";
             IoError::at(&self.path)(FormatError::Unsupported(format!(
-                "the time stamp {seconds} s is out of range; {allowed}"
+                "the timestamp {seconds} s is out of range; {allowed}"
             )))
         })?;
         Ok(Header { stamp, frame_id: FRAME_ID.into() })
@@ -279,7 +279,7 @@ impl Open {
     fn create(path: &Path) -> Result<Self, FormatError> {
         check_target(path)?;
         if path.is_symlink() {
-            return Err(FormatError::Unsupported("is a symbolic link; choose another name".into()));
+            return Err(FormatError::Unsupported("the path is a symbolic link; choose another name".into()));
         }
         let part = part_of(path);
         let file = OpenOptions::new().read(true).write(true).create_new(true).open(&part)?;

@@ -21,7 +21,7 @@ impl CameraInfo {
         let sent = ((columns / binning[0]) as usize, (rows / binning[1]) as usize);
         // A size of 0 means that the size is not stated.
         if sent != (width, height) && (columns, rows) != (0, 0) {
-            return Err(unusable(format!("is for {}x{} images, but this one is {width}x{height}", sent.0, sent.1)));
+            return Err(unusable(format!("is for {}x{} images, but the image is {width}x{height}", sent.0, sent.1)));
         }
         let has_projection = self.p[0] != 0.0 && self.p[5] != 0.0;
         let has_intrinsics = self.k[0] != 0.0 && self.k[4] != 0.0;

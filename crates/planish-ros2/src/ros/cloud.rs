@@ -46,7 +46,7 @@ impl PointCloud2 {
     pub fn view(&self) -> Result<PointsView<'_>, FormatError> {
         let layout = self.layout()?;
         if self.is_bigendian != cfg!(target_endian = "big") {
-            return Err(FormatError::Unsupported("the cloud has a byte order other than this machine's".into()));
+            return Err(FormatError::Unsupported("the cloud's byte order differs from this machine's".into()));
         }
         let view = PointsView::from_bytes(&self.data, layout, (self.width as usize, self.height as usize))?;
         Ok(match self.origin_m() {

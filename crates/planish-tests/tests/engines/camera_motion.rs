@@ -283,5 +283,5 @@ fn streams_take_poses_by_time_and_count_gaps_and_frames_without_a_pose() {
     assert_eq!((statistics.frames_out, statistics.gaps, statistics.without_pose), (6, 1, 2));
     std::fs::write(&file, "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
     assert_eq!(run(&file, false).unwrap().without_pose, 5);
-    assert!(run(&file, true).unwrap_err().to_string().contains("time stamps for a live source"));
+    assert!(run(&file, true).unwrap_err().to_string().contains("timestamps for a live source"));
 }

@@ -215,7 +215,7 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
     let out = folder.path().join("out.las");
     let options = TileOptions::new(parsed(BY_DENSITY), cpu(), 1 << 20);
     let error = smooth_tiles(&file, &out, &options, &Progress::default()).unwrap_err().to_string();
-    assert!(error.contains(".las or .laz files, or .ply files"), "{error}");
+    assert!(error.contains(".las or .laz, or .ply"), "{error}");
 }
 
 #[test]
@@ -305,7 +305,7 @@ fn what_cannot_be_smoothed_in_tiles_is_an_error_and_leaves_nothing() {
     let options =
         |engine, bytes| TileOptions::new(parsed(BY_DENSITY), SmootherOptions::new(engine, Outputs::ALL), bytes);
     let found = smooth(&input, &options(Engine::Cpu, 10_000));
-    let whole = format!("raise it (the file needs {} KiB)", needed.div_ceil(1 << 10));
+    let whole = format!("raise the limit (the whole file needs {} KiB)", needed.div_ceil(1 << 10));
     assert!(found.contains("a.las") && found.contains(&whole), "{found}");
     let found = smooth(&input, &options(Engine::Reference, needed / 3));
     assert!(found.contains("the CPU or GPU engine"), "{found}");
@@ -406,7 +406,7 @@ fn points_on_the_border_of_a_tile_and_far_away_ones_end_no_run() {
                 smoothed += 1;
             }
             Err(error) => {
-                assert!(error.to_string().contains("raise it"), "{error}")
+                assert!(error.to_string().contains("raise the limit"), "{error}")
             }
         }
     }

@@ -192,7 +192,7 @@ fn a_stream_whose_sinks_have_all_failed_ends_and_one_that_has_another_goes_on() 
     };
     let (moments, last) = of(vec![Box::new(Full)]);
     assert!(moments.frames_out < 200 && moments.failed_sinks == 1, "{moments:?}");
-    assert!(last.contains("the stream ends"), "{last}");
+    assert!(last.contains("the stream stops"), "{last}");
     let (moments, _) = of(vec![Box::new(Full), Box::new(Kept::default())]);
     assert_eq!((moments.frames_out, moments.failed_sinks), (200, 1));
 }

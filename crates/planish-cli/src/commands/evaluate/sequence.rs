@@ -63,7 +63,10 @@ pub fn evaluate(args: &EvaluateArgs, videos: SequenceArg) -> Result<ExitCode> {
     if let Some(input) =
         args.input.as_ref().filter(|input| input.is_file() && io::Format::of_extension(input).is_some())
     {
-        bail!("{}: is a single frame; --sequence needs a folder of frames, a data set or a recording", input.display());
+        bail!(
+            "{}: the input is a single frame; --sequence needs a folder of frames, a data set or a recording",
+            input.display()
+        );
     }
     for folder in [&args.out, &args.export].into_iter().flatten() {
         create_output_folder(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -136,13 +139,13 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
         poses.filter(|poses| !poses.has_times() && args.frames.is_none() && poses.len() as u64 != frames)
     {
         bail!(
-            "--poses has {} poses without time stamps, but {} has {frames} frames; give one pose per frame",
+            "--poses has {} poses without timestamps, but {} has {frames} frames; give one pose per frame",
             poses.len(),
             input.display()
         );
     }
     if evaluated.frames < 2 {
-        bail!("{}: has {} frames; a video needs at least 2", input.display(), evaluated.frames);
+        bail!("{}: the input has {} frames; a video needs at least 2", input.display(), evaluated.frames);
     }
     evaluated.finish(args, &input.display().to_string(), "video")
 }
@@ -292,7 +295,7 @@ impl Evaluated {
         let number = self.frames as usize;
         let mut others_m = Vec::new();
         for (name, files) in &self.others {
-            let file = files.get(number).with_context(|| format!("{name}: has no frame {number}"))?;
+            let file = files.get(number).with_context(|| format!("{name}: the result has no frame {number}"))?;
             others_m.push(depth_in(&self.memory, file, camera, raw_m.len())?);
         }
         let depth = |way: &Way| depth_of(&way.smoothed.points, &self.sensor_pose);
@@ -383,9 +386,8 @@ fn depth_of(points: &Xyz, sensor_pose: &SensorPose) -> Result<Vec<f32>> {
 fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usize) -> Result<Vec<f32>> {
     let depth_m: Vec<f32> = match read_measured(memory, file)? {
         Contents::Depth(image) => {
-            let camera = camera.with_context(|| {
-                format!("{}: the unit of depth is unknown; add --camera FX,FY,CX,CY", file.display())
-            })?;
+            let camera = camera
+                .with_context(|| format!("{}: the depth unit is unknown; add --camera FX,FY,CX,CY", file.display()))?;
             image.raw.iter().map(|&raw| camera.depth_m(raw)).collect()
         }
         Contents::DepthMetres { depth_m, .. } => depth_m,
@@ -397,7 +399,7 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
     let depth_m: Vec<f32> =
         depth_m.into_iter().map(|depth_m| if is_depth(&depth_m) { depth_m } else { f32::NAN }).collect();
     if depth_m.len() != len {
-        bail!("{}: has {} pixels, but the frames have {len}", file.display(), depth_m.len());
+        bail!("{}: the result has {} pixels, but the frames have {len}", file.display(), depth_m.len());
     }
     Ok(depth_m)
 }

@@ -85,7 +85,7 @@ pub fn show(args: &InfoArgs, file: &Path) -> Result<ExitCode> {
         print_topic(&format!("{topic}: {} of {type_name}", count(*messages)));
     }
     if info.topics.is_empty() {
-        outln!("  no ROS 2 messages in CDR with images, clouds or cameras");
+        outln!("  no images, clouds or cameras in ROS 2 messages (CDR)");
     }
     Ok(ExitCode::SUCCESS)
 }

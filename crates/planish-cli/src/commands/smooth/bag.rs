@@ -167,7 +167,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = printable_line(topic.first_failure.as_deref().unwrap_or_default());
         errln!(
-            "{}: copied unchanged because of errors: {}; the first: {first}",
+            "{}: {} copied unchanged because of errors; the first error: {first}",
             printable_line(&topic.topic),
             count(topic.failed, "message")
         );
@@ -299,6 +299,6 @@ fn holds_depth(name: &str, options: &SourceOptions, wants_depth: bool) -> Result
     }
     match failure {
         Some(error) => Err(error.into()),
-        None => bail!("{name}: has no frames"),
+        None => bail!("{name}: the input has no frames"),
     }
 }

@@ -68,7 +68,7 @@ pub(super) fn smooth_clouds(args: &SmoothArgs, input: &Path, settings: &Settings
         return Ok(Some(ExitCode::from(INTERRUPTED)));
     }
     if written == 0 {
-        bail!("{}: has no readable clouds", input.display());
+        bail!("{}: the recording has no readable clouds", input.display());
     }
     Ok(Some(if unreadable > 0 { ExitCode::from(1) } else { ExitCode::SUCCESS }))
 }

@@ -41,7 +41,7 @@ pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let frames = inputs.len();
     if let Some(poses) = trajectory.as_ref().filter(|poses| !poses.has_times() && poses.len() != frames) {
         bail!(
-            "--poses has {} poses without time stamps, but {} has {frames} frames; give one pose per frame",
+            "--poses has {} poses without timestamps, but {} has {frames} frames; give one pose per frame",
             poses.len(),
             args.input.display()
         );
@@ -176,7 +176,7 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
         bail!("{}: the folder has no frames (.pcd, .ply, .png, .tiff, .npy)", args.input.display());
     }
     if args.output.is_file() {
-        bail!("{}: is a file; the results of a folder need a folder", args.output.display());
+        bail!("{}: the output is a file; choose a folder for the results of a folder", args.output.display());
     }
     create_output_folder(&args.output)
         .with_context(|| format!("cannot create the folder {}", args.output.display()))?;
@@ -185,12 +185,12 @@ fn jobs(args: &SmoothArgs, inputs: Vec<PathBuf>) -> Result<Vec<Job>> {
     let originals: HashSet<PathBuf> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     let is_input = |output: &&PathBuf| output.canonicalize().is_ok_and(|output| originals.contains(&output));
     if let Some(output) = outputs.iter().find(is_input).filter(|_| !args.overwrite) {
-        bail!("{}: is one of the inputs; choose another folder, or add --overwrite", output.display());
+        bail!("{}: the output is one of the inputs; choose another folder, or add --overwrite", output.display());
     }
     if args.overwrite {
         io::replace_read_only_files();
     } else if let Some(output) = outputs.iter().find(|output| io::is_read_only(output)) {
-        bail!("{}: is read-only; choose another folder, or add --overwrite", output.display());
+        bail!("{}: the file is read-only; choose another folder, or add --overwrite", output.display());
     }
     let mut seen = HashMap::new();
     for (input, output) in inputs.iter().zip(&outputs) {

@@ -112,7 +112,7 @@ pub fn print_report(report: &Report) {
         String::new()
     };
     if let Some(tiles) = report.tiles {
-        return outln!("  {tiles} tiles, {:.1} s with reading and writing", 1e-3 * smooth_ms.median);
+        return outln!("  {tiles} tiles, {:.1} s including reading and writing", 1e-3 * smooth_ms.median);
     }
     outln!("  read {:.1} ms, smooth {:.2} ms{runs}, write {:.1} ms", report.read_ms, smooth_ms.median, report.write_ms);
 }

@@ -118,7 +118,7 @@ impl CudaSmoother {
         let view = if is_metres { DepthView::from_metres(&metres, camera) } else { DepthView::new(&raw, camera) };
         let frame = view?.into_frame()?;
         let Params::Frame(params) = settings.resolve(frame)?.params else {
-            return Err(FrameError::MissingCamera { what: "depth in CUDA's memory" }.into());
+            return Err(FrameError::MissingCamera { what: "depth in CUDA memory" }.into());
         };
         let mut plan = Plan::new(params, outputs, frame, &LIMITS).map_err(|error| named(error, &cuda.name))?;
         let mut head = plan.upload(frame)?;
@@ -440,31 +440,31 @@ fn check(settings: &Settings, camera: &Camera, outputs: Outputs) -> Result<(), E
         return refuse(
             "outputs",
             numbers.names().join(", "),
-            "points, normals, curvature and depth_m in CUDA's memory",
+            "points, normals, curvature and depth_m for frames in CUDA memory",
         );
     }
     if let Some(engine) = settings.engine.filter(|engine| !matches!(engine, Engine::Auto | Engine::Gpu)) {
-        return refuse("engine", engine.name().to_owned(), "gpu or auto in CUDA's memory");
+        return refuse("engine", engine.name().to_owned(), "gpu or auto for frames in CUDA memory");
     }
     if !settings.preparation().is_empty() {
         return refuse(
             "remove_floating",
             "a step before smoothing".into(),
-            "no step before smoothing in CUDA's memory",
+            "no preparation (remove_floating, min_range_m, max_range_m, decimate) for frames in CUDA memory",
         );
     }
     if let Some(width_px) = settings.fill {
-        return refuse("fill", width_px.to_string(), "no filling in CUDA's memory");
+        return refuse("fill", width_px.to_string(), "no filling for frames in CUDA memory");
     }
     if settings.temporal_params().is_some() {
-        return refuse("temporal", "steady".into(), "off in CUDA's memory");
+        return refuse("temporal", "steady".into(), "off for frames in CUDA memory");
     }
     if settings.estimates_sensor() {
-        return refuse("sensor", "auto".into(), "a sensor by its name in CUDA's memory");
+        return refuse("sensor", "auto".into(), "a named sensor, such as kinect1, for frames in CUDA memory");
     }
     if !camera.distortion.is_none() {
         let value = format!("{:?}", camera.distortion.coefficients());
-        return refuse("distortion", value, "none for depth in CUDA's memory: rectify the images first");
+        return refuse("distortion", value, "no distortion for frames in CUDA memory; rectify the images first");
     }
     Ok(())
 }

@@ -83,7 +83,7 @@ impl GeneralGpu {
         gpu.check_timestamps(options)?;
         // Kernels are compiled in parallel, because drivers compile on the calling thread.
         let compile = |pass| Compiled::new(&gpu, pass, &params, outputs, options.bounds_checks);
-        let failed = || Err(gpu.failed("a kernel was not compiled"));
+        let failed = || Err(gpu.failed("a kernel could not be compiled"));
         let compiled = on_a_thread_each(Pass::ALL, compile).into_iter();
         let kernels = compiled.map(|result| result.unwrap_or_else(|_| failed())).collect::<Result<_, _>>()?;
         // Unorganized clouds have no rays (docs/method.md, section 7).

@@ -80,7 +80,7 @@ pub fn read(path: &Path, options: &CalibrationOptions) -> Result<Rig, IoError> {
             return rig_of(colmap::model(path, options)?, None);
         }
         let bytes = io::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
-        let text = String::from_utf8(bytes).map_err(|_| malformed(format!("not text; {HELP}")))?;
+        let text = String::from_utf8(bytes).map_err(|_| malformed(format!("the file is not text; {HELP}")))?;
         parse(&text, options)
     };
     read().map_err(IoError::at(path))

@@ -55,7 +55,7 @@ impl Running<'_> {
         let all = self.rig.cameras.iter().zip(self.smoothed.iter().zip(&self.together));
         for (camera, _) in all.filter(|(_, (smoothed, together))| **smoothed > 1 && **together == 0) {
             tell(RigEvent::Warning(format!(
-                "camera {}: none of its frames matched another camera's, since time stamps differ by more than the \
+                "camera {}: none of its frames matched another camera's, since timestamps differ by more than the \
                  tolerance; set time_offset_s or tolerance_ms, or \"clock\": \"arrival\" for a live camera",
                 camera.name
             )));

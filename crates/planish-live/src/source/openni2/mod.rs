@@ -251,7 +251,7 @@ impl OpenNi2Source {
     fn over(&self) -> Result<Option<OwnedFrame>, Error> {
         match &self.recording {
             Some(_) if self.last_index.is_some() => Ok(None),
-            Some(file) => Err(malformed(file, "contains no depth that OpenNI2 can play").into()),
+            Some(file) => Err(malformed(file, "the recording contains no depth that OpenNI2 can play").into()),
             None => Err(DeviceError::Gone { what: format!("{} was disconnected", self.description) }.into()),
         }
     }
@@ -343,7 +343,9 @@ fn colour_stream(library: &'static Functions, device: Handle, depth: &Stream, is
 /// Adds the name of the recording to a device error.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
-        (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),
+        (Some(file), Error::Device(error)) => {
+            malformed(file, format!("the recording cannot be played: {error}")).into()
+        }
         (_, error) => error,
     }
 }

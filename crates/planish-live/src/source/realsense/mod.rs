@@ -196,13 +196,13 @@ impl RealSenseSource {
     fn timestamp_ms(&self, frame: &Owned) -> Result<f64, DeviceError> {
         // SAFETY: the frame outlives the call.
         let call = |f: &Functions, e| unsafe { (f.get_frame_timestamp)(frame.get(), e) };
-        self.library.call("a frame has no time stamp", call)
+        self.library.call("a frame has no timestamp", call)
     }
 
     /// Returns depth and colour as one frame; `None` if depth cannot be aligned because colour has not arrived yet.
     fn frame_from(&mut self, frames: Owned) -> Result<Option<OwnedFrame>, Error> {
         let library = self.library;
-        let what = "a frame of depth cannot be read";
+        let what = "a depth frame cannot be read";
         let Some(depth) = library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
         // SAFETY: the frame outlives the call.
         let units = |f: &Functions, e| unsafe { (f.depth_frame_get_units)(depth.get(), e) };
@@ -302,7 +302,7 @@ impl RealSenseSource {
     fn empty(&self) -> Error {
         let file = self.recording.as_deref().unwrap_or(Path::new(""));
         let what = if self.aligner.is_some() { "no depth with matching colour" } else { "no depth" };
-        malformed(file, format!("contains {what}, or is damaged{}", self.advice())).into()
+        malformed(file, format!("the recording contains {what}, or is damaged{}", self.advice())).into()
     }
 
     /// Returns the error for a source that has been silent for too long.
@@ -398,7 +398,9 @@ pub unsafe fn start_realsense(
 /// Adds the name of the recording to a device error.
 fn named(recording: Option<&Path>, error: Error) -> Error {
     match (recording, error) {
-        (Some(file), Error::Device(error)) => malformed(file, format!("cannot be played: {error}")).into(),
+        (Some(file), Error::Device(error)) => {
+            malformed(file, format!("the recording cannot be played: {error}")).into()
+        }
         (_, error) => error,
     }
 }

@@ -262,7 +262,7 @@ fn the_number_of_columns_of_a_lidar_s_bin_is_found_or_asked_for() {
     ] {
         let (cloud, notes) = cloud_as("a.bin", &bytes);
         assert_eq!((cloud.len(), names(&cloud).join(" ").as_str()), (points, expected));
-        assert!(notes[0].contains("columns are taken as x y z"), "{notes:?}");
+        assert!(notes[0].contains("columns are read as x y z"), "{notes:?}");
         assert_eq!(written(&cloud, "out.bin"), bytes, "{expected}");
     }
     // Waymo's points, converted by mmdetection3d, have intensity, elongation and time.
