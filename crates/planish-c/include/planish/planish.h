@@ -36,16 +36,16 @@
 // Depth in metres; values that are not finite or not positive are holes.
 #define PLANISH_DEPTH_F32 2
 
-// Interleaved points of float in metres; points that are not finite are holes.
+// Interleaved points as float in metres; points that are not finite are holes.
 #define PLANISH_POINTS_F32 3
 
-// Interleaved points of double in metres; points that are not finite are holes.
+// Interleaved points as double in metres; points that are not finite are holes.
 #define PLANISH_POINTS_F64 4
 
-// Points as three arrays of float: x, y and z in metres; points that are not finite are holes.
+// Points as three arrays of float, x, y and z, in metres; points that are not finite are holes.
 #define PLANISH_PLANES_F32 5
 
-// Points as three arrays of double: x, y and z in metres; points that are not finite are holes.
+// Points as three arrays of double, x, y and z, in metres; points that are not finite are holes.
 #define PLANISH_PLANES_F64 6
 
 // The smoothed points.
@@ -69,7 +69,7 @@
 // Depth in metres.
 #define PLANISH_DEPTH_M 64
 
-// Effective number of frames of a video in each pixel.
+// Effective number of video frames averaged into each pixel.
 #define PLANISH_FRAMES 128
 
 // Standard error of each point along its ray, in metres.
@@ -102,7 +102,7 @@
 // A filled hole: nothing was measured here.
 #define PLANISH_STATUS_FILLED 8
 
-// Smooths depth images of one camera in CUDA's memory.
+// A smoother for depth images of one camera in CUDA device memory.
 typedef struct planish_cuda planish_cuda;
 
 // A result that the library owns.
@@ -145,7 +145,7 @@ typedef struct planish_camera {
 typedef struct planish_view {
   // Number of columns, or of points without a grid.
   size_t width;
-  // Rows; 1 for points without a grid.
+  // Number of rows; 1 for points without a grid.
   size_t height;
   // x, y and z of the smoothed points in metres.
   const float *points[3];
@@ -161,7 +161,7 @@ typedef struct planish_view {
   const uint16_t *depth;
   // Depth in metres.
   const float *depth_m;
-  // Effective number of frames of a video.
+  // Effective number of video frames averaged into each pixel.
   const float *frames;
   // Standard error along the ray, in metres.
   const float *sigma;
@@ -186,15 +186,15 @@ typedef struct planish_frame {
   size_t point_stride;
   // Bytes from the beginning of an interleaved point to its x, y and z; all 0 if they come first.
   size_t offsets[3];
-  // The arrays of x, y and z of PLANISH_PLANES_F32 and PLANISH_PLANES_F64, without gaps.
+  // For PLANISH_PLANES_F32 and PLANISH_PLANES_F64: the arrays of x, y and z, without gaps.
   const void *planes[3];
-  // The camera of a depth image. Optional for points on a grid, whose depth outputs need it.
+  // The camera, required for depth images. For points on a grid, it is required only for depth outputs.
   const struct planish_camera *camera;
   // The sensor pose in the coordinate frame of the points: x, y, z in metres, then a quaternion w, x, y, z. Null
   // if unknown; ignored for depth images.
   const double *pose;
-  // x, y, z of an origin near the points in metres; results are relative to it. Null means (0, 0, 0).
-  // Georeferenced points need an origin.
+  // An origin near the points: x, y, z in metres. Results are relative to it. Null means (0, 0, 0). Georeferenced
+  // points need an origin.
   const double *origin_m;
   // Colours of a depth image: red, green and blue of each pixel, without gaps. Null if there are none.
   const uint8_t *rgb;
@@ -228,13 +228,13 @@ typedef struct planish_output {
   uint16_t *depth;
   // Depth in metres; needs a camera.
   float *depth_m;
-  // Effective number of frames of a video in each pixel; needs the setting temporal.
+  // Effective number of video frames averaged into each pixel; needs the setting temporal.
   float *frames;
   // Standard error of each point along its ray, in metres; needs a grid.
   float *sigma;
-  // The first point of an array of structs with the same stride, such as the input: the bytes after each point, up
-  // to the next one, are copied to the result. Both arrays must have `count` times `points_stride` bytes, and
-  // nothing else may be written into the gaps. Null leaves them unchanged.
+  // The first point of an array of structs whose stride is also points_stride, such as the input. The bytes from
+  // the end of each point to the next point are copied to the result. Both arrays must have `count` times
+  // `points_stride` bytes, and no other output may be in the gaps. Null leaves the gaps unchanged.
   const float *gaps_from;
 } planish_output;
 
@@ -253,10 +253,10 @@ typedef struct planish_output {
 // The engine cannot be opened, or it failed.
 #define PLANISH_ENGINE 4
 
-// Another thread is using the session.
+// Another thread is using the session or the CUDA smoother.
 #define PLANISH_BUSY 5
 
-// The handle is not a session or result, or was freed.
+// The handle does not exist, or was freed.
 #define PLANISH_HANDLE 6
 
 // planish_session_stop ended the call.
@@ -269,34 +269,36 @@ typedef struct planish_output {
 extern "C" {
 #endif // __cplusplus
 
-// Makes a smoother for depth images of one camera in CUDA's memory: PLANISH_DEPTH_U16 in the camera's units or
-// PLANISH_DEPTH_F32 in metres. Takes the settings of planish_session_new; outputs may be points, normals, curvature
-// and depth_m. With engine=gpu, adapter is the number or a part of the name of a CUDA device; the default is the
-// current one. Needs NVRTC, CUDA's compiler, which is loaded at run time.
+// Creates a smoother for depth images of one camera in CUDA device memory. `kind` is PLANISH_DEPTH_U16 (depth in the
+// camera's units) or PLANISH_DEPTH_F32 (depth in metres). `settings` has the form described at planish_session_new;
+// its outputs may be points, normals, curvature and depth_m. With engine=gpu, adapter is the index or a part of the
+// name of a CUDA device; the default is the current device. Requires NVRTC, CUDA's compiler, which is loaded at run
+// time.
 planish_code planish_cuda_new(const char *settings,
                               const struct planish_camera *camera,
                               uint32_t kind,
                               struct planish_cuda **cuda);
 
-// Smooths an image whose rows begin every `row_stride` bytes, on a stream (a cudaStream_t; null is the default one),
-// and returns at once. Both addresses are in device memory and must stay valid until the stream has used them.
-// `result` has a plane of floats for each channel of the outputs: x, y and z of points, then of normals, then
-// curvature, depth_m.
+// Starts smoothing an image on a stream (a cudaStream_t; null means the default stream) and returns without waiting.
+// The rows of the image begin `row_stride` bytes apart. `depth` and `result` are addresses in device memory, which
+// must stay valid until the stream has finished this work. `result` receives one plane of floats per channel of the
+// outputs: x, y and z of points, then of normals, then curvature, depth_m.
 planish_code planish_cuda_smooth(struct planish_cuda *cuda,
                                  const void *depth,
                                  size_t row_stride,
                                  float *result,
                                  void *stream);
 
-// Hands an image over as planish_cuda_smooth does; its result is received later, in the same order. Up to 16 may be in
-// flight. Images that are handed over before the first result is received are smoothed together, in less time for
-// each.
+// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the
+// order of submission. At most 16 images can be in flight. Images that are submitted before the first call of
+// planish_cuda_receive are smoothed together, which takes less time per image.
 planish_code planish_cuda_submit(struct planish_cuda *cuda, const void *depth, size_t row_stride, void *stream);
 
-// Smooths the images that were handed over, and copies the oldest result; `received` is false if none is in flight.
+// Smooths the submitted images and copies the oldest result to `result`. `received` becomes false if no image is in
+// flight.
 planish_code planish_cuda_receive(struct planish_cuda *cuda, float *result, void *stream, bool *received);
 
-// Returns the number of channels of a result.
+// Writes the number of channels of a result to `channels`.
 planish_code planish_cuda_channels(const struct planish_cuda *cuda, size_t *channels);
 
 // Waits for the stream, then frees the smoother. Null is allowed.
@@ -326,10 +328,10 @@ planish_code planish_session_free(struct planish_session *session);
 // Sets a setting from text, such as "sensor" to "d435". An empty value restores the default.
 planish_code planish_session_set(struct planish_session *session, const char *name, const char *value);
 
-// Sets a setting that is a number, such as "radius_m".
+// Sets a numeric setting, such as "radius_m".
 planish_code planish_session_set_number(struct planish_session *session, const char *name, double value);
 
-// Sets a setting that is true or false, such as "remove_isolated".
+// Sets a boolean setting, such as "remove_isolated".
 planish_code planish_session_set_bool(struct planish_session *session, const char *name, bool value);
 
 // Writes the settings as JSON with a terminating zero, truncated to `capacity` bytes. `length` receives the length
@@ -346,13 +348,13 @@ planish_code planish_session_engine(const struct planish_session *session,
                                     size_t capacity,
                                     size_t *length);
 
-// Takes the next event, a sentence about something that the session decided or detected by itself, such as a lost
-// GPU or a camera that does not fit. `length` becomes 0 if there is no event. An event that is longer than the
-// buffer is truncated and remains the next one.
+// Writes the next event and removes it from the queue. An event is a sentence about something that the session
+// decided or detected by itself, such as a lost GPU or a camera that does not fit. `length` becomes 0 if there is no
+// event. An event that is longer than the buffer is truncated and stays in the queue.
 planish_code planish_next_event(struct planish_session *session, char *buffer, size_t capacity, size_t *length);
 
 // Stops another thread's smoothing of an unorganized cloud with this session; its call returns PLANISH_STOPPED.
-// Frames on a grid take too little time to be stopped.
+// Calls with frames on a grid are too short to be stopped.
 planish_code planish_session_stop(const struct planish_session *session);
 
 // Starts a new video: earlier frames have no effect on the next one.
@@ -362,8 +364,8 @@ planish_code planish_session_restart_video(struct planish_session *session);
 // y, z. Null means that the pose is unknown.
 planish_code planish_session_set_camera_pose(struct planish_session *session, const double *pose);
 
-// Writes the number of columns and rows of the result for a frame of this size. Only the setting decimate makes them
-// smaller than the frame's.
+// Writes the width and height of the result for a frame of the given width and height. They are smaller than the
+// frame's only with the setting decimate.
 planish_code planish_output_shape(const struct planish_session *session,
                                   size_t width,
                                   size_t height,
@@ -390,7 +392,7 @@ planish_code planish_submit(struct planish_session *session, const struct planis
 // Waits for the oldest frame in flight and writes its result. `received` becomes false if no frame is in flight.
 planish_code planish_receive(struct planish_session *session, const struct planish_output *output, bool *received);
 
-// Writes the number of frames in flight and their maximum number.
+// Writes the number of frames in flight to `in_flight` and the maximum number to `most`.
 planish_code planish_in_flight(const struct planish_session *session, size_t *in_flight, size_t *most);
 
 #ifdef __cplusplus
