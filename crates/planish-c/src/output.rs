@@ -140,6 +140,12 @@ impl Wanted {
             if output.points.is_null() {
                 return failure(PLANISH_ARGUMENT, "gaps_from is set, but the output has no buffer for points");
             }
+            if stride < 12 {
+                return failure(
+                    PLANISH_ARGUMENT,
+                    format!("gaps_from needs a points_stride of at least 12, not {stride}"),
+                );
+            }
             // The gaps are read and written too.
             extents[0] = Extent::new("the buffer for points", output.points, align, (stride, stride, count))?;
             read.push(Extent::new("gaps_from", output.gaps_from, align, (stride, stride, count))?);

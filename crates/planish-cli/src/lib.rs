@@ -80,12 +80,13 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
             error.exit();
         }
         // The message quotes the arguments. Line breaks in them must not look like line breaks of the message.
-        let message = arguments
-            .iter()
-            .filter_map(|argument| argument.to_str())
-            .fold(error.render().to_string(), |message, argument| {
-                message.replace(argument, &planish::io::printable_line(argument))
-            });
+        let message = arguments.iter().fold(error.render().to_string(), |message, argument| {
+            let argument = argument.to_string_lossy();
+            // It may quote the value of an option alone.
+            let value = argument.split_once('=').map_or(&*argument, |(_, value)| value);
+            let message = message.replace(&*argument, &planish::io::printable_line(&argument));
+            message.replace(value, &planish::io::printable_line(value))
+        });
         message.lines().for_each(|line| errln!("{line}"));
         std::process::exit(error.exit_code());
     });

@@ -94,7 +94,7 @@ impl<'a> StridedMut<'a> {
     pub fn set(&mut self, i: usize, value: [f32; 3]) {
         let to = self.at(i);
         if let Some(gaps) = self.gaps {
-            // SAFETY: `stride` values are valid from this vector on, in both buffers.
+            // SAFETY: in both buffers, `stride` valid values begin at this vector.
             unsafe { copy_values(gaps.add(i * self.stride), to.cast(), self.stride) };
         }
         // SAFETY: the vector is valid for writes, and nothing else accesses it.

@@ -77,15 +77,23 @@ pub fn create_output_folder(folder: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
+/// Appends text to a file, which is created if it does not exist. Fails if the file is a link in an output folder.
+pub fn append_to(path: &Path, text: &str) -> FormatResult<()> {
+    check_links(path)?;
+    let mut file = fs::OpenOptions::new().create(true).append(true).open(path)?;
+    Ok(file.write_all(text.as_bytes())?)
+}
+
 /// Returns an error if a path in an output folder leads through a link.
 fn check_links(path: &Path) -> FormatResult<()> {
     let folders: Vec<PathBuf> =
         known().folders.iter().flatten().filter(|folder| path.starts_with(folder)).cloned().collect();
     for folder in folders {
-        let stays_within = folder_of(path).canonicalize()?.starts_with(folder.canonicalize()?);
-        if path.is_symlink() || !stays_within {
-            let text =
-                "the path is a link, and files in an output folder are not written through links; remove the link";
+        // A missing folder is reported later.
+        let (Ok(within), Ok(folder)) = (folder_of(path).canonicalize(), folder.canonicalize()) else { continue };
+        if path.is_symlink() || !within.starts_with(folder) {
+            let text = "the path leads through a link, and files in an output folder are not written through links; \
+                        remove the link";
             return Err(FormatError::Unsupported(text.into()));
         }
     }

@@ -111,7 +111,7 @@ pub use write::{
 /// Items for planish's other crates and tests; they may change with every version.
 #[doc(hidden)]
 pub mod internal {
-    pub use crate::atomic_write::{AtomicFile, check_target, create_output_folder};
+    pub use crate::atomic_write::{AtomicFile, append_to, check_target, create_output_folder};
     pub use crate::camera_file::{colmap_camera, read_text as camera_text};
     pub use crate::columns::{cloud_from_columns, columns_from_cloud, with_values};
     pub use crate::depth_png::{decode as decode_depth_png, encode as encode_depth_png};

@@ -148,7 +148,8 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
             let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
             let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
             // Numbers beyond the range of f32 are parsed as infinite.
-            let values = values.filter(|values| values.iter().all(|value| !value.is_infinite()));
+            let has_word = || line.contains(['i', 'I']);
+            let values = values.filter(|values| values.iter().all(|value| !value.is_infinite()) || has_word());
             let text = || format!("line {number}: a vertex needs three numbers of at most 3.4e38");
             values.ok_or_else(|| FormatError::Malformed(text()))
         };

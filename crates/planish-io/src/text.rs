@@ -71,7 +71,7 @@ impl<'a> Body<'a> {
             let (_, line) = self.line()?;
             let (before, left) = (words, values - words % values);
             for word in line.split_ascii_whitespace() {
-                push(&mut columns.get_mut(*slots.get(words % values)?)?.values, word)?;
+                push_to(columns.get_mut(*slots.get(words % values)?)?, word)?;
                 words += 1;
             }
             // Either a point spans several lines, or a line has several points. Otherwise, a value is missing or
@@ -103,23 +103,30 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
     for column in columns {
         for _ in 0..column.count {
             let word = words.next().ok_or_else(|| format!("fewer than {values} values"))?;
-            push(&mut column.values, word)
+            push_to(column, word)
                 .ok_or_else(|| format!("{} is not a value of field {}", quoted(word), quoted(&column.name)))?;
         }
     }
     if words.next().is_some() { Err(format!("more than {values} values")) } else { Ok(()) }
 }
 
+/// Appends a value to a column; `None` if the word is not of its type, or if a coordinate such as 1e39 is too large for
+/// it and would become a hole.
+fn push_to(column: &mut Attribute, word: &str) -> Option<()> {
+    push(&mut column.values, word)?;
+    let is_infinite = match &column.values {
+        AttributeValues::F32(values) => values.last().is_some_and(|value| value.is_infinite()),
+        AttributeValues::F64(values) => values.last().is_some_and(|value| value.is_infinite()),
+        _ => false,
+    };
+    let is_axis = || ["x", "y", "z"].iter().any(|axis| column.name.eq_ignore_ascii_case(axis));
+    (!is_infinite || !word.contains(|c: char| c.is_ascii_digit()) || !is_axis()).then_some(())
+}
+
 /// Parses a word and appends its value; `None` if the word is not of the column's type.
 fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
     if push_plain(values, word).is_some() {
-        let is_infinite = match values {
-            AttributeValues::F32(values) => values.last().is_some_and(|value| value.is_infinite()),
-            AttributeValues::F64(values) => values.last().is_some_and(|value| value.is_infinite()),
-            _ => false,
-        };
-        // 1e39 is too large for f32, and must not become a hole.
-        return (!is_infinite || !word.contains(|c: char| c.is_ascii_digit())).then_some(());
+        return Some(());
     }
     // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs write integers as 255.0.
     let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));

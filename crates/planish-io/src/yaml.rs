@@ -17,7 +17,10 @@ pub fn parse_yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 /// at the beginning of a line.
 fn nesting(text: &str) -> usize {
     let (mut depth, mut deepest) = (0usize, 0);
-    for c in text.chars() {
+    // Brackets in comments may be unbalanced, as in "[0, 1)".
+    let without_comment = |line: &'_ str| line.split(" #").next().map_or(0, str::len);
+    let lines = text.lines().filter(|line| !line.trim_start().starts_with('#'));
+    for c in lines.flat_map(|line| line[..without_comment(line)].chars()) {
         match c {
             '[' | '{' => depth += 1,
             ']' | '}' => depth = depth.saturating_sub(1),
@@ -46,6 +49,8 @@ mod tests {
         }
         let value: Value = parse_yaml("cameras:\n  - - [1, [2, {a: 3}]]\n    - 4\n").unwrap();
         assert_eq!(value["cameras"][0][0][1][1]["a"], 3);
+        let comments = "# range [0, 1)\n".repeat(100) + "b: 2 # within [0, 3)\n";
+        assert_eq!(parse_yaml::<Value>(&comments).unwrap()["b"], 2);
         let indented = format!("a:\n{}- b: 1\n", " ".repeat(200));
         assert_eq!(parse_yaml::<Value>(&indented).unwrap()["a"][0]["b"], 1);
         // Brackets within text need not match.

@@ -130,7 +130,11 @@ Checked smooth(Session &session, const pcl::PointCloud<PointT> &cloud, pcl::Poin
   }
   if (status) output.status(status->data());
   Result done = session.try_smooth(detail::frame_of(cloud), output);
-  if (done) detail::put_curvature(smoothed, curvature);
+  if (done) {
+    detail::put_curvature(smoothed, curvature);
+  } else {
+    smoothed.points = cloud.points;
+  }
   return detail::checked(std::move(done));
 }
 

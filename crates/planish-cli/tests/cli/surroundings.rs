@@ -48,7 +48,11 @@ fn links_in_an_output_folder_are_not_followed() {
 fn names_with_line_breaks_imitate_no_message() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("nope\nerror: the disk is gone\u{2028}x.pcd");
-    for arguments in [&["info", str(&missing)][..], &["info", "a.pcd", str(&missing)]] {
+    for arguments in [
+        &["info", str(&missing)][..],
+        &["info", "a.pcd", str(&missing)],
+        &["info", "a.pcd", "--max-memory=5\nerror: the disk is gone\u{2028}"],
+    ] {
         let error = refused(arguments);
         assert!(!error.contains('\u{2028}') && error.contains("\\u000a"), "{error:?}");
         assert!(!error.lines().any(|line| line.starts_with("error: the disk")), "{error:?}");

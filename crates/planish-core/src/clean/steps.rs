@@ -66,7 +66,9 @@ impl CleanSteps {
             let is_outside = cloud_outside_box(points, low, high).map_err(named(|_| "crop"))?;
             counts.outside_box = Some(remove(points, &is_outside, grid.is_some()));
         }
-        if let Some(doubt) = about_resolution(&PointsView::from_cloud(points)?) {
+        // Clouds with more points than a view can have are cropped and thinned too.
+        let view = PointsView::from_cloud(points).ok();
+        if let Some(doubt) = view.as_ref().and_then(about_resolution) {
             return Err(FrameError::TooCoarse(doubt.to_string()).into());
         }
         if let Some(size_m) = self.voxel_m {

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::params::EngineParams;
 
-/// Points of pixels or cells in the sensor's frame, row by row; holes are not finite.
+/// One point per pixel or cell, row by row, in sensor coordinates; holes have non-finite coordinates.
 pub(super) struct Grid {
     pub points: Vec<DVec3>,
     pub width: usize,

@@ -153,10 +153,11 @@ fn most_attributes(xml: &[u8]) -> usize {
         let closed_by: Option<&[u8]> = match rest {
             [b'<', b'!', b'-', b'-', ..] => Some(b"-->"),
             [b'<', b'!', b'[', ..] => Some(b"]]>"),
+            [b'<', b'?', ..] => Some(b"?>"),
             _ => None,
         };
         if let Some(end) = closed_by {
-            rest = rest.windows(3).position(|bytes| bytes == end).map_or(&[], |at| &rest[at + 3..]);
+            rest = rest.windows(end.len()).position(|bytes| bytes == end).map_or(&[], |at| &rest[at + end.len()..]);
             continue;
         }
         let (mut quote, mut values, mut length) = (None, 0, rest.len());
@@ -490,6 +491,7 @@ mod tests {
             (format!("<!-- <a{many}> --><![CDATA[<a{many}>]]><b c=\"1\"/>"), 1),
             (format!("<?xml version=\"1.0\"?><a{many}>"), 1500),
             (format!("<a{many}"), 1500),
+            (format!("<?x '?><a{many} z='>'/>"), 1501),
             ("<!--".to_owned(), 0),
         ] {
             assert_eq!(most_attributes(xml.as_bytes()), count, "{xml}");

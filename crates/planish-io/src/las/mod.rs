@@ -38,6 +38,8 @@ const LARGEST_INTEGER: f64 = 2e9;
 const RECORDS_AT: usize = 100;
 /// Minimum size of a variable-length record in bytes.
 const LEAST_RECORD: usize = 54;
+/// Minimum size of an extended variable-length record in bytes.
+const LEAST_EXTENDED_RECORD: usize = 60;
 /// Maximum number of variable-length records; each takes half a kilobyte of memory.
 const MOST_RECORDS: usize = 1 << 16;
 
@@ -104,6 +106,12 @@ impl Checked {
             Format::Laz => check_chunks(bytes, points).ok_or_else(cut_off)??,
             _ if count.saturating_mul(record) > size.saturating_sub(points_at) => return Err(cut_off()),
             _ => {}
+        }
+        if let Some((at, count)) = extended
+            && (count as usize).min(size.saturating_sub(at) / LEAST_EXTENDED_RECORD) > MOST_RECORDS
+        {
+            let text = format!("the header states {count} extended records; at most {MOST_RECORDS} are supported");
+            return Err(FormatError::Unsupported(text));
         }
         let extended = extended.map_or(Vec::new(), |extended| extended_records(bytes, extended));
         Ok(Self { points: count, record, extended, repaired })

@@ -98,7 +98,5 @@ pub(super) fn number_of(cell: &str) -> Option<f64> {
         }
     };
     let missing = || MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word)).then_some(f64::NAN);
-    let number: f64 = cell.parse().ok().or_else(with_comma).or_else(missing)?;
-    // 1e400 is too large for f64, and must not become a hole.
-    (!number.is_infinite() || !cell.contains(|c: char| c.is_ascii_digit())).then_some(number)
+    cell.parse().ok().or_else(with_comma).or_else(missing)
 }

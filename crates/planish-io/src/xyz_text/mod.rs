@@ -59,6 +59,10 @@ impl Column {
             }
             return Err(FormatError::Malformed(format!("line {number}: {} is not a number", quoted(cell))));
         };
+        // Such a coordinate must not become a hole.
+        if is_needed && value.is_infinite() && cell.contains(|c: char| c.is_ascii_digit()) {
+            return Err(FormatError::Malformed(format!("line {number}: {} is too large", quoted(cell))));
+        }
         // Only integers are checked: numbers with a decimal point or an exponent are rounded anyway.
         self.is_rounded |= value.abs() >= EXACT_INTEGERS as f64
             && cell.trim_start_matches(['-', '+']).bytes().all(|byte| byte.is_ascii_digit());

@@ -1,8 +1,6 @@
 //! Sinks for a rig's results.
 
 use std::collections::HashMap;
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,7 +8,7 @@ use super::{Rig, RigCamera, RigFrame, rig_to_json};
 use crate::new_folder::refuse_used;
 use crate::stream::{Consumer, FolderSink, Sink, SinkFormat};
 use planish_core::{Error, FormatError, IoError, Outputs};
-use planish_io::internal::create_output_folder;
+use planish_io::internal::{append_to, create_output_folder};
 use planish_io::{self as io, CloudRef, Encoding};
 
 /// A consumer of a rig's results, one moment after another.
@@ -100,9 +98,7 @@ impl RigSink for FusedSink {
             io::write_cloud(&path, CloudRef::General(fused), Encoding::Binary)?;
         }
         let path = self.folder.join(POINTS_LIST);
-        let list = OpenOptions::new().create(true).append(true).open(&path);
-        list.and_then(|mut list| writeln!(list, "{:.6} {file}", frame.time_s))
-            .map_err(|error| IoError { path, problem: error.into() })?;
+        append_to(&path, &format!("{:.6} {file}\n", frame.time_s)).map_err(|problem| IoError { path, problem })?;
         Ok(())
     }
 }

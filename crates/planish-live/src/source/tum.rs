@@ -3,14 +3,13 @@
 //! Depth has 5000 units per metre. The camera is the caller's; otherwise the one in `camera.json` next to the lists,
 //! which [`TumRecorder`] writes; otherwise the benchmark's default of 525, 525, 319.5, 239.5.
 
-use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::files::{file_stem, read_frame};
 use super::{OwnedFrame, Source, malformed, with_shape};
 use crate::new_folder::refuse_used;
 use planish_core::{Camera, DepthFrame, DepthImage, Error, FormatError, IoError, SATURATED_DEPTH};
+use planish_io::internal::{append_to, create_output_folder};
 use planish_io::{self as io, ReadOptions, RgbImage};
 
 /// The benchmark's depth units per metre.
@@ -229,9 +228,11 @@ impl TumRecorder {
     }
 
     fn create_folders(&self) -> Result<(), IoError> {
+        let at_folder = |error: std::io::Error| IoError { path: self.folder.clone(), problem: error.into() };
+        create_output_folder(&self.folder).map_err(at_folder)?;
         for name in ["depth", "rgb"] {
             let path = self.folder.join(name);
-            fs::create_dir_all(&path).map_err(|error| IoError { path, problem: error.into() })?;
+            create_output_folder(&path).map_err(|error| IoError { path, problem: error.into() })?;
         }
         for (name, what) in [("depth.txt", "depth"), ("rgb.txt", "color")] {
             self.write(name, &format!("# {what} images\n# timestamp filename\n"))?;
@@ -287,9 +288,7 @@ impl TumRecorder {
 
     fn append(&self, name: &str, line: &str) -> Result<(), IoError> {
         let path = self.folder.join(name);
-        let file = fs::OpenOptions::new().append(true).open(&path);
-        file.and_then(|mut file| file.write_all(line.as_bytes()))
-            .map_err(|error| IoError { path, problem: error.into() })
+        append_to(&path, line).map_err(|problem| IoError { path, problem })
     }
 
     fn write(&self, name: &str, text: &str) -> Result<(), IoError> {

@@ -1,8 +1,6 @@
 //! Sinks for results: folders, or any [`Sink`], each on a separate thread.
 
 use std::collections::HashSet;
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -13,7 +11,7 @@ use super::{StreamFrame, StreamStatistics};
 use crate::new_folder::refuse_used;
 use crate::source::OwnedFrame;
 use planish_core::{DepthFrame, DepthImage, EngineError, Error, IoError, Outputs};
-use planish_io::internal::create_output_folder;
+use planish_io::internal::{append_to, create_output_folder};
 use planish_io::{self as io, CloudRef, Encoding, RgbImage};
 
 /// A consumer of results, one after another.
@@ -126,9 +124,7 @@ impl FolderSink {
 
     fn append(&self, name: &str, text: &str) -> Result<(), IoError> {
         let path = self.folder.join(name);
-        let file = OpenOptions::new().create(true).append(true).open(&path);
-        file.and_then(|mut file| file.write_all(text.as_bytes()))
-            .map_err(|error| IoError { path, problem: error.into() })
+        append_to(&path, text).map_err(|problem| IoError { path, problem })
     }
 }
 

@@ -135,9 +135,8 @@ impl Records {
                     self.reader.notify_read(read);
                     self.read_bytes += read as u64;
                 }
-                Ok(LinearReadEvent::Record { opcode: 0, .. }) => {
-                    return Err(FormatError::Malformed("damaged: a record has type 0, which does not exist".into()));
-                }
+                // No record has type 0: after a power failure, a file may end in zeros.
+                Ok(LinearReadEvent::Record { opcode: 0, .. }) => return Ok(Next::CutOff),
                 Ok(LinearReadEvent::Record { opcode: op::DATA_END | op::FOOTER, .. }) => return Ok(Next::End),
                 Ok(LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. }) => self.count += 1,
                 // In builds without overflow checks, the reader continues as if the chunk did not end. Only in this

@@ -100,9 +100,9 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
         return (contents, false);
     }
     let mut rest = &bytes[..];
-    let (mut count, mut total_bytes) = (0, 0);
+    let (mut count, mut kept_bytes) = (0, 0);
     loop {
-        if count > most_records(chunk.len() as u64) || (with_bytes && total_bytes > limit) {
+        if count > most_records(chunk.len() as u64) || kept_bytes > limit {
             return (contents, false);
         }
         // In builds with overflow checks, the reader panics on a record that reaches beyond its chunk.
@@ -124,7 +124,10 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
                 if !matches!(opcode, 0 | op::CHUNK) && contents.add(opcode, &data, with_bytes) =>
             {
                 count += 1;
-                total_bytes += data.len();
+                // Messages leave an entry in the index.
+                let is_kept = with_bytes || matches!(opcode, op::SCHEMA | op::CHANNEL);
+                kept_bytes +=
+                    if is_kept { data.len() + RECORD_HEADER as usize } else { size_of::<MessageIndexEntry>() };
             }
             Some(Step::End) => return (contents, length == chunk.len() as u64),
             _ => return (contents, false),
