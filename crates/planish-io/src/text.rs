@@ -114,12 +114,8 @@ fn read_line(columns: &mut [Attribute], values: usize, line: &str) -> Result<(),
 /// it and would become a hole.
 fn push_to(column: &mut Attribute, word: &str) -> Option<()> {
     push(&mut column.values, word)?;
-    let is_infinite = match &column.values {
-        AttributeValues::F32(values) => values.last().is_some_and(|value| value.is_infinite()),
-        AttributeValues::F64(values) => values.last().is_some_and(|value| value.is_infinite()),
-        _ => false,
-    };
-    let is_axis = || ["x", "y", "z"].iter().any(|axis| column.name.eq_ignore_ascii_case(axis));
+    let is_infinite = column.values.get_f64(column.values.len() - 1).is_infinite();
+    let is_axis = || matches!(&*column.name, "x" | "y" | "z" | "X" | "Y" | "Z");
     (!is_infinite || !word.contains(|c: char| c.is_ascii_digit()) || !is_axis()).then_some(())
 }
 

@@ -51,7 +51,10 @@ impl Column {
         if self.is_text {
             return Ok(());
         }
-        let Some(value) = number_of(cell) else {
+        // A coordinate that is too large must not become a hole.
+        let is_too_large =
+            |value: &f64| is_needed && value.is_infinite() && cell.contains(|c: char| c.is_ascii_digit());
+        let Some(value) = number_of(cell).filter(|value| !is_too_large(value)) else {
             // Only missing values preceded this word, so this is a column of words.
             if self.values.iter().all(|value| value.is_nan()) && !is_needed {
                 self.is_text = true;
@@ -59,10 +62,6 @@ impl Column {
             }
             return Err(FormatError::Malformed(format!("line {number}: {} is not a number", quoted(cell))));
         };
-        // Such a coordinate must not become a hole.
-        if is_needed && value.is_infinite() && cell.contains(|c: char| c.is_ascii_digit()) {
-            return Err(FormatError::Malformed(format!("line {number}: {} is too large", quoted(cell))));
-        }
         // Only integers are checked: numbers with a decimal point or an exponent are rounded anyway.
         self.is_rounded |= value.abs() >= EXACT_INTEGERS as f64
             && cell.trim_start_matches(['-', '+']).bytes().all(|byte| byte.is_ascii_digit());
