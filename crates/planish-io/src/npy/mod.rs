@@ -55,13 +55,15 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) && !is_long(width, height) => {
             validate_shape(width, height)?;
             let depth_m = floats(&array);
-            let is_too_large = |value: &f64| value.is_finite() && value.abs() > f64::from(f32::MAX);
+            // f64 values beyond f32 have become infinite.
             if array.header.size == 8
-                && let Some(value) = array.values::<f64>().iter().find(|value| is_too_large(value))
+                && array
+                    .values::<f64>()
+                    .iter()
+                    .zip(&depth_m)
+                    .any(|(value, depth_m)| value.is_finite() && depth_m.is_infinite())
             {
-                return Err(FormatError::Unsupported(format!(
-                    "the depth {value:e} exceeds 3.4e38, the largest in f32"
-                )));
+                return Err(FormatError::Unsupported("a depth exceeds 3.4e38, the largest number in f32".into()));
             }
             Ok(Contents::DepthMetres { width, height, depth_m })
         }
