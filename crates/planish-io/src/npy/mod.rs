@@ -56,6 +56,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             validate_shape(width, height)?;
             let depth_m = floats(&array);
             // f64 values beyond f32 have become infinite.
+            // The page has no room for this check.
             if cfg!(not(target_family = "wasm"))
                 && array.header.size == 8
                 && array
