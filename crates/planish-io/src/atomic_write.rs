@@ -340,6 +340,28 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
+    fn links_in_an_output_folder_are_refused() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let [output, outside] = ["output", "outside"].map(|name| folder.path().join(name));
+        fs::create_dir(&outside).unwrap();
+        fs::write(outside.join("list"), "mine").unwrap();
+        create_output_folder(&output).unwrap();
+        symlink(outside.join("list"), output.join("list")).unwrap();
+        symlink(&outside, output.join("sub")).unwrap();
+        for path in ["list", "sub/list"].map(|name| output.join(name)) {
+            for result in [append_to(&path, "more"), write_whole(&path, b"new"), check_target(&path)] {
+                assert!(result.unwrap_err().to_string().contains("through a link"));
+            }
+        }
+        assert_eq!(fs::read(outside.join("list")).unwrap(), b"mine");
+        append_to(&output.join("own"), "1").unwrap();
+        append_to(&output.join("own"), "2").unwrap();
+        assert_eq!(fs::read(output.join("own")).unwrap(), b"12");
+    }
+
+    #[cfg(unix)]
+    #[test]
     fn links_are_followed_and_permissions_kept() {
         use std::os::unix::fs::{PermissionsExt, symlink};
         let folder = tempfile::tempdir().unwrap();

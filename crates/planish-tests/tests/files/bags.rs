@@ -68,6 +68,18 @@ fn a_recording_can_be_read_while_it_is_written_and_is_kept_without_an_end() {
         let read = std::iter::from_fn(|| source.next_frame().ok().flatten()).count();
         assert_eq!(read, number + 1, "each frame is there at once");
     }
+    // After a power failure, a file may end in zeros.
+    let zeros = folder.path().join("zeros.mcap");
+    std::fs::write(&zeros, [std::fs::read(&part).unwrap(), vec![0; 4096]].concat()).unwrap();
+    let mut source = BagSource::open(&zeros, None, None, None).unwrap();
+    let error = loop {
+        match source.next_frame() {
+            Ok(frame) => assert!(frame.is_some(), "the end is missing"),
+            Err(error) => break error.to_string(),
+        }
+    };
+    assert!(error.contains("all earlier frames were read"), "{error}");
+    std::fs::remove_file(&zeros).unwrap();
     assert!(!path.exists());
     let error = BagWriter::create(&path).map(drop).unwrap_err().to_string();
     assert!(error.contains("depth.mcap.part") && error.contains("planish recover"), "{error}");
