@@ -12,7 +12,10 @@ use super::{Contents, DepthSummary, ReadOptions, depth_of_integers};
 use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
-    let (mut decoder, (width, height)) = open(bytes, options)?;
+    let mut decoder = decoder(bytes, options)?;
+    let page = options.page_of(count_pages(&mut decoder), notes)?;
+    decoder.seek_to_image(page).map_err(malformed)?;
+    let (width, height) = shape_of_depth(&mut decoder)?;
     // Memory for the image, and for a strip or tile, which may be as large as the image.
     options.check(width * height, 16)?;
     let is_inverted = is_inverted(&mut decoder);
@@ -30,20 +33,24 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         }
         _ => return Err(not_depth()),
     };
-    let pages = std::iter::from_fn(|| (decoder.more_images() && decoder.next_image().is_ok()).then_some(())).count();
-    match pages {
-        0 => {}
-        1 => notes.push("its second page is dropped; only the first is read".into()),
-        _ => notes.push(format!("its other {pages} pages are dropped; only the first is read")),
-    }
     Ok(contents)
+}
+
+/// Returns the number of pages, up to the first damaged one.
+pub(super) fn pages(bytes: &[u8], options: &ReadOptions) -> Result<usize, FormatError> {
+    Ok(count_pages(&mut decoder(bytes, options)?))
+}
+
+fn count_pages(decoder: &mut TiffDecoder<'_>) -> usize {
+    1 + std::iter::from_fn(|| (decoder.more_images() && decoder.next_image().is_ok()).then_some(())).count()
 }
 
 /// Summarizes a depth image strip by strip or tile by tile, without storing its pixels. Returns `None` for images with
 /// several pages, inverted values or samples other than 16-bit integers.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
-    let (mut decoder, (width, height)) = open(bytes, options)?;
-    if decoder.more_images() || is_inverted(&mut decoder) {
+    let mut decoder = decoder(bytes, options)?;
+    let (width, height) = shape_of_depth(&mut decoder)?;
+    if decoder.more_images() || options.page.is_some() || is_inverted(&mut decoder) {
         return Ok(None);
     }
     let (chunk_width, chunk_height) = decoder.chunk_dimensions();
@@ -60,7 +67,7 @@ pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<De
 }
 
 /// Returns true if the decoder inverts the values because the image states that white is 0.
-fn is_inverted(decoder: &mut Decoder<Cursor<&[u8]>>) -> bool {
+fn is_inverted(decoder: &mut TiffDecoder<'_>) -> bool {
     decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten() == Some(0)
 }
 
@@ -72,15 +79,21 @@ fn not_depth() -> FormatError {
     FormatError::Unsupported("unsupported TIFF samples; expected 16-bit or 32-bit integers, or floats".into())
 }
 
-/// The TIFF decoder for a depth image, with the image's width and height.
-type Opened<'a> = (Decoder<Cursor<&'a [u8]>>, (usize, usize));
+type TiffDecoder<'a> = Decoder<Cursor<&'a [u8]>>;
 
-fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, FormatError> {
+fn decoder<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<TiffDecoder<'a>, FormatError> {
     let most = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = most;
     limits.intermediate_buffer_size = most;
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(limits);
+    Ok(Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(limits))
+}
+
+/// Returns the width and height of the current page.
+///
+/// # Errors
+/// If the page is not a depth image.
+fn shape_of_depth(decoder: &mut TiffDecoder<'_>) -> Result<(usize, usize), FormatError> {
     let (width, height) = decoder.dimensions().map_err(malformed)?;
     let (width, height) = (width as usize, height as usize);
     let kind = decoder.colortype().map_err(malformed)?;
@@ -90,7 +103,7 @@ fn open<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<Opened<'a>, Format
         )));
     }
     validate_shape(width, height)?;
-    Ok((decoder, (width, height)))
+    Ok((width, height))
 }
 
 pub(super) fn encode(image: &DepthImage) -> Result<Vec<u8>, FormatError> {

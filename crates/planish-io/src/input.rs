@@ -26,6 +26,9 @@ pub struct ReadOptions {
     pub depth_units_per_metre: Option<f64>,
     /// The number of columns in a lidar's `.bin` file; by default, detected from the values.
     pub columns: Option<usize>,
+    /// Which image to read, counted from 1, of a TIFF file with several pages or a NumPy array of shape [N, H, W]
+    /// [default: the first].
+    pub page: Option<usize>,
 }
 
 /// An operation to check against the memory limit.
@@ -107,7 +110,7 @@ impl Work {
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { max_memory_bytes: 2 << 30, unit: None, depth_units_per_metre: None, columns: None }
+        Self { max_memory_bytes: 2 << 30, unit: None, depth_units_per_metre: None, columns: None, page: None }
     }
 }
 
@@ -130,6 +133,34 @@ impl ReadOptions {
     /// Sets the number of columns in a lidar's `.bin` file.
     pub const fn with_columns(self, columns: Option<usize>) -> Self {
         Self { columns, ..self }
+    }
+
+    /// Sets which image to read of a file with several, counted from 1.
+    pub const fn with_page(self, page: Option<usize>) -> Self {
+        Self { page, ..self }
+    }
+
+    /// Returns which of `pages` images to read, counted from 0, and adds a note about the others.
+    ///
+    /// # Errors
+    /// If the file has fewer images.
+    #[cfg_attr(not(any(feature = "more-formats", feature = "tiff")), allow(dead_code))]
+    pub(crate) fn page_of(&self, pages: usize, notes: &mut Vec<String>) -> FormatResult<usize> {
+        let page = self.page.unwrap_or(1);
+        match page.checked_sub(1) {
+            Some(index) if index < pages => {
+                if pages > 1 {
+                    notes.push(format!("the file has {pages} images; only image {page} is read"));
+                }
+                Ok(index)
+            }
+            _ => {
+                let images = if pages == 1 { "one image" } else { &format!("{pages} images") };
+                Err(FormatError::Unsupported(format!(
+                    "there is no image {page}: the file has {images}, counted from 1"
+                )))
+            }
+        }
     }
 
     /// Returns an error, before the work begins, if work on `points` points would need more memory than the limit.

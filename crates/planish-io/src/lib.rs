@@ -1,9 +1,9 @@
 //! Reads and writes files, without losing fields and without leaving half-written files.
 //!
 //! A file's format is detected from its contents first, then from its extension. Before allocating memory, every
-//! reader checks the sizes that a header claims against the file's size. One kind of damage aborts the process:
-//! certain GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13, recurse until the stack
-//! overflows. Read untrusted files in a separate process.
+//! reader checks the sizes that a header claims against the file's size. In programs built from crates.io, one kind of
+//! damage aborts the process: certain GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13,
+//! recurse until the stack overflows. There, read untrusted files in a separate process.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(
@@ -58,6 +58,7 @@ mod read;
 mod records;
 mod rgb_png;
 mod settings_file;
+mod stack;
 mod text;
 #[cfg(feature = "scans")]
 pub mod tiles;
@@ -100,6 +101,7 @@ pub use read::{
 };
 pub use rgb_png::{read_rgb_png, write_animated_png, write_rgb_png};
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
+pub use stack::Stack;
 pub use trajectory::{Trajectory, read_trajectory};
 pub use triangle_files::{WRITTEN_MESHES, write_mesh};
 pub use triangles::TriangleMesh;

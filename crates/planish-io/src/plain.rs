@@ -7,7 +7,7 @@ use std::io::Read;
 use super::{FormatResult, ReadOptions};
 use planish_core::FormatError;
 
-const GZIP: &[u8] = &[0x1f, 0x8b, 8];
+pub(super) const GZIP: &[u8] = &[0x1f, 0x8b, 8];
 const UTF_8: &[u8] = &[0xef, 0xbb, 0xbf];
 const UTF_16_LITTLE_ENDIAN: &[u8] = &[0xff, 0xfe];
 const UTF_16_BIG_ENDIAN: &[u8] = &[0xfe, 0xff];

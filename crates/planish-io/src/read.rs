@@ -180,6 +180,10 @@ fn decode_plain(
                 .into(),
         )
     })?;
+    #[cfg(any(feature = "more-formats", feature = "tiff"))]
+    if !matches!(format, Format::DepthTiff | Format::Npy) {
+        options.page_of(1, notes)?;
+    }
     let mut contents = match format {
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
         Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),

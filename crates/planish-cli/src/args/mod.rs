@@ -320,7 +320,7 @@ pub struct SourceArgs {
     ///
     /// One of: kinect[:INDEX]; realsense[:SERIAL|:FILE.bag|:FILE.db3]; openni2[:URI|:FILE.oni]; synthetic[:SEED]; a
     /// data set in TUM layout; a libfreenect recording; a ROS 2 recording (.mcap); a folder of frames; a file, which is
-    /// repeated.
+    /// repeated unless it has several images.
     #[arg(value_name = "SOURCE", required = true)]
     pub name: Option<String>,
     #[command(flatten)]

@@ -34,6 +34,9 @@ pub struct ReadArgs {
     /// Number of columns of a lidar's .bin, such as 4 for KITTI [default: found from its values]
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
     pub columns: Option<usize>,
+    /// Number of the image to read, from 1, of a TIFF with several pages or a .npy of shape [N, H, W] [default: 1]
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
+    pub page: Option<usize>,
 }
 
 impl ReadArgs {
@@ -43,7 +46,7 @@ impl ReadArgs {
     }
 
     pub fn read_options(&self) -> ReadOptions {
-        self.memory.options().with_unit(self.unit).with_columns(self.columns)
+        self.memory.options().with_unit(self.unit).with_columns(self.columns).with_page(self.page)
     }
 }
 

@@ -73,6 +73,23 @@ impl<'a> Array<'a> {
         values
     }
 
+    /// Returns the subarray at an index of the first dimension, which must be smaller than the dimension.
+    ///
+    /// # Errors
+    /// If the array is in Fortran order, in which the values of a subarray are apart.
+    #[cfg(feature = "more-formats")]
+    pub(crate) fn page(self, index: usize) -> Result<Self, FormatError> {
+        if self.header.is_fortran {
+            return Err(FormatError::Unsupported(
+                "several images in Fortran order are not supported; save np.ascontiguousarray(array)".into(),
+            ));
+        }
+        let Self { mut header, data } = self;
+        let pages = header.shape.remove(0);
+        let each = data.len() / pages.max(1);
+        Ok(Self { header, data: &data[each * index..each * (index + 1)] })
+    }
+
     /// Returns the fields of an array of records as columns.
     #[cfg(feature = "more-formats")]
     pub(crate) fn columns(&self) -> Result<Vec<Attribute>, FormatError> {

@@ -21,7 +21,14 @@ const LAYOUTS: &str =
     "depth must be [H, W] of integers or floats (metres), points [H, W, 3] or [N, 3] of floats or records";
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
-    let array = Array::parse(bytes)?;
+    #[cfg_attr(not(feature = "more-formats"), allow(unused_mut))]
+    let mut array = Array::parse(bytes)?;
+    #[cfg(feature = "more-formats")]
+    if let Some(pages) = pages_of_shape(&array.header.shape) {
+        array = array.page(options.page_of(pages, notes)?)?;
+    } else if options.page.is_some() {
+        options.page_of(1, notes)?;
+    }
     // Memory for the file, the values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
     let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
@@ -35,6 +42,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let shape = match array.header.shape[..] {
         // The array has a single channel.
         [height, width, 1] => vec![height, width],
+        #[cfg(not(feature = "more-formats"))]
         [1, height, width] if width > 16 => vec![height, width],
         _ => array.header.shape.clone(),
     };
@@ -97,6 +105,19 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             )))
         }
     }
+}
+
+/// Returns the number of depth images in an array.
+#[cfg(feature = "more-formats")]
+pub(super) fn pages(bytes: &[u8]) -> Result<usize, FormatError> {
+    Ok(pages_of_shape(&Array::parse(bytes)?.header.shape).unwrap_or(1))
+}
+
+/// Returns N for arrays of shape [N, H, W], which are N depth images; `None` for other arrays.
+#[cfg(feature = "more-formats")]
+fn pages_of_shape(shape: &[usize]) -> Option<usize> {
+    // Few columns are the coordinates and fields of points on a grid.
+    matches!(*shape, [_, _, width] if width > 16).then(|| shape[0])
 }
 
 /// Returns true if an array of integers, or a transposed array of floats, is a table rather than an image.

@@ -1,17 +1,19 @@
-//! A folder of frames, or one file repeated.
+//! A folder of frames, a file with several, or one file repeated.
 
 use std::path::{Path, PathBuf};
 
 use super::{OwnedFrame, Source, malformed, with_shape};
 use planish_core::{Camera, DepthFrame, DepthView, Error, IoError};
-use planish_io::{self as io, Contents, ReadOptions, Work};
+use planish_io::{self as io, Contents, ReadOptions, Stack, Work};
 
 /// A source that reads the frame files of a folder in the order of the numbers in their names, or repeats one file
-/// endlessly.
+/// endlessly. A file with several images (pages of a TIFF, a NumPy array of shape [N, H, W]) yields them one by one.
 pub struct FileSource {
     files: Vec<PathBuf>,
     camera: Option<Camera>,
     next: usize,
+    /// The last file, if it has several images, and the number of images taken from it.
+    stack: Option<(Stack, usize)>,
     /// The frame of the repeated file.
     repeated: Option<OwnedFrame>,
     repeats: bool,
@@ -39,13 +41,13 @@ impl FileSource {
         {
             return Err(needs_camera(first, contents.shape()).into());
         }
-        Ok(Self { files, camera, next: 0, repeated: None, repeats: false, read })
+        Ok(Self { files, camera, next: 0, stack: None, repeated: None, repeats: false, read })
     }
 
-    /// Reads one file and repeats it endlessly.
+    /// Reads one file: its images once if it has several, or otherwise its only frame, repeated endlessly.
     pub fn repeat(file: &Path, camera: Option<Camera>) -> Self {
         let read = ReadOptions::default();
-        Self { files: vec![file.to_path_buf()], camera, next: 0, repeated: None, repeats: true, read }
+        Self { files: vec![file.to_path_buf()], camera, next: 0, stack: None, repeated: None, repeats: true, read }
     }
 
     /// Sets the options for reading files.
@@ -54,14 +56,35 @@ impl FileSource {
     }
 }
 
+impl FileSource {
+    /// Returns the next image of a file with several, if any is left.
+    fn next_page(&mut self) -> Option<Result<OwnedFrame, Error>> {
+        let (stack, page) = self.stack.as_mut().filter(|(stack, page)| *page < stack.pages())?;
+        *page += 1;
+        let file = &self.files[self.next - 1];
+        let contents = stack.page(*page).map_err(IoError::at(file)).map_err(Error::from);
+        let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &self.read));
+        Some(frame.inspect(|frame| self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()))))
+    }
+}
+
 impl Source for FileSource {
     fn next_frame(&mut self) -> Result<Option<OwnedFrame>, Error> {
         if let Some(frame) = &self.repeated {
             return Ok(Some(frame.clone()));
         }
+        if let Some(frame) = self.next_page() {
+            return frame.map(Some);
+        }
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
+        self.stack =
+            if self.read.page.is_none() { Stack::open(file, &self.read)?.map(|stack| (stack, 0)) } else { None };
+        if self.stack.is_some() {
+            self.repeats = false;
+            return self.next_frame();
+        }
         let frame = read_frame(file, self.camera, &self.read)?;
         // Intrinsics are valid for one image size.
         self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()));
@@ -75,7 +98,11 @@ impl Source for FileSource {
     fn frame_name(&self) -> Option<String> {
         // A repeated file would give every frame the same name.
         let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
-        file_stem(self.files.get(last)?)
+        let stem = file_stem(self.files.get(last)?)?;
+        Some(match &self.stack {
+            Some((_, page)) => format!("{stem}_{page:04}"),
+            None => stem,
+        })
     }
 }
 
@@ -91,6 +118,11 @@ fn needs_camera(file: &Path, (width, height): (usize, usize)) -> IoError {
 /// Reads one frame file; depth needs a camera.
 pub(super) fn read_frame(file: &Path, camera: Option<Camera>, read: &ReadOptions) -> Result<OwnedFrame, Error> {
     let (_, contents) = io::read_with(file, read)?;
+    frame_of(file, contents, camera, read)
+}
+
+/// Returns the frame in a file's contents; depth needs a camera.
+fn frame_of(file: &Path, contents: Contents, camera: Option<Camera>, read: &ReadOptions) -> Result<OwnedFrame, Error> {
     let shape = contents.shape();
     read.check_work_on(Work::Stream, &contents).map_err(IoError::at(file))?;
     let of_shape = |camera: Camera| {

@@ -1,6 +1,7 @@
 //! Files of other programs, rebuilt from public reports of reading errors.
 
 mod las;
+mod pages;
 
 use std::fs;
 

@@ -1,0 +1,79 @@
+//! Files with several depth images: the pages of a TIFF file, or a NumPy array of shape [N, H, W].
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::plain::{GZIP, plain};
+use super::read::decode_with;
+use super::{Contents, Format, FormatResult, ReadOptions, read_bytes};
+use planish_core::IoError;
+
+/// A file with several depth images, such as the pages of a TIFF file or a NumPy array of shape [N, H, W].
+///
+/// The file stays in memory, so that no image costs reading those before it.
+#[derive(Debug, Clone)]
+pub struct Stack {
+    bytes: Vec<u8>,
+    format: Format,
+    pages: usize,
+    options: ReadOptions,
+}
+
+impl Stack {
+    /// Reads a file; `None` if it has one image, or is of a format without several.
+    ///
+    /// # Errors
+    /// If the file is unreadable, exceeds the memory limit, or has a damaged header.
+    pub fn open(path: &Path, options: &ReadOptions) -> Result<Option<Self>, IoError> {
+        let open = || {
+            if !may_have_several(path)? {
+                return Ok(None);
+            }
+            let bytes = plain(&read_bytes(path, options)?, options)?.into_owned();
+            let Some((format, pages)) = pages(&bytes, options)? else { return Ok(None) };
+            Ok((pages > 1).then_some(Self { bytes, format, pages, options: *options }))
+        };
+        open().map_err(IoError::at(path))
+    }
+
+    /// Returns the number of images.
+    pub fn pages(&self) -> usize {
+        self.pages
+    }
+
+    /// Decodes an image, counted from 1.
+    ///
+    /// # Errors
+    /// If there is no such image, or if it is damaged or exceeds the memory limit.
+    pub fn page(&self, page: usize) -> FormatResult<Contents> {
+        let options = self.options.with_page(Some(page));
+        decode_with(&self.bytes, Some(self.format), &options).map(|(_, contents)| contents)
+    }
+}
+
+/// Returns true if the first bytes of a file allow several images, so that other files are read only once.
+fn may_have_several(path: &Path) -> FormatResult<bool> {
+    const LONGEST: u64 = 6;
+    let mut start = Vec::new();
+    // Anything but a file is reported by whatever reads it.
+    if path.is_file() {
+        File::open(path)?.take(LONGEST).read_to_end(&mut start)?;
+    }
+    let format = Format::of_contents(&start);
+    Ok(start.starts_with(GZIP) || matches!(format, Some(Format::DepthTiff | Format::Npy)))
+}
+
+/// Returns the format and the number of images of a file's uncompressed contents.
+#[cfg_attr(not(feature = "tiff"), allow(unused_variables))]
+fn pages(bytes: &[u8], options: &ReadOptions) -> FormatResult<Option<(Format, usize)>> {
+    let format = Format::of_contents(bytes);
+    let pages = match format {
+        #[cfg(feature = "tiff")]
+        Some(Format::DepthTiff) => super::depth_tiff::pages(bytes, options)?,
+        #[cfg(feature = "more-formats")]
+        Some(Format::Npy) => super::npy::pages(bytes)?,
+        _ => return Ok(None),
+    };
+    Ok(format.map(|format| (format, pages)))
+}

@@ -1,0 +1,143 @@
+//! Files with several depth images: TIFF with several pages, NumPy arrays of shape [N, H, W].
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use planish::io::{self, Contents, ReadOptions, Stack};
+use planish::source::{self, OwnedFrame, SourceOptions};
+use planish::{Camera, DepthImage};
+
+use super::read_as;
+
+const SHAPE: (usize, usize) = (24, 20);
+const PAGES: usize = 3;
+
+/// Returns the value of every pixel of a page, counted from 1.
+fn value(page: usize) -> u16 {
+    500 + 100 * u16::try_from(page).unwrap()
+}
+
+fn tiff() -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut bytes).unwrap();
+    for page in 1..=PAGES {
+        let pixels = vec![value(page); SHAPE.0 * SHAPE.1];
+        encoder.write_image::<tiff::encoder::colortype::Gray16>(SHAPE.0 as u32, SHAPE.1 as u32, &pixels).unwrap();
+    }
+    bytes.into_inner()
+}
+
+/// Returns an array of shape [3, 20, 24], as u16 or, in metres, as f32.
+fn npy(in_metres: bool, is_fortran: bool) -> Vec<u8> {
+    let (descr, order) = (if in_metres { "<f4" } else { "<u2" }, if is_fortran { "True" } else { "False" });
+    let dict =
+        format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': ({PAGES}, {}, {}), }}\n", SHAPE.1, SHAPE.0);
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend(u16::try_from(dict.len()).unwrap().to_le_bytes());
+    bytes.extend(dict.as_bytes());
+    for page in 1..=PAGES {
+        for _ in 0..SHAPE.0 * SHAPE.1 {
+            match in_metres {
+                true => bytes.extend((f32::from(value(page)) / 1000.0).to_le_bytes()),
+                false => bytes.extend(value(page).to_le_bytes()),
+            }
+        }
+    }
+    bytes
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut encoder, bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+/// Returns the depth in millimetres if all pixels have the same.
+fn depth_mm(contents: &Contents) -> u16 {
+    let values: Vec<u16> = match contents {
+        Contents::Depth(DepthImage { raw, .. }) => raw.clone(),
+        Contents::DepthMetres { depth_m, .. } => depth_m.iter().map(|depth| (1000.0 * depth).round() as u16).collect(),
+        _ => panic!("{contents:?}"),
+    };
+    assert_eq!((contents.shape(), values.len()), (SHAPE, SHAPE.0 * SHAPE.1));
+    assert!(values.iter().all(|value| *value == values[0]));
+    values[0]
+}
+
+fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder.join(name);
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+#[test]
+fn one_image_of_several_is_read_and_the_others_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let files =
+        [("a.tiff", tiff()), ("a.npy", npy(false, false)), ("b.npy", npy(true, false)), ("a.tif.gz", gzip(&tiff()))];
+    for (name, bytes) in files {
+        let first = read_as(name, &bytes).unwrap();
+        assert_eq!(depth_mm(&first.contents), value(1), "{name}");
+        assert_eq!(first.notes, ["the file has 3 images; only image 1 is read"], "{name}");
+        let path = write(folder.path(), name, &bytes);
+        let stack = Stack::open(&path, &ReadOptions::default()).unwrap().unwrap();
+        assert_eq!(stack.pages(), PAGES);
+        for page in 1..=PAGES {
+            let (_, contents) = io::read_with(&path, &ReadOptions::default().with_page(Some(page))).unwrap();
+            assert_eq!(depth_mm(&contents), value(page), "{name}");
+            assert_eq!(stack.page(page).unwrap(), contents, "{name}");
+        }
+        for page in [0, PAGES + 1, usize::MAX] {
+            let error = io::read_with(&path, &ReadOptions::default().with_page(Some(page))).unwrap_err().to_string();
+            let expected = format!("there is no image {page}: the file has 3 images, counted from 1");
+            assert!(error.ends_with(&expected), "{name}: {error}");
+            assert_eq!(stack.page(page).unwrap_err().to_string(), expected);
+        }
+    }
+    let error = read_as("f.npy", &npy(false, true)).unwrap_err();
+    assert!(error.contains("Fortran order") && error.contains("ascontiguousarray"), "{error}");
+}
+
+#[test]
+fn a_page_of_a_file_with_one_image_or_cloud_exists_only_if_it_is_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut one = Cursor::new(Vec::new());
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut one).unwrap();
+    encoder.write_image::<tiff::encoder::colortype::Gray16>(2, 1, &[500, 600]).unwrap();
+    let files = [("a.xyz", b"1 2 3\n4 5 6\n".to_vec()), ("a.tiff", one.into_inner())];
+    for (name, bytes) in files {
+        let path = write(folder.path(), name, &bytes);
+        assert!(Stack::open(&path, &ReadOptions::default()).unwrap().is_none(), "{name}");
+        assert!(io::read_with(&path, &ReadOptions::default().with_page(Some(1))).is_ok(), "{name}");
+        let error = io::read_with(&path, &ReadOptions::default().with_page(Some(2))).unwrap_err().to_string();
+        assert!(error.ends_with("there is no image 2: the file has one image, counted from 1"), "{error}");
+    }
+}
+
+#[test]
+fn a_file_with_several_images_plays_once_and_a_folder_plays_its_files_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(folder.path(), "2.tiff", &tiff());
+    write(folder.path(), "1.npy", &npy(false, false));
+    io::write_depth(
+        &folder.path().join("3.png"),
+        &DepthImage { width: SHAPE.0, height: SHAPE.1, raw: vec![900; SHAPE.0 * SHAPE.1] },
+    )
+    .unwrap();
+    let options = SourceOptions::default().with_camera(Some(Camera::kinect_v1().with_shape((0, 0))));
+    let played = |path: &Path| {
+        let mut source = source::open(path.to_str().unwrap(), &options).unwrap();
+        let mut frames = Vec::new();
+        while let Some(frame) = source.next_frame().unwrap() {
+            let OwnedFrame::Depth(depth) = frame else { panic!("depth") };
+            frames.push((source.frame_name().unwrap(), depth.raw[0]));
+        }
+        frames
+    };
+    let of_file =
+        |name: &str| (1..=PAGES).map(move |page| (format!("{name}_{page:04}"), value(page))).collect::<Vec<_>>();
+    assert_eq!(played(&path), of_file("2"));
+    let all = [of_file("1"), of_file("2"), vec![("3".to_owned(), 900)]].concat();
+    assert_eq!(played(folder.path()), all);
+}
