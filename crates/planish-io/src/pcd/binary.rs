@@ -16,6 +16,10 @@ fn read_field(
 ) -> AttributeValues {
     fn values<T: LittleEndian>(count: usize, points: usize, bytes: &[u8], offset: usize, stride: usize) -> Vec<T> {
         let size = size_of::<T>();
+        if count == 1 {
+            let of_point = |point: &[u8]| T::read(&point[offset..offset + size]);
+            return bytes.chunks_exact(stride).take(points).map(of_point).collect();
+        }
         let mut values = Vec::with_capacity(points * count);
         for point in bytes.chunks_exact(stride).take(points) {
             let field = &point[offset..offset + count * size];
