@@ -67,13 +67,11 @@ fn may_have_several(path: &Path) -> FormatResult<bool> {
 /// Returns the format and the number of images of a file's uncompressed contents.
 #[cfg_attr(not(feature = "tiff"), allow(unused_variables))]
 fn pages(bytes: &[u8], options: &ReadOptions) -> FormatResult<Option<(Format, usize)>> {
-    let format = Format::of_contents(bytes);
-    let pages = match format {
+    match Format::of_contents(bytes) {
         #[cfg(feature = "tiff")]
-        Some(Format::DepthTiff) => super::depth_tiff::pages(bytes, options)?,
+        Some(format @ Format::DepthTiff) => Ok(Some((format, super::depth_tiff::pages(bytes, options)?))),
         #[cfg(feature = "more-formats")]
-        Some(Format::Npy) => super::npy::pages(bytes)?,
-        _ => return Ok(None),
-    };
-    Ok(format.map(|format| (format, pages)))
+        Some(format @ Format::Npy) => Ok(Some((format, super::npy::pages(bytes)?))),
+        _ => Ok(None),
+    }
 }

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use mcap::records::Record;
 
-use super::foxglove::compressed_image;
 use super::records::{Next, Records, Summary, first_compression};
 use super::refuse_other_bags;
 use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE};
@@ -188,7 +187,8 @@ impl Survey {
         let described: Vec<_> =
             self.topics.iter().take(MOST).map(|topic| format!("{} ({})", topic.name, topic.encoding)).collect();
         match &described[..] {
-            [] => "expected images or clouds as ROS 2 (CDR) or Foxglove (Protocol Buffers) messages".to_owned(),
+            [] => "expected images or clouds as ROS 2 (CDR) or Foxglove (Protocol Buffers, JSON or CDR) messages"
+                .to_owned(),
             all => format!("available are {}", all.join(", ")),
         }
     }
@@ -367,14 +367,14 @@ fn first_message(channel: &Channel, data: &[u8], options: &ReadOptions) -> Topic
         is_depth: false,
         camera_info: None,
     };
-    match kind {
-        MessageKind::Image if wire == Wire::FoxglovePng => {
-            if let Ok(image) = compressed_image(data) {
+    match (kind, wire) {
+        (MessageKind::Image, Wire::FoxglovePng(encoding)) => {
+            if let Ok(image) = encoding.codec().compressed_image(data) {
                 topic.is_depth = image.is_depth();
                 (topic.encoding, topic.frame_id) = (image.format, image.header.frame_id);
             }
         }
-        MessageKind::Image | MessageKind::CompressedImage => match wire.depth(kind, data, options) {
+        (MessageKind::Image | MessageKind::CompressedImage, _) => match wire.depth(kind, data, options) {
             Ok(DepthMessage::Image(image)) => {
                 topic.is_depth = image.is_depth();
                 (topic.encoding, topic.frame_id) = (image.encoding, image.header.frame_id);
@@ -385,14 +385,14 @@ fn first_message(channel: &Channel, data: &[u8], options: &ReadOptions) -> Topic
             }
             Err(_) => {}
         },
-        MessageKind::PointCloud2 => {
+        (MessageKind::PointCloud2, _) => {
             if let Ok(cloud) = wire.cloud(data) {
                 topic.is_depth = true;
                 topic.encoding = format!("cloud of {}x{}", cloud.width, cloud.height);
                 topic.frame_id = cloud.header.frame_id;
             }
         }
-        MessageKind::CameraInfo => {
+        (MessageKind::CameraInfo, _) => {
             if let Ok(info) = wire.camera(data) {
                 topic.encoding = format!("camera of {}x{}", info.width, info.height);
                 topic.frame_id.clone_from(&info.header.frame_id);

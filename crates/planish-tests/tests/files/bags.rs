@@ -460,26 +460,35 @@ fn a_record_that_reaches_beyond_its_chunk_is_damage() {
     assert!(said.contains("beyond.mcap") && said.contains("damaged"), "{said}");
 }
 
-/// Returns the path of a recording by Foxglove's SDK 0.30, with two messages each of a camera, raw depth, depth as
-/// PNG, a JPEG and a cloud.
-fn foxglove() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/mcap/foxglove.mcap")
+/// Returns the path of a recording with two of Foxglove's messages each of a camera, raw depth, depth as PNG, a JPEG
+/// and a cloud: `foxglove` was written by Foxglove's SDK 0.30, `foxglove_cdr` and `foxglove_json` with the Python
+/// packages mcap-ros2-support 0.5 and mcap 1.3 from the same messages.
+fn foxglove(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/mcap").join(name).with_extension("mcap")
 }
 
 #[test]
 fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
+    let protobuf = smoothed_foxglove("foxglove", "foxglove.");
+    assert_eq!(smoothed_foxglove("foxglove_json", "foxglove."), protobuf);
+    assert_eq!(smoothed_foxglove("foxglove_cdr", "foxglove_msgs/msg/"), protobuf);
+}
+
+/// Checks how a recording of [`foxglove`] is read and smoothed, and returns the depth and the points before and after.
+fn smoothed_foxglove(name: &str, prefix: &str) -> ([Vec<DepthFrame>; 2], [planish::PointCloud; 2]) {
     let folder = TempDir::new().unwrap();
-    let survey = Survey::of(&foxglove(), &ReadOptions::default()).unwrap();
-    let told: Vec<_> =
-        survey.topics.iter().map(|topic| (&topic.name[..], &topic.type_name[..], topic.is_depth)).collect();
+    let input = foxglove(name);
+    let survey = Survey::of(&input, &ReadOptions::default()).unwrap();
+    let short = |topic: &planish::bag::Topic| topic.type_name.strip_prefix(prefix).map(str::to_owned);
+    let told: Vec<_> = survey.topics.iter().map(|topic| (&topic.name[..], short(topic), topic.is_depth)).collect();
     assert_eq!(
         told,
         [
-            ("/color/jpeg", "foxglove.CompressedImage", false),
-            ("/depth/calibration", "foxglove.CameraCalibration", false),
-            ("/depth/image", "foxglove.RawImage", true),
-            ("/depth/png", "foxglove.CompressedImage", true),
-            ("/points", "foxglove.PointCloud", true),
+            ("/color/jpeg", Some("CompressedImage".to_owned()), false),
+            ("/depth/calibration", Some("CameraCalibration".to_owned()), false),
+            ("/depth/image", Some("RawImage".to_owned()), true),
+            ("/depth/png", Some("CompressedImage".to_owned()), true),
+            ("/points", Some("PointCloud".to_owned()), true),
         ]
     );
     let frames = |path: &Path, topic: &str| {
@@ -490,10 +499,10 @@ fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
         OwnedFrame::Depth(frame) => frame.clone(),
         other => panic!("{other:?}"),
     };
-    let raw: Vec<DepthFrame> = frames(&foxglove(), "/depth/image").iter().map(depth).collect();
+    let raw: Vec<DepthFrame> = frames(&input, "/depth/image").iter().map(depth).collect();
     assert_eq!((raw[0].camera.width, raw[0].camera.fx, raw[1].timestamp_s), (32, 30.0, Some(101.25)));
-    assert_eq!(frames(&foxglove(), "/depth/png").iter().map(depth).collect::<Vec<_>>(), raw);
-    let mut clouds = BagSource::open(&foxglove(), Some("/points"), None, None).unwrap();
+    assert_eq!(frames(&input, "/depth/png").iter().map(depth).collect::<Vec<_>>(), raw);
+    let mut clouds = BagSource::open(&input, Some("/points"), None, None).unwrap();
     let (cloud, _) = clouds.next_cloud().unwrap().unwrap();
     assert_eq!((cloud.len(), cloud.attribute("intensity").unwrap().values.get_f64(5)), (768, 5.0));
     assert_eq!(cloud.positions.get(40)[2], f32::from(raw[0].raw[40]) / 1000.0);
@@ -502,7 +511,7 @@ fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
     let topics = ["/depth/image", "/depth/png", "/points"].map(str::to_owned).to_vec();
     let options = SmoothBagOptions::default().with_topics(topics);
     let report =
-        smooth_bag(&foxglove(), &output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ()).unwrap();
+        smooth_bag(&input, &output, &mut smoother(), &options, &AtomicBool::new(false), &mut |_, _| ()).unwrap();
     let counts: Vec<_> = report.topics.iter().map(|topic| (topic.smoothed, topic.failed)).collect();
     assert_eq!((counts, report.copied), (vec![(2, 0); 3], 4));
     let smoothed: Vec<DepthFrame> = frames(&output, "/depth/image").iter().map(depth).collect();
@@ -518,4 +527,8 @@ fn messages_of_foxglove_are_read_and_smoothed_as_they_are() {
     let (again, _) = BagSource::open(&output, Some("/points"), None, None).unwrap().next_cloud().unwrap().unwrap();
     assert_eq!(again.attributes, cloud.attributes);
     assert_ne!(again.positions, cloud.positions);
+    // Fields that Foxglove does not define are kept.
+    let own = |path: &Path| std::fs::read(path).unwrap().windows(8).filter(|word| word == b"exposure").count();
+    assert_eq!(own(&output), own(&input));
+    ([raw, smoothed], [cloud, again])
 }
