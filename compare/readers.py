@@ -1,7 +1,7 @@
 """Compares planish's readers with other readers, on folders of files. Called by readers.sh.
 
-A file agrees if both readers find the same number of points, the same coordinates, and the same values in every field that both name
-equally. Files that planish rejects, and files that only planish reads, are listed with the reason.
+A file agrees if planish and every other reader that can read it find the same number of points, the same coordinates, and the same
+values in every field that both name equally. Files that planish rejects, and files that only planish reads, are listed with the reason.
 """
 
 import json
@@ -93,6 +93,8 @@ def of_text(path):
 
 def of_numpy(path):
     array = np.load(path)
+    if not isinstance(array, np.lib.npyio.NpzFile) and array.ndim == 3 and array.shape[2] > 16:
+        return array[0], None
     if isinstance(array, np.lib.npyio.NpzFile):
         array = next(array[name] for name in ("points", "xyz", "positions", *array.files) if name in array.files)
     if array.ndim == 2 and array.shape[1] != 3 and array.dtype.kind in "iu":
@@ -104,19 +106,31 @@ def of_tiff(path):
     return tifffile.imread(path, key=0), None
 
 
+def of_open3d(path):
+    import open3d  # noqa: PLC0415, takes seconds, and most formats do not need it
+
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    cloud = open3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    points = np.asarray(cloud.points)
+    if not len(points):
+        # Open3D reports no errors.
+        raise ValueError("no points")
+    colours = np.round(255 * np.asarray(cloud.colors))
+    return points, dict(zip(("red", "green", "blue"), colours.T, strict=True)) if len(colours) else {}
+
+
 READERS = {
-    ".las": of_las, ".laz": of_las, ".ply": of_ply, ".pcd": of_pcd, ".e57": of_e57, ".obj": of_obj, ".off": of_mesh,
-    ".stl": of_mesh, ".txt": of_text, ".xyz": of_text, ".asc": of_text, ".pts": of_text, ".csv": of_text,
-    ".npy": of_numpy, ".npz": of_numpy, ".tif": of_tiff, ".tiff": of_tiff,
+    ".las": [of_las], ".laz": [of_las], ".ply": [of_ply, of_open3d], ".pcd": [of_pcd, of_open3d], ".e57": [of_e57], ".obj": [of_obj],
+    ".off": [of_mesh], ".stl": [of_mesh], ".txt": [of_text], ".xyz": [of_text, of_open3d], ".xyzn": [of_text, of_open3d],
+    ".asc": [of_text], ".pts": [of_text, of_open3d], ".csv": [of_text], ".npy": [of_numpy], ".npz": [of_numpy], ".tif": [of_tiff],
+    ".tiff": [of_tiff],
 }  # fmt: skip
 
 
-def by_another(path, folder):
-    """Return points and fields read by the other reader of the format, or the reason of its failure; both are empty if no reader exists."""
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        return None, ""
+def by_another(reader, path, folder):
+    """Return points and fields read by another reader, or the reason of its failure."""
     out = Path(folder, "other.pickle")
+    out.unlink(missing_ok=True)
 
     def read():
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
@@ -202,18 +216,20 @@ def main():
             except subprocess.TimeoutExpired:
                 own, problem = [None], "took over two minutes"
             own = (own[0], problem) if own[0] is not None else None
-            other, reason = by_another(path, folder)
+            others = {reader: by_another(reader, path, folder) for reader in READERS.get(suffix, [])}
+        read = {reader: found for reader, (found, _) in others.items() if found is not None}
         if own is None:
-            kind = "refused by planish alone" if other is not None else "refused by both" if reason else "refused"
+            kind = "refused by planish alone" if read else "refused by all" if others else "refused"
             lines.append((kind, path, problem))
-        elif other is None:
+        elif not read:
             kind = "read by planish alone"
-            lines.append((kind, path, reason or "no second reader"))
+            lines.append((kind, path, "; ".join(reason for _, reason in others.values()) or "no second reader"))
         else:
-            found = difference(own, other, suffix)
-            kind = "differs" if found else "agrees"
+            found = {reader: difference(own, other, suffix) for reader, other in read.items()}
+            found = [f"{text} ({reader.__name__})" for reader, text in found.items() if text]
+            kind = "differs" if found else "agrees with two" if len(read) == 2 else "agrees"
             if found:
-                lines.append((kind, path, found))
+                lines.append((kind, path, "; ".join(found)))
         counts[kind] += 1
     for kind, path, text in sorted(lines, key=lambda line: line[0]):
         print(f"{kind}: {path}: {text}")
