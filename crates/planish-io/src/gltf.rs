@@ -230,8 +230,9 @@ fn chunks(bytes: &[u8]) -> FormatResult<(&[u8], Option<&[u8]>)> {
             BINARY => binary = binary.or(Some(chunk)),
             _ => {}
         }
-        // Chunks begin at multiples of four bytes.
-        at += 8 + length.next_multiple_of(4);
+        // Chunks begin at multiples of four bytes, but some writers omit the padding.
+        let is_chunk = |at: usize| matches!(number(at + 4), Ok(JSON | BINARY));
+        at += 8 + if is_chunk(at + 8 + length) { length } else { length.next_multiple_of(4) };
     }
     json.map(|json| (json, binary)).ok_or_else(|| malformed("the JSON chunk is missing"))
 }

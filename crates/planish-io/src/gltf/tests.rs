@@ -23,7 +23,10 @@ fn data() -> Vec<u8> {
 }
 
 fn glb(json: &str, data: &[u8]) -> Vec<u8> {
-    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+    unpadded_glb(&format!("{json:<width$}", width = json.len().next_multiple_of(4)), data)
+}
+
+fn unpadded_glb(json: &str, data: &[u8]) -> Vec<u8> {
     let chunk =
         |kind: u32, bytes: &[u8]| [&(bytes.len() as u32).to_le_bytes()[..], &kind.to_le_bytes(), bytes].concat();
     let body = [chunk(JSON, json.as_bytes()), chunk(BINARY, data)].concat();
@@ -48,6 +51,16 @@ fn vertices_stand_where_their_nodes_place_them() {
     };
     assert!((value("normal_y", 0) - 1.0).abs() < 1e-6 && (value("normal_x", 2) - 1.0).abs() < 1e-6);
     assert_eq!((value("red", 0), value("green", 1), value("blue", 3)), (255.0, 51.0, 0.0));
+}
+
+#[test]
+fn chunks_may_lack_their_padding() {
+    let mut json = document(r#"{"byteLength":56}"#);
+    let padded = read(&glb(&json, &data())).unwrap();
+    for _ in 0..4 {
+        json.push(' ');
+        assert_eq!(read(&unpadded_glb(&json, &data())).unwrap(), padded, "{} bytes", json.len());
+    }
 }
 
 #[test]

@@ -12,9 +12,11 @@ mod messages;
 mod normals;
 mod rvl;
 mod smoother;
+mod transforms;
 
 pub use camera::{camera_info_topic, is_rectified};
 pub use cdr::{from_cdr, to_cdr};
 pub use depth::{DepthMessage, DepthPixels};
 pub use messages::{CameraInfo, CompressedImage, Header, Image, PointCloud2, PointField, RegionOfInterest, Time};
 pub use smoother::{MessageError, MessageSmoother};
+pub use transforms::{Odometry, PoseStamped, TfMessage, TransformError, TransformStamped, Transforms};

@@ -1,0 +1,391 @@
+//! The transforms between coordinate frames over time, from tf and odometry.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::messages::{Header, Time};
+use planish_core::SensorPose;
+
+/// Maximum time between two transforms for interpolation between them, in nanoseconds.
+const LONGEST_GAP_NS: i64 = 200_000_000;
+/// Maximum number of frames between a frame and the root of its tree. Longer chains are cycles.
+const DEEPEST: usize = 100;
+/// Maximum deviation of a quaternion's length from 1.
+const LENGTH_TOLERANCE: f64 = 0.01;
+/// The frame in which odometry is continuous, whereas `map` jumps when a robot corrects its position (ROS REP 105).
+const CONTINUOUS: &str = "odom";
+
+/// `geometry_msgs/TransformStamped`: the pose of a frame in its parent, which the header names.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TransformStamped {
+    /// Stamp and parent frame.
+    pub header: Header,
+    /// The frame.
+    pub child_frame_id: String,
+    /// Position of the frame's origin in its parent, in metres.
+    pub translation: [f64; 3],
+    /// Orientation in the parent as a unit quaternion x, y, z, w.
+    pub rotation: [f64; 4],
+}
+
+/// `tf2_msgs/TFMessage`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TfMessage {
+    /// The transforms.
+    pub transforms: Vec<TransformStamped>,
+}
+
+/// The beginning of `nav_msgs/Odometry`: the pose of a robot's frame in the header's frame, without covariances and
+/// velocities.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Odometry {
+    /// Stamp and parent frame.
+    pub header: Header,
+    /// The robot's frame.
+    pub child_frame_id: String,
+    /// Position in metres.
+    pub position: [f64; 3],
+    /// Orientation as a unit quaternion x, y, z, w.
+    pub orientation: [f64; 4],
+}
+
+impl From<Odometry> for TransformStamped {
+    fn from(Odometry { header, child_frame_id, position, orientation }: Odometry) -> Self {
+        Self { header, child_frame_id, translation: position, rotation: orientation }
+    }
+}
+
+/// `geometry_msgs/PoseStamped`, and the beginning of `geometry_msgs/PoseWithCovarianceStamped`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct PoseStamped {
+    /// Stamp and parent frame.
+    pub header: Header,
+    /// Position in metres.
+    pub position: [f64; 3],
+    /// Orientation as a unit quaternion x, y, z, w.
+    pub orientation: [f64; 4],
+}
+
+impl PoseStamped {
+    /// Returns the transform of the frame whose pose this is.
+    pub fn of_frame(self, child_frame_id: &str) -> TransformStamped {
+        let Self { header, position, orientation } = self;
+        TransformStamped {
+            header,
+            child_frame_id: child_frame_id.to_owned(),
+            translation: position,
+            rotation: orientation,
+        }
+    }
+}
+
+/// Reason why a pose is unknown.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TransformError {
+    /// The frames are not connected at any time.
+    #[error("no transforms connect the frames {frame:?} and {fixed:?}; known are {known}")]
+    NotConnected {
+        /// The frame whose pose was requested.
+        frame: String,
+        /// The frame in which it was requested.
+        fixed: String,
+        /// The known frames.
+        known: String,
+    },
+    /// The transform of a frame is newer or lacks values for 0.2 s around this time.
+    #[error("the transform of the frame {frame:?} is unknown at this time")]
+    Unknown {
+        /// The frame.
+        frame: String,
+    },
+    /// The transform of a frame is not known yet at this time.
+    #[error("the transform of the frame {frame:?} ends before this time")]
+    NotYet {
+        /// The frame.
+        frame: String,
+    },
+}
+
+/// Rotation and translation from a frame to its parent.
+#[derive(Debug, Clone, Copy)]
+struct Rigid {
+    rotation: DQuat,
+    translation: DVec3,
+}
+
+impl Rigid {
+    const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
+
+    /// Returns the transform that applies `inner` first.
+    fn after(self, inner: Self) -> Self {
+        Self {
+            rotation: self.rotation * inner.rotation,
+            translation: self.rotation * inner.translation + self.translation,
+        }
+    }
+
+    fn inverse(self) -> Self {
+        let rotation = self.rotation.conjugate();
+        Self { rotation, translation: rotation * -self.translation }
+    }
+}
+
+/// A frame's transforms to its parent.
+#[derive(Debug, Clone)]
+struct Edge {
+    parent: String,
+    is_static: bool,
+    /// By time in nanoseconds.
+    samples: BTreeMap<i64, Rigid>,
+}
+
+impl Edge {
+    /// Returns the transform of this edge's `frame`.
+    fn at(&self, time_ns: i64, frame: &str) -> Result<Rigid, TransformError> {
+        let unknown = || TransformError::Unknown { frame: frame.to_owned() };
+        let (newest_ns, newest) = self.samples.last_key_value().ok_or_else(unknown)?;
+        if self.is_static {
+            return Ok(*newest);
+        }
+        if time_ns > *newest_ns {
+            return Err(TransformError::NotYet { frame: frame.to_owned() });
+        }
+        let (to_ns, to) = self.samples.range(time_ns..).next().ok_or_else(unknown)?;
+        if *to_ns == time_ns {
+            return Ok(*to);
+        }
+        let (from_ns, from) = self.samples.range(..time_ns).next_back().ok_or_else(unknown)?;
+        if to_ns - from_ns > LONGEST_GAP_NS {
+            return Err(unknown());
+        }
+        let share = (time_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
+        Ok(Rigid {
+            rotation: from.rotation.slerp(to.rotation, share),
+            translation: from.translation.lerp(to.translation, share),
+        })
+    }
+}
+
+/// The transforms between coordinate frames over time.
+///
+/// As in tf, every frame has one parent. Transforms at most 0.2 s apart are interpolated.
+#[derive(Debug, Clone, Default)]
+pub struct Transforms {
+    edges: BTreeMap<String, Edge>,
+    kept_ns: Option<i64>,
+    count: usize,
+}
+
+impl Transforms {
+    /// Keeps only the last `seconds` of each frame's transforms.
+    pub fn keeping_s(self, seconds: f64) -> Self {
+        Self { kept_ns: Some((1e9 * seconds) as i64), ..self }
+    }
+
+    /// Returns the number of transforms.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Returns true if there are no transforms.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Adds a transform. A static transform is valid at all times. Returns false, without adding it, if the transform
+    /// is invalid: values that are not finite, a quaternion without unit length, or a frame that is its own parent.
+    pub fn add(&mut self, transform: &TransformStamped, is_static: bool) -> bool {
+        let TransformStamped { header, child_frame_id, translation, rotation } = transform;
+        let (parent, frame) = (name_of(&header.frame_id), name_of(child_frame_id));
+        let [x, y, z, w] = *rotation;
+        let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(*translation));
+        let is_unit = (rotation.length() - 1.0).abs() <= LENGTH_TOLERANCE;
+        if !is_unit || !translation.is_finite() || parent == frame || frame.is_empty() || parent.is_empty() {
+            return false;
+        }
+        let rigid = Rigid { rotation: rotation.normalize(), translation };
+        let edge = self.edges.entry(frame.to_owned()).or_insert_with(|| Edge {
+            parent: parent.to_owned(),
+            is_static,
+            samples: BTreeMap::new(),
+        });
+        if edge.parent != parent || edge.is_static != is_static {
+            // As in tf, the newest parent counts.
+            self.count -= edge.samples.len();
+            *edge = Edge { parent: parent.to_owned(), is_static, samples: BTreeMap::new() };
+        }
+        if is_static {
+            self.count -= edge.samples.len();
+            edge.samples.clear();
+        }
+        let at_ns = time_ns(header.stamp);
+        self.count += usize::from(edge.samples.insert(at_ns, rigid).is_none());
+        let newest_ns = edge.samples.last_key_value().map_or(at_ns, |(newest_ns, _)| *newest_ns);
+        while let (Some(kept_ns), Some(oldest)) = (self.kept_ns, edge.samples.first_entry())
+            && newest_ns.saturating_sub(*oldest.key()) > kept_ns
+        {
+            oldest.remove();
+            self.count -= 1;
+        }
+        true
+    }
+
+    /// Returns the pose of a frame in another one at a time.
+    ///
+    /// # Errors
+    /// If the frames are not connected, or one of the transforms between them is unknown at that time.
+    pub fn pose(&self, frame: &str, fixed: &str, at: Time) -> Result<SensorPose, TransformError> {
+        let (up, down) = self.paths(frame, fixed)?;
+        let along = |path: &[&str]| {
+            path.iter()
+                .try_fold(Rigid::IDENTITY, |inner, frame| Ok(self.edges[*frame].at(time_ns(at), frame)?.after(inner)))
+        };
+        let Rigid { rotation, translation } = along(&down)?.inverse().after(along(&up)?);
+        Ok(SensorPose::from_xyzw(translation.to_array(), rotation.normalize().to_array()))
+    }
+
+    /// Returns the times at which transforms between two frames are known; empty if all are static.
+    ///
+    /// # Errors
+    /// If the frames are not connected.
+    pub fn times(&self, frame: &str, fixed: &str) -> Result<Vec<Time>, TransformError> {
+        let (up, down) = self.paths(frame, fixed)?;
+        let moving = up.iter().chain(&down).map(|frame| &self.edges[*frame]).filter(|edge| !edge.is_static);
+        let times: BTreeSet<i64> = moving.flat_map(|edge| edge.samples.keys().copied()).collect();
+        Ok(times.into_iter().map(of_ns).collect())
+    }
+
+    /// Returns the frame that a frame's motion is best measured in: its ancestor `odom`, or otherwise the root of its
+    /// tree; `None` for unknown frames.
+    pub fn fixed_frame(&self, frame: &str) -> Option<String> {
+        let ancestors = self.ancestors(name_of(frame));
+        let continuous = ancestors.iter().find(|ancestor| **ancestor == CONTINUOUS);
+        continuous.or(ancestors.last()).filter(|_| self.is_known(name_of(frame))).map(|frame| (*frame).to_owned())
+    }
+
+    fn is_known(&self, frame: &str) -> bool {
+        self.edges.contains_key(frame) || self.edges.values().any(|edge| edge.parent == frame)
+    }
+
+    /// Returns a frame and its ancestors, up to the root.
+    fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
+        let parent = |frame: &&'a str| self.edges.get(*frame).map(|edge| edge.parent.as_str());
+        std::iter::successors(Some(frame), parent).take(DEEPEST).collect()
+    }
+
+    /// Returns the frames whose transforms lead from `frame` and from `fixed` to their closest common ancestor.
+    fn paths<'a>(&'a self, frame: &'a str, fixed: &'a str) -> Result<(Vec<&'a str>, Vec<&'a str>), TransformError> {
+        let [mut up, mut down] = [frame, fixed].map(|frame| self.ancestors(name_of(frame)));
+        let common =
+            up.iter().find_map(|ancestor| down.iter().position(|other| other == ancestor).zip(Some(*ancestor)));
+        let Some((length, common)) = common else {
+            let known: BTreeSet<&str> =
+                self.edges.iter().flat_map(|(frame, edge)| [frame.as_str(), edge.parent.as_str()]).collect();
+            let known = if known.is_empty() { "no frames".to_owned() } else { Vec::from_iter(known).join(", ") };
+            return Err(TransformError::NotConnected { frame: frame.to_owned(), fixed: fixed.to_owned(), known });
+        };
+        down.truncate(length);
+        up.truncate(up.iter().position(|ancestor| *ancestor == common).unwrap_or_default());
+        Ok((up, down))
+    }
+}
+
+/// Returns the name of a frame without the leading slash of ROS 1.
+fn name_of(frame: &str) -> &str {
+    frame.strip_prefix('/').unwrap_or(frame)
+}
+
+fn time_ns(time: Time) -> i64 {
+    1_000_000_000 * i64::from(time.sec) + i64::from(time.nanosec)
+}
+
+fn of_ns(time_ns: i64) -> Time {
+    let (sec, nanosec) = (time_ns.div_euclid(1_000_000_000), time_ns.rem_euclid(1_000_000_000));
+    Time { sec: sec as i32, nanosec: nanosec as u32 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> Time {
+        of_ns((1e9 * seconds).round() as i64)
+    }
+
+    fn transform(frame: &str, parent: &str, seconds: f64, translation: [f64; 3], degrees: f64) -> TransformStamped {
+        let rotation = DQuat::from_rotation_z(degrees.to_radians()).to_array();
+        let header = Header { stamp: at(seconds), frame_id: parent.to_owned() };
+        TransformStamped { header, child_frame_id: frame.to_owned(), translation, rotation }
+    }
+
+    /// A robot that turns from 0 to 90° between 10.0 and 10.1 s, with a camera 1 m ahead of its centre.
+    fn robot() -> Transforms {
+        let mut transforms = Transforms::default();
+        assert!(transforms.add(&transform("camera", "base", 0.0, [1.0, 0.0, 0.0], 0.0), true));
+        assert!(transforms.add(&transform("base", "odom", 10.0, [0.0; 3], 0.0), false));
+        assert!(transforms.add(&transform("base", "odom", 10.1, [0.0, 2.0, 0.0], 90.0), false));
+        assert!(transforms.add(&transform("odom", "map", 0.0, [100.0, 0.0, 0.0], 0.0), false));
+        transforms
+    }
+
+    #[test]
+    fn poses_follow_the_chain_and_are_interpolated() {
+        let transforms = robot();
+        let pose = transforms.pose("camera", "odom", at(10.05)).unwrap();
+        let expected = [45.0f64.to_radians().cos(), 1.0 + 45.0f64.to_radians().sin(), 0.0];
+        assert!((DVec3::from(pose.position_m) - DVec3::from(expected)).length() < 1e-9, "{pose:?}");
+        assert!((pose.orientation[3] - 22.5f64.to_radians().sin()).abs() < 1e-9, "{pose:?}");
+        // Against the direction of the tree, and between frames of different branches.
+        let back = transforms.pose("odom", "camera", at(10.0)).unwrap();
+        assert_eq!(back.position_m, [-1.0, 0.0, 0.0]);
+        let mut beside = robot();
+        beside.add(&transform("lidar", "base", 0.0, [0.0, 3.0, 0.0], 0.0), true);
+        assert_eq!(beside.pose("lidar", "/camera", at(99.0)).unwrap().position_m, [-1.0, 3.0, 0.0]);
+        assert_eq!(transforms.times("camera", "odom").unwrap(), [at(10.0), at(10.1)]);
+        assert_eq!(beside.times("lidar", "camera").unwrap(), []);
+        assert_eq!(transforms.fixed_frame("/camera"), Some("odom".into()));
+        assert_eq!(transforms.fixed_frame("map"), Some("map".into()));
+        assert_eq!(transforms.fixed_frame("arm"), None);
+    }
+
+    #[test]
+    fn unknown_times_frames_and_transforms_are_told_apart() {
+        let mut transforms = robot();
+        let error =
+            |transforms: &Transforms, fixed: &str, seconds| transforms.pose("camera", fixed, at(seconds)).unwrap_err();
+        assert_eq!(error(&transforms, "odom", 10.2), TransformError::NotYet { frame: "base".into() });
+        assert_eq!(error(&transforms, "odom", 9.9), TransformError::Unknown { frame: "base".into() });
+        let unconnected = error(&transforms, "world", 10.0);
+        assert!(unconnected.to_string().contains("known are base, camera, map, odom"), "{unconnected}");
+        // A gap of more than 0.2 s.
+        transforms.add(&transform("base", "odom", 10.5, [0.0; 3], 0.0), false);
+        assert_eq!(error(&transforms, "odom", 10.3), TransformError::Unknown { frame: "base".into() });
+        let mut bad = transform("base", "odom", 10.6, [f64::NAN, 0.0, 0.0], 0.0);
+        assert!(!transforms.add(&bad, false));
+        bad = TransformStamped { translation: [0.0; 3], rotation: [0.0; 4], ..bad };
+        assert!(!transforms.add(&bad, false));
+        assert!(!transforms.add(&transform("odom", "/odom", 1.0, [0.0; 3], 0.0), false));
+        // A cycle ends.
+        transforms.add(&transform("map", "camera", 1.0, [0.0; 3], 0.0), true);
+        assert!(transforms.pose("camera", "world", at(10.0)).is_err() && transforms.fixed_frame("base").is_some());
+    }
+
+    #[test]
+    fn only_recent_transforms_are_kept_and_the_newest_parent_counts() {
+        let mut transforms = Transforms::default().keeping_s(1.0);
+        for k in 0..100 {
+            transforms.add(&transform("base", "odom", 0.1 * f64::from(k), [f64::from(k), 0.0, 0.0], 0.0), false);
+        }
+        assert_eq!(transforms.len(), 11);
+        // Out of order, and twice the same time.
+        transforms.add(&transform("base", "odom", 9.75, [97.5, 1.0, 0.0], 0.0), false);
+        transforms.add(&transform("base", "odom", 9.75, [97.5, 2.0, 0.0], 0.0), false);
+        assert_eq!(transforms.len(), 12);
+        assert_eq!(transforms.pose("base", "odom", at(9.75)).unwrap().position_m, [97.5, 2.0, 0.0]);
+        transforms.add(&transform("base", "map", 9.95, [0.0; 3], 0.0), false);
+        assert_eq!((transforms.len(), transforms.fixed_frame("base")), (1, Some("map".into())));
+    }
+}
