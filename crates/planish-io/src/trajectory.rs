@@ -38,6 +38,21 @@ pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
 }
 
 impl Trajectory {
+    /// Creates a trajectory from times in seconds and poses. Of poses with the same time, the first is kept.
+    ///
+    /// # Errors
+    /// If there are no poses, a time is not finite, or a pose is invalid.
+    pub fn of_times(mut poses: Vec<(f64, SensorPose)>) -> FormatResult<Self> {
+        if poses.is_empty() || poses.iter().any(|(time_s, _)| !time_s.is_finite()) {
+            return Err(FormatError::Malformed("expected poses with finite times".into()));
+        }
+        poses.iter().try_for_each(|(_, pose)| pose.validate())?;
+        poses.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        poses.dedup_by_key(|(time_s, _)| *time_s);
+        let (times_s, poses) = poses.into_iter().unzip();
+        Ok(Self { times_s: Some(times_s), poses })
+    }
+
     /// Returns the number of poses.
     pub fn len(&self) -> usize {
         self.poses.len()

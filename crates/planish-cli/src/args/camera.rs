@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{Trajectory, read_trajectory};
+use planish::io::{ReadOptions, Trajectory, read_trajectory};
 use planish::{Camera, SensorPose, Settings, io};
 use planish_bench::errln;
 
@@ -39,19 +39,94 @@ pub struct PosesArgs {
     /// files in a folder are then times in seconds.
     #[arg(long, value_name = "FILE", hide_short_help = true, help_heading = CAMERA)]
     pub poses: Option<PathBuf>,
+    /// Topic of an MCAP recording with the poses of a moving camera, with --temporal: /tf, or a topic with odometry
+    ///
+    /// TFMessage, Odometry (static transforms lead from the robot to the camera), or PoseStamped or
+    /// PoseWithCovarianceStamped of the camera itself.
+    #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = CAMERA, conflicts_with = "poses")]
+    pub pose_topic: Option<String>,
+    /// Coordinate frame that does not move, with --pose-topic [default: odom, or the root of the camera's frames]
+    #[arg(long, value_name = "FRAME", hide_short_help = true, help_heading = CAMERA, requires = "pose_topic")]
+    pub fixed_frame: Option<String>,
 }
 
 impl PosesArgs {
-    /// Reads the poses, if given.
-    pub fn read(&self, settings: &Settings) -> Result<Option<Trajectory>> {
-        let Some(file) = &self.poses else { return Ok(None) };
-        if settings.temporal_params().is_none() {
-            bail!("--poses applies only to smoothing over time; add --temporal steady");
+    /// Returns true if poses are given.
+    pub fn are_given(&self) -> bool {
+        self.poses.is_some() || self.pose_topic.is_some()
+    }
+
+    /// Returns an error if poses are given but have no effect with these settings.
+    fn check(&self, settings: &Settings) -> Result<()> {
+        let option = if self.poses.is_some() { "--poses" } else { "--pose-topic" };
+        match settings.check_poses() {
+            Err(_) if self.are_given() && settings.tracks_camera() => {
+                bail!(
+                    "{option} and --track cannot be combined; remove --track, since the poses state the camera's motion"
+                )
+            }
+            Err(_) if self.are_given() => {
+                bail!("{option} applies only to smoothing over time; add --temporal steady")
+            }
+            _ => Ok(()),
         }
-        if settings.tracks_camera() {
-            bail!("--poses and --track cannot be combined; remove --track, since the poses state the camera's motion");
+    }
+
+    /// Reads the poses of a file, if given.
+    pub fn read(&self, settings: &Settings, input: &Path) -> Result<Option<Trajectory>> {
+        self.check(settings)?;
+        if self.pose_topic.is_some() {
+            bail!("{}: --pose-topic applies only to MCAP recordings", input.display());
         }
-        Ok(Some(read_trajectory(file)?))
+        Ok(self.poses.as_deref().map(read_trajectory).transpose()?)
+    }
+
+    /// Reads the poses of a file or of the recording `input`, if given. `depth_topic` is the topic of the camera.
+    #[cfg(feature = "mcap")]
+    pub fn read_in(
+        &self,
+        settings: &Settings,
+        input: &Path,
+        depth_topic: Option<&str>,
+        options: &ReadOptions,
+    ) -> Result<Option<Trajectory>> {
+        match self.topic() {
+            Some(topic) if planish::bag::is_bag(input) => {
+                self.check(settings)?;
+                let file = planish::bag::file_of(input)?;
+                Ok(Some(planish::bag::camera_trajectory(&file, depth_topic, &topic, options)?))
+            }
+            _ => self.read(settings, input),
+        }
+    }
+
+    /// Reads the poses of a file, if given.
+    #[cfg(not(feature = "mcap"))]
+    pub fn read_in(
+        &self,
+        settings: &Settings,
+        input: &Path,
+        _depth_topic: Option<&str>,
+        _options: &ReadOptions,
+    ) -> Result<Option<Trajectory>> {
+        self.read(settings, input)
+    }
+
+    /// Returns the poses for smoothing a recording, if given.
+    #[cfg(feature = "mcap")]
+    pub fn of_recording(&self, settings: &Settings) -> Result<Option<planish::bag::CameraPoses>> {
+        self.check(settings)?;
+        Ok(match (self.topic(), &self.poses) {
+            (Some(topic), _) => Some(planish::bag::CameraPoses::Topic(topic)),
+            (None, Some(file)) => Some(planish::bag::CameraPoses::Trajectory(read_trajectory(file)?)),
+            (None, None) => None,
+        })
+    }
+
+    #[cfg(feature = "mcap")]
+    fn topic(&self) -> Option<planish::bag::PoseTopic> {
+        let topic = self.pose_topic.clone()?;
+        Some(planish::bag::PoseTopic { topic, fixed_frame: self.fixed_frame.clone() })
     }
 }
 

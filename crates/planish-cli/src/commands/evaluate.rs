@@ -67,8 +67,8 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     if let Some(videos) = args.sequence {
         return sequence::evaluate(args, videos);
     }
-    if args.poses.poses.is_some() || args.frames.is_some() {
-        bail!("--poses and --frames apply only to evaluate --sequence");
+    if args.poses.are_given() || args.frames.is_some() {
+        bail!("--poses, --pose-topic and --frames apply only to evaluate --sequence");
     }
     if args.results.len() > 1 {
         bail!("--results can be given more than once only with --sequence");

@@ -84,9 +84,6 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
             args.input.display()
         );
     }
-    if args.poses.poses.is_some() && !args.input.is_dir() {
-        bail!("{}: --poses applies to folders and streams", args.input.display());
-    }
     #[cfg(feature = "mcap")]
     if let Some(code) = bag::run(args)? {
         return Ok(code);
@@ -99,6 +96,9 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     }
     if args.input.is_dir() {
         return folder::run(&mut worker);
+    }
+    if args.poses.are_given() {
+        bail!("{}: --poses and --pose-topic apply to folders, recordings and streams", args.input.display());
     }
     if args.format.is_some() {
         errln!(

@@ -98,7 +98,9 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         outputs.points = true;
     }
     settings.outputs = Some(outputs);
-    let poses = args.poses.read(&settings)?;
+    let (name, topics) = (Path::new(args.source.name()), &args.source.topics.topic);
+    let topic = topics.first().map(String::as_str);
+    let poses = args.poses.read_in(&settings, name, topic, &args.source.memory.options())?;
     let follows = settings.tracks_camera() || poses.is_some();
     let options = StreamOptions::from_settings(settings)
         .map_err(by_option_of_error)?

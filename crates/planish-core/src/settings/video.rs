@@ -18,6 +18,19 @@ impl Settings {
         self.track == Some(true)
     }
 
+    /// Refuses settings with which the poses of a moving camera have no effect. Call this for inputs with poses.
+    ///
+    /// # Errors
+    /// If frames are not smoothed over time, or if `track` estimates the motion.
+    pub fn check_poses(&self) -> Result<(), ParamError> {
+        let allowed = match (self.temporal_params(), self.tracks_camera()) {
+            (None, _) => "poses need smoothing over time (temporal: steady)",
+            (_, true) => "poses state the motion that track would estimate; omit one of the two",
+            _ => return Ok(()),
+        };
+        Err(ParamError { field: "poses", value: "given".into(), allowed })
+    }
+
     /// Refuses settings for smoothing over time. Call this for inputs that are not consecutive frames of one camera.
     ///
     /// # Errors

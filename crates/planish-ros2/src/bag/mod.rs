@@ -6,6 +6,7 @@
 mod decompress;
 mod foxglove;
 mod parts;
+mod poses;
 mod records;
 mod recover;
 mod schemas;
@@ -20,6 +21,7 @@ use std::path::{Path, PathBuf};
 use planish_core::{FormatError, IoError};
 use planish_io::internal::brief;
 
+pub use poses::{CameraPoses, PoseTopic, camera_trajectory};
 pub use recover::{Recovered, part_of, recover};
 pub use smooth::{SmoothBagOptions, SmoothBagReport, TopicReport, smooth_bag};
 pub use source::BagSource;

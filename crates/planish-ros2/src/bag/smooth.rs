@@ -10,13 +10,14 @@ use mcap::records::{Header as FileHeader, MessageHeader, Record};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use super::of_mcap;
+use super::poses::{CameraPoses, Poses};
 use super::records::{Next, Records};
 use super::schemas::{CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
 use super::survey::{Channel, Channels, Chosen, MessageKind, Survey};
 use super::writer::channel_metadata;
-use crate::ros::{MessageError, MessageSmoother, PointCloud2, to_cdr};
-use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError};
-use planish_io::{ReadOptions, internal::AtomicFile};
+use crate::ros::{Header, MessageError, MessageSmoother, PointCloud2, to_cdr};
+use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError, SensorPose, Settings};
+use planish_io::{ReadOptions, Trajectory, internal::AtomicFile};
 
 /// Options for smoothing a recording.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -30,6 +31,8 @@ pub struct SmoothBagOptions {
     pub camera: Option<Camera>,
     /// The topic of clouds to add, one for each depth image; `None` adds no clouds.
     pub points_topic: Option<String>,
+    /// The poses of the moving cameras, for smoothing over time.
+    pub poses: Option<CameraPoses>,
     /// The memory limit for a message or chunk.
     pub read: ReadOptions,
 }
@@ -53,6 +56,11 @@ impl SmoothBagOptions {
     /// Sets the topic of the clouds to add for depth images; `None` adds no clouds.
     pub fn with_points_topic(self, points_topic: Option<String>) -> Self {
         Self { points_topic, ..self }
+    }
+
+    /// Sets the poses of the moving cameras; `None` if the cameras stand still or are tracked.
+    pub fn with_poses(self, poses: Option<CameraPoses>) -> Self {
+        Self { poses, ..self }
     }
 
     /// Sets the memory limit for a message or chunk.
@@ -85,6 +93,8 @@ pub struct SmoothBagReport {
     pub topics: Vec<TopicReport>,
     /// Warning about the first message that lost many of its points.
     pub warning: Option<String>,
+    /// Number of messages without a pose, if poses were given.
+    pub without_pose: u64,
     /// Number of messages of other topics, copied bit for bit.
     pub copied: u64,
     /// Number of chunks with a wrong checksum. Their messages, smoothed or copied like all others, may be damaged.
@@ -138,6 +148,8 @@ pub fn smooth_bag(
             return Err(IoError { path: input.to_path_buf(), problem: FormatError::Unsupported(text) }.into());
         }
     }
+    let poses = options.poses.as_ref().map(|poses| PosesOf::read(poses, &survey, input, &chosen, smoother, options));
+    let poses = poses.transpose()?;
     let counts = survey.topics.iter().filter(|topic| chosen.iter().any(|chosen| chosen.topic == topic.name));
     let total = counts.map(|topic| topic.messages).sum::<Option<u64>>();
     let at_output = |problem: FormatError| -> Error { IoError { path: output.to_path_buf(), problem }.into() };
@@ -153,6 +165,8 @@ pub fn smooth_bag(
         reports: BTreeMap::new(),
         added: BTreeMap::new(),
         taken,
+        poses,
+        without_pose: 0,
         copied: 0,
         done: 0,
     };
@@ -216,13 +230,13 @@ pub fn smooth_bag(
     };
     writer.finish().map_err(|error| at_output(of_mcap(error)))?;
     writer.into_inner().flush().map_err(|error| at_output(error.into()))?;
-    let Copy { chosen, reports, copied, smoother, .. } = copy;
+    let Copy { chosen, reports, copied, without_pose, smoother, .. } = copy;
     let warning = smoother.take_warning();
     whole.finish().map_err(at_output)?;
     let empty = |chosen: &Chosen| empty_report(chosen);
     let topics =
         chosen.iter().map(|chosen| reports.get(&chosen.topic).cloned().unwrap_or_else(|| empty(chosen))).collect();
-    Ok(SmoothBagReport { topics, warning, copied, damaged_chunks, cut_off, not_chosen })
+    Ok(SmoothBagReport { topics, warning, without_pose, copied, damaged_chunks, cut_off, not_chosen })
 }
 
 /// Returns true if the name is a valid topic name.
@@ -296,8 +310,54 @@ struct Copy<'a> {
     added: BTreeMap<String, u16>,
     /// Channel and schema IDs in the input's summary.
     taken: BTreeSet<u16>,
+    poses: Option<PosesOf<'a>>,
+    without_pose: u64,
     copied: u64,
     done: u64,
+}
+
+/// The poses of the cameras.
+enum PosesOf<'a> {
+    Trajectory(&'a Trajectory),
+    Topic(Poses),
+}
+
+impl<'a> PosesOf<'a> {
+    /// Reads the poses, and checks that they apply to the cameras of the chosen topics.
+    fn read(
+        poses: &'a CameraPoses,
+        survey: &Survey,
+        input: &Path,
+        chosen: &[Chosen],
+        smoother: &MessageSmoother,
+        options: &SmoothBagOptions,
+    ) -> Result<Self, Error> {
+        smoother.settings().map_or(Ok(()), Settings::check_poses)?;
+        let at_input = |problem: FormatError| IoError { path: input.to_path_buf(), problem };
+        match poses {
+            CameraPoses::Trajectory(_) if chosen.len() > 1 => {
+                let problem = "the poses of a file belong to one camera, but several topics were chosen";
+                Err(at_input(FormatError::Unsupported(problem.into())).into())
+            }
+            CameraPoses::Trajectory(trajectory) => Ok(Self::Trajectory(trajectory)),
+            CameraPoses::Topic(topic) => {
+                let poses = Poses::read(input, topic, &options.read).map_err(at_input)?;
+                for chosen in chosen {
+                    let frame = survey.frame_of(input, std::slice::from_ref(&chosen.topic))?;
+                    poses.check(&frame).map_err(at_input)?;
+                }
+                Ok(Self::Topic(poses))
+            }
+        }
+    }
+
+    /// Returns the pose of the camera of the message with this header and number.
+    fn pose(&self, header: &Header, number: u64) -> Option<SensorPose> {
+        match self {
+            Self::Trajectory(trajectory) => trajectory.pose(number, Some(header.stamp.seconds()), None),
+            Self::Topic(poses) => poses.pose(header),
+        }
+    }
 }
 
 impl Copy<'_> {
@@ -377,16 +437,27 @@ impl Copy<'_> {
         }
     }
 
+    /// Passes the pose of a message's camera to the smoother, if poses were given.
+    fn set_pose(&mut self, header: &Header) -> Result<(), MessageError> {
+        let Some(poses) = &self.poses else { return Ok(()) };
+        let pose = poses.pose(header, self.done - 1);
+        self.without_pose += u64::from(pose.is_none());
+        Ok(self.smoother.set_camera_pose(pose)?)
+    }
+
     /// Smooths a message.
     fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<Rewritten, MessageError> {
         self.smoother.set_topic(&chosen.topic)?;
         let Chosen { kind, wire, .. } = *chosen;
         if kind == MessageKind::PointCloud2 {
-            let smoothed = self.smoother.smooth_cloud(wire.cloud(data)?)?;
+            let cloud = wire.cloud(data)?;
+            self.set_pose(&cloud.header)?;
+            let smoothed = self.smoother.smooth_cloud(cloud)?;
             let message = wire.with_cloud(data, &smoothed)?;
             return Ok(Rewritten { message, points: None, origin: None });
         }
         let message = wire.depth(kind, data, &self.options.read)?;
+        self.set_pose(message.header())?;
         let camera = |shape| chosen.camera(self.options.camera.as_ref(), shape);
         let wants_points = self.options.points_topic.is_some();
         let smoothed = self.smoother.smooth_depth(&message, camera, wants_points)?;

@@ -176,6 +176,22 @@ impl Survey {
         Err(format!("the recording has no depth images and no clouds; {}{hint}", self.told()))
     }
 
+    /// Returns the coordinate frame of the first of the named topics, or of the topic that is chosen if none is named.
+    pub(super) fn frame_of(&self, path: &Path, topics: &[String]) -> Result<String, IoError> {
+        let topic = match topics.first() {
+            Some(name) => self
+                .topics
+                .iter()
+                .find(|topic| topic.name == *name)
+                .ok_or_else(|| format!("the recording has no images or clouds on {name}; {}", self.told())),
+            None => self.only_topic(),
+        };
+        topic.map(|topic| topic.frame_id.clone()).map_err(|problem| {
+            let problem = FormatError::Unsupported(printable_line(&problem).into_owned());
+            IoError { path: path.to_path_buf(), problem }
+        })
+    }
+
     /// Returns the topics with depth that were not chosen and are copied unchanged.
     pub(super) fn left(&self, chosen: &[Chosen]) -> Vec<String> {
         let is_chosen = |topic: &&Topic| chosen.iter().any(|chosen| chosen.is(&topic.name, topic.kind, topic.wire));

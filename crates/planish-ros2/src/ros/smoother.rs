@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::{DepthMessage, DepthPixels, Header, Image, PointCloud2};
 use planish_core::{
     Camera, CloudParams, DepthImage, DepthView, Engine, Error, FormatError, Frame, FrameError, FrameParams, Outputs,
-    ParamError, PointsView, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
+    ParamError, PointsView, SensorPose, Session, SessionEvent, Settings, Smoothed, SmootherOptions, Xyz,
 };
 use planish_io::{ReadOptions, Work};
 
@@ -148,6 +148,15 @@ impl MessageSmoother {
         }
         self.topic = Some(topic.to_owned());
         Ok(())
+    }
+
+    /// Sets the pose of the camera of the next message, for smoothing over time with a moving camera; `None` if it is
+    /// unknown. Call it after [`set_topic`](Self::set_topic).
+    ///
+    /// # Errors
+    /// If the pose is invalid, or the settings estimate the motion.
+    pub fn set_camera_pose(&mut self, pose: Option<SensorPose>) -> Result<(), Error> {
+        self.session.set_camera_pose(pose)
     }
 
     /// Returns the settings; `None` for a smoother with explicit parameters.

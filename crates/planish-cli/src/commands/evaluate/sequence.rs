@@ -111,7 +111,7 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
     }
     let mut settings = args.smoothing.settings()?;
     settings.temporal = Some(TemporalChoice::Steady);
-    let poses = args.poses.read(&settings)?;
+    let poses = args.poses.read_in(&settings, input, None, &args.memory.options())?;
     let mut evaluated = Evaluated::new(args, None, &[])?;
     let bar = progress(args.frames)?;
     while args.frames.is_none_or(|most| evaluated.frames < most) {
@@ -152,8 +152,8 @@ fn on_input(args: &EvaluateArgs, input: &Path) -> Result<Video> {
 
 /// Evaluates the simulated videos.
 fn on_simulated(args: &EvaluateArgs, videos: SequenceArg) -> Result<Vec<Video>> {
-    if args.poses.poses.is_some() {
-        bail!("--poses needs --input; simulated cameras have poses of their own");
+    if args.poses.are_given() {
+        bail!("--poses and --pose-topic need --input; simulated cameras have poses of their own");
     }
     let sensor = sensor_of(args)?;
     let frames = args.frames.unwrap_or(FRAMES);
@@ -244,7 +244,7 @@ impl Evaluated {
         }
         if event == Some(Event::MovingCamera) {
             ways.push(Way::new("steady, true poses", steady, true)?);
-        } else if args.poses.poses.is_some() {
+        } else if args.poses.are_given() {
             ways.push(Way::new("steady, poses", steady, true)?);
         }
         let folders: Vec<&PathBuf> =

@@ -28,6 +28,8 @@ struct Report<'a> {
     output: String,
     engine: Option<&'static str>,
     topics: Vec<TopicReport<'a>>,
+    /// Number of messages without a pose, if poses were given.
+    without_pose: u64,
     /// Number of copied messages on other topics.
     copied: u64,
     /// Number of chunks with a wrong checksum.
@@ -99,12 +101,14 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
 fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let mut settings = args.smoothing.settings()?;
     settings.outputs = Some(args.outputs());
+    let poses = args.poses.of_recording(&settings)?;
     let mut smoother = MessageSmoother::new(settings)?.with_read_options(args.reading.read_options());
     let options = SmoothBagOptions::default()
         .with_topics(args.topics.topic.clone())
         .with_camera_info_topic(args.topics.camera_info_topic.clone())
         .with_camera(args.camera.camera_of_any_shape()?)
         .with_points_topic(args.points_topic.clone())
+        .with_poses(poses)
         .with_read_options(args.reading.read_options());
     let bar =
         ProgressBar::new(0).with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} messages, {eta} left")?);
@@ -146,6 +150,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             output: args.output.display().to_string(),
             engine,
             topics: topics.collect(),
+            without_pose: report.without_pose,
             copied: report.copied,
             damaged_chunks: report.damaged_chunks,
             cut_off: report.cut_off.as_deref(),
@@ -172,6 +177,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
             count(topic.failed, "message")
         );
     }
+    report_unknown_poses(args, report.without_pose);
     if !report.not_chosen.is_empty() {
         let topics = report.not_chosen.join(", ");
         let topics = printable_line(&topics);
@@ -192,6 +198,18 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     }
     let is_clean = failed == 0 && report.damaged_chunks == 0 && report.cut_off.is_none();
     Ok(if is_clean { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// Reports how many frames had no pose.
+fn report_unknown_poses(args: &SmoothArgs, without_pose: u64) {
+    if without_pose > 0 {
+        errln!(
+            "{}: the poses of {} are unknown; they were smoothed as if the camera stood still; poses must be at most \
+             0.2 s apart",
+            args.input.display(),
+            count(without_pose, "frame")
+        );
+    }
 }
 
 /// Returns a number with its noun, in the plural unless the number is 1.
@@ -240,7 +258,9 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let outputs = if format == SinkFormat::DepthPng { Outputs::DEPTH } else { args.outputs() };
     let mut settings = args.smoothing.settings()?;
     settings.outputs = Some(outputs);
-    let options_of_stream = StreamOptions::from_settings(settings)?;
+    let topic = args.topics.topic.first().map(String::as_str);
+    let poses = args.poses.read_in(&settings, input, topic, &args.reading.read_options())?;
+    let options_of_stream = StreamOptions::from_settings(settings)?.with_poses(poses);
     let sink: Box<dyn Sink> = if is_mcap(&args.output) {
         Box::new(BagSink::create(&args.output, outputs)?.discarding_if(Arc::clone(&stop)))
     } else {
@@ -262,6 +282,7 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
         errln!("{}: stopped; {left}", args.output.display());
         return Ok(ExitCode::from(INTERRUPTED));
     }
+    report_unknown_poses(args, statistics.without_pose);
     let (frames, seconds) = (statistics.frames_out, statistics.duration().as_secs_f64());
     let (engine, unreadable) = (statistics.engine.name(), statistics.unreadable);
     if args.json {
