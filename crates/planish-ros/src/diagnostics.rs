@@ -43,6 +43,8 @@ pub struct Statistics {
     pub failed: u64,
     /// Number of results that could not be published, mostly because subscribers were too slow.
     pub unsent: u64,
+    /// Number of messages without a pose, if a source of poses was named.
+    pub without_pose: u64,
     /// The last warning, until the next message is smoothed.
     pub problem: Option<String>,
     /// Times from arrival to publication in microseconds, since the last report.
@@ -59,8 +61,18 @@ impl Statistics {
         // Three significant digits; longer times count as the longest.
         let histogram = || Histogram::new_with_bounds(1, LONGEST.as_micros() as u64, 3);
         let (latency_us, since_stamp_us) = (histogram()?, histogram()?);
-        let [received, published, dropped, failed, unsent] = [0; 5];
-        Ok(Self { received, published, dropped, failed, unsent, problem: None, latency_us, since_stamp_us })
+        let [received, published, dropped, failed, unsent, without_pose] = [0; 6];
+        Ok(Self {
+            received,
+            published,
+            dropped,
+            failed,
+            unsent,
+            without_pose,
+            problem: None,
+            latency_us,
+            since_stamp_us,
+        })
     }
 
     /// Counts a result with its time since arrival, and its time since the stamp if that is not in the future.
@@ -97,6 +109,7 @@ impl Statistics {
             ("replaced by newer ones", self.dropped.to_string()),
             ("failed", self.failed.to_string()),
             ("not accepted by subscribers", self.unsent.to_string()),
+            ("without a pose", self.without_pose.to_string()),
             ("rate", self.latency_us.len().to_string()),
             ("latency p50 ms", ms(0.5)),
             ("latency p99 ms", ms(0.99)),

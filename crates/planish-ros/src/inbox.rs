@@ -1,6 +1,6 @@
 //! Passes messages from the receiving thread to the smoothing thread.
 
-use planish::ros::{CameraInfo, DepthMessage, PointCloud2, Time};
+use planish::ros::{CameraInfo, DepthMessage, Header, PointCloud2, Time};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -11,10 +11,10 @@ pub enum Arrived {
 }
 
 impl Arrived {
-    fn stamp(&self) -> Time {
+    pub fn header(&self) -> &Header {
         match self {
-            Self::Depth(message) => message.header().stamp,
-            Self::Cloud(cloud) => cloud.header.stamp,
+            Self::Depth(message) => message.header(),
+            Self::Cloud(cloud) => &cloud.header,
         }
     }
 }
@@ -57,11 +57,11 @@ impl Shared {
     pub fn put(&self, message: Arrived) {
         let mut inbox = self.lock();
         inbox.received += 1;
-        if inbox.is_late(message.stamp()) {
+        if inbox.is_late(message.header().stamp) {
             inbox.replaced += 1;
             return;
         }
-        inbox.last = message.stamp();
+        inbox.last = message.header().stamp;
         if inbox.newest.replace((message, Instant::now())).is_some() {
             inbox.replaced += 1;
         }

@@ -4,6 +4,7 @@ mod arguments;
 mod diagnostics;
 mod inbox;
 mod node;
+mod poses;
 mod settings;
 
 use std::io::{self, Write};
@@ -87,6 +88,9 @@ Topics, all of which can be remapped (-r); the node is /{NODE_NAME} (-r __node:=
   image_rect       in: depth, 16UC1 (millimetres) or 32FC1 (metres)
   camera_info      in: its camera
   input            in: clouds, with -p input:=points
+  /tf, /tf_static  in: the camera's poses, with -p poses:=tf; /tf_static with -p poses:=odometry, too
+  odom             in: the robot's poses, with -p poses:=odometry
+  pose             in: the camera's poses, with -p poses:=pose or pose_with_covariance
   points           out: smoothed clouds
   image_smoothed   out: smoothed depth, with -p publish_depth:=true
   normals          out: an image of normals, with -p publish_normals:=true

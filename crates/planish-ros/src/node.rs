@@ -23,6 +23,7 @@ use ros2_client::{
 use crate::arguments::Arguments;
 use crate::diagnostics::{DiagnosticArray, Statistics};
 use crate::inbox::{Arrived, Shared};
+use crate::poses::Poses;
 use crate::settings::{Input, NodeSettings, declared};
 
 /// Interval between diagnostic messages.
@@ -74,11 +75,22 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
         );
     }
     let receiver = subscribe(&mut node, &settings, &image_topic, &camera_topic, &shared)?;
+    let poses = match settings.poses {
+        Some(kind) => Some(Poses::subscribe(&mut node, arguments, kind, settings.fixed_frame.clone())?),
+        None => None,
+    };
     let publishers = publish(&context, &mut node, &settings, arguments)?;
     let spinner = node.spinner().map_err(|error| anyhow!("cannot start discovery: {error}"))?;
-    // Both threads wait for messages until the process ends.
+    // These threads wait for messages until the process ends.
     thread::Builder::new().name("planish-discovery".into()).spawn(move || block_on(spinner.spin()))?;
     thread::Builder::new().name("planish-receive".into()).spawn(receiver)?;
+    let poses = match poses {
+        Some((poses, receiver)) => {
+            thread::Builder::new().name("planish-poses".into()).spawn(receiver)?;
+            Some(poses)
+        }
+        None => None,
+    };
     rosout!(node, LogLevel::Info, "planish smooths {} -> {}", image_topic, arguments.topic("points"));
     eprintln!("planish smooths {image_topic} -> {}", arguments.topic("points"));
 
@@ -86,6 +98,7 @@ pub fn run(arguments: &Arguments, stop: &AtomicBool) -> Result<()> {
     smoother.set_normals_image(settings.publish_normals);
     let mut work = Work {
         smoother,
+        poses,
         is_rectified: is_rectified(&image_topic),
         camera_topic,
         settings,
@@ -245,7 +258,7 @@ fn receive<M: serde::de::DeserializeOwned + Send + 'static>(
 }
 
 /// Creates a topic from its full name, and the package and name of its message type.
-fn topic(
+pub fn topic(
     node: &Node,
     name: &str,
     (package, kind): (&str, &str),
@@ -317,6 +330,8 @@ fn publish(context: &Context, node: &mut Node, settings: &NodeSettings, argument
 struct Work {
     smoother: MessageSmoother,
     settings: NodeSettings,
+    /// The poses of a moving camera, if the parameters name a source.
+    poses: Option<Poses>,
     is_rectified: bool,
     camera_topic: String,
     node: Node,
@@ -359,9 +374,19 @@ impl Work {
         if !self.settings.publishes() {
             return Ok(());
         }
-        let (stamp, result) = match message {
-            Arrived::Depth(message) => (message.header().stamp, self.smooth_depth(&message, camera)),
-            Arrived::Cloud(cloud) => (cloud.header.stamp, self.smooth_cloud(cloud)),
+        let header = message.header();
+        let stamp = header.stamp;
+        if let Some(poses) = &self.poses {
+            let pose = poses.wait_for(header, since);
+            self.smoother.set_camera_pose(pose.as_ref().ok().copied())?;
+            if let Err(error) = pose {
+                self.statistics.without_pose += 1;
+                self.warn(format!("a frame was smoothed as if the camera stood still: {error}"));
+            }
+        }
+        let result = match message {
+            Arrived::Depth(message) => self.smooth_depth(&message, camera),
+            Arrived::Cloud(cloud) => self.smooth_cloud(cloud),
         };
         match result {
             Ok(()) => {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail};
+use planish::ros::PoseKind;
 use planish::{Outputs, SettingValue, Settings};
 use ros2_client::ParameterValue;
 use ros2_client::qos::{History, QosProfile, WhenFull};
@@ -42,6 +43,19 @@ pub fn declared() -> Vec<Declared> {
         ("neighbours", NotSet, true, "For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius"),
         ("temporal", NotSet, true, "off, or steady: frames of a stationary camera are smoothed over time"),
         ("track", NotSet, true, "Whether frames are smoothed over time and the camera's motion is compensated"),
+        (
+            "poses",
+            text("off"),
+            false,
+            "Poses of a moving camera, with temporal: off, tf (/tf, /tf_static), odometry (odom, /tf_static), or pose \
+             or pose_with_covariance of the camera itself (pose)",
+        ),
+        (
+            "fixed_frame",
+            text(""),
+            false,
+            "Frame that does not move, for poses [default: odom, or the root of the frames]",
+        ),
         ("degree", NotSet, true, "Degree of the surface, 1 to 3"),
         ("bandwidth_m", NotSet, true, "Bandwidth of the Gaussian weights in metres"),
         ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),
@@ -83,6 +97,10 @@ pub struct NodeSettings {
     /// The settings of the smoother; their outputs are the fields of clouds.
     pub smoothing: Settings,
     pub input: Input,
+    /// Type of the messages with the poses of a moving camera; `None` if it stands still or is tracked.
+    pub poses: Option<PoseKind>,
+    /// The frame that does not move; `None` for the default.
+    pub fixed_frame: Option<String>,
     pub publish_points: bool,
     pub publish_depth: bool,
     pub publish_normals: bool,
@@ -137,9 +155,22 @@ impl NodeSettings {
             _ if smoothing.estimates_sensor() => {}
             _ => smoothing.frame_params().map(drop)?,
         }
+        let poses = match text("poses")?.as_str() {
+            // YAML reads `off` as false.
+            "off" | "" => None,
+            kind => Some(kind.parse::<PoseKind>()?),
+        };
+        let fixed_frame = Some(text("fixed_frame")?).filter(|frame| !frame.is_empty());
+        match poses {
+            Some(_) => smoothing.check_poses()?,
+            None if fixed_frame.is_some() => bail!("fixed_frame: applies only to poses"),
+            None => {}
+        }
         Ok(Self {
             smoothing,
             input,
+            poses,
+            fixed_frame,
             publish_points: truth("publish_points")?,
             publish_depth: truth("publish_depth")?,
             publish_normals: truth("publish_normals")?,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rclpy
 from conftest import CAMERA, HEIGHT, PROJECTION, WIDTH, depth_mm, program, roughness
+from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import ListParameters, SetParameters
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
@@ -63,7 +64,7 @@ class Robot:
 @pytest.fixture
 def robot(request):
     rclpy.init()
-    robot = Robot("/" + request.node.name)
+    robot = Robot("/" + request.node.originalname)
     yield robot
     robot.close()
     rclpy.shutdown()
@@ -231,6 +232,52 @@ def test_bad_input_is_said_and_the_next_frame_is_smoothed(robot, start):
     robot.publish_until([(infos, camera_info()), (images, good)], lambda: robot.received["points"])
     # The same is not said at every frame.
     assert sum("rgb8" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize("poses", ["odometry", "tf"])
+def test_the_poses_of_a_moving_camera_are_taken(robot, start, poses):
+    # Static transforms published before the node starts reach it.
+    publisher = subprocess.Popen([program("examples/publish_tf")], stdout=subprocess.PIPE) if poses == "tf" else None
+    try:
+        if publisher:
+            assert publisher.stdout.readline() == b"published\n"
+        node = start("-p", "temporal:=steady", "-p", f"poses:={poses}")
+        robot.listen(PointCloud2, "points")
+        images = robot.node.create_publisher(Image, "image_rect", 5)
+        infos = robot.node.create_publisher(CameraInfo, "camera_info", 5)
+        odometry = robot.node.create_publisher(Odometry, "odom", 5)
+        lines = []
+        threading.Thread(target=lambda: lines.extend(iter(node.stderr.readline, "")), daemon=True).start()
+        unknown = lambda: [line for line in lines if "as if the camera stood still" in line]
+
+        def frames(with_poses):
+            """Sends frames of the current time until three more clouds arrive."""
+            before, end = len(robot.received["points"]), time.monotonic() + 20
+            while len(robot.received["points"]) < before + 3:
+                assert time.monotonic() < end, lines
+                message = image(depth_mm(4))
+                message.header.stamp = robot.node.get_clock().now().to_msg()
+                infos.publish(camera_info())
+                images.publish(message)
+                if with_poses:
+                    pose = Odometry(child_frame_id="lens")
+                    pose.header.frame_id, pose.header.stamp = "odom", message.header.stamp
+                    pose.pose.pose.orientation.w = 1.0
+                    odometry.publish(pose)
+                time.sleep(0.1)
+
+        if poses == "odometry":
+            frames(with_poses=False)
+            assert any('"lens"' in line for line in unknown()), lines
+        frames(with_poses=True)
+        lines.clear()
+        frames(with_poses=True)
+        assert not unknown(), lines
+        assert "frames" in [field.name for field in robot.received["points"][-1].fields]
+    finally:
+        if publisher:
+            publisher.kill()
+            publisher.wait()
 
 
 def test_a_cloud_that_lies_about_its_size_does_not_end_the_node(robot, start):

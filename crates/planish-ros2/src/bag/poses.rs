@@ -8,7 +8,7 @@ use mcap::records::Record;
 use super::records::{Next, Records};
 use super::schemas::MESSAGE_ENCODING;
 use super::survey::Survey;
-use crate::ros::{Header, Odometry, PoseStamped, TfMessage, TransformError, TransformStamped, Transforms, from_cdr};
+use crate::ros::{Header, PoseBuffer, PoseKind};
 use planish_core::{Error, FormatError, IoError, SensorPose};
 use planish_io::{ReadOptions, Trajectory, printable_line};
 
@@ -35,46 +35,20 @@ pub enum CameraPoses {
     Topic(PoseTopic),
 }
 
-/// Message type of a topic with poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Transforms,
-    Odometry,
-    Pose,
-}
-
-impl Kind {
-    fn named(type_name: &str) -> Option<Self> {
-        Some(match type_name {
-            "tf2_msgs/msg/TFMessage" => Self::Transforms,
-            "nav_msgs/msg/Odometry" => Self::Odometry,
-            "geometry_msgs/msg/PoseStamped" | "geometry_msgs/msg/PoseWithCovarianceStamped" => Self::Pose,
-            _ => return None,
-        })
-    }
-}
-
-/// The transforms of a recording.
+/// The poses of the cameras of a recording.
 pub(super) struct Poses {
-    transforms: Transforms,
-    topic: PoseTopic,
-    /// The parent frame of odometry and poses.
-    parent: Option<String>,
-    /// True if the topic has the poses of the camera itself, whatever its frame.
-    of_camera: bool,
+    buffer: PoseBuffer,
+    topic: String,
 }
-
-/// The name under which the camera's own poses are stored.
-const CAMERA: &str = "camera itself";
 
 impl Poses {
     /// Reads all poses of a recording, and the static transforms beside them.
     pub(super) fn read(path: &Path, topic: &PoseTopic, options: &ReadOptions) -> Result<Self, FormatError> {
         let mut records = Records::open(path, options).map_err(|error| error.problem)?;
-        let mut poses =
-            Self { transforms: Transforms::default(), topic: topic.clone(), parent: None, of_camera: false };
+        let PoseTopic { topic, fixed_frame } = topic;
+        let mut buffer = PoseBuffer::new(fixed_frame.clone());
         let (mut types, mut channels) = (BTreeMap::new(), BTreeMap::new());
-        let (mut messages, mut unreadable, mut invalid) = (0u64, 0u64, 0u64);
+        let (mut messages, mut unreadable, mut invalid) = (0usize, 0usize, 0usize);
         loop {
             let record = match records.next() {
                 Ok(Next::Record(record)) => record,
@@ -87,54 +61,38 @@ impl Poses {
                     types.insert(header.id, header.name);
                 }
                 Record::Channel(channel) if channel.message_encoding == MESSAGE_ENCODING => {
-                    let kind = types.get(&channel.schema_id).and_then(|name| Kind::named(name));
+                    let kind = types.get(&channel.schema_id).and_then(|name| PoseKind::of_type(name));
                     channels.insert(channel.id, (channel.topic, kind));
                 }
                 Record::Message { header, data } => {
                     let Some((name, Some(kind))) = channels.get(&header.channel_id) else { continue };
-                    let is_static = *kind == Kind::Transforms && name.ends_with("tf_static");
-                    if !is_static && *name != topic.topic {
+                    let is_static = *kind == PoseKind::Transforms && name.ends_with("tf_static");
+                    if !is_static && name != topic {
                         continue;
                     }
-                    messages += u64::from(!is_static);
-                    match transforms_of(*kind, &data) {
-                        Ok(transforms) => {
-                            poses.of_camera |= *kind == Kind::Pose;
-                            for transform in transforms {
-                                if !is_static && *kind != Kind::Transforms {
-                                    poses.parent.get_or_insert_with(|| transform.header.frame_id.clone());
-                                }
-                                invalid += u64::from(!poses.transforms.add(&transform, is_static));
-                            }
-                        }
+                    messages += usize::from(!is_static);
+                    match buffer.add_cdr(*kind, &data, is_static) {
+                        Ok(number) => invalid += number,
                         Err(_) => unreadable += 1,
                     }
-                    options.check(poses.transforms.len(), TRANSFORM_BYTES)?;
+                    options.check(buffer.len(), TRANSFORM_BYTES)?;
                 }
                 _ => {}
             }
         }
-        let name = || printable_line(&topic.topic).into_owned();
-        let problem = match channels.values().find(|(found, _)| *found == topic.topic) {
+        let name = || printable_line(topic).into_owned();
+        let problem = match channels.values().find(|(found, _)| found == topic) {
             None => format!("the recording has no topic {} in CDR; {}", name(), told(&channels)),
             Some((_, None)) => format!("the topic {} has no poses; {}", name(), told(&channels)),
             Some(_) if messages == 0 => format!("the topic {} has no messages", name()),
-            Some(_) if poses.transforms.is_empty() => format!(
+            Some(_) if buffer.is_empty() => format!(
                 "the topic {} has no valid pose: {unreadable} messages are damaged, {invalid} poses have a quaternion \
                  without unit length or values that are not finite",
                 name()
             ),
-            Some(_) => return Ok(poses),
+            Some(_) => return Ok(Self { buffer, topic: topic.clone() }),
         };
         Err(FormatError::Unsupported(problem))
-    }
-
-    /// Returns the frame of a camera, and the frame in which its pose is measured.
-    fn frames(&self, camera_frame: &str) -> (String, String) {
-        let frame = if self.of_camera { CAMERA } else { camera_frame };
-        let fixed = self.topic.fixed_frame.clone().or_else(|| self.parent.clone());
-        let fixed = fixed.or_else(|| self.transforms.fixed_frame(frame)).unwrap_or_else(|| "odom".to_owned());
-        (frame.to_owned(), fixed)
     }
 
     /// Checks that the poses of a camera are known at some times.
@@ -144,29 +102,26 @@ impl Poses {
 
     /// Returns the pose of the camera of a message; `None` if it is unknown.
     pub(super) fn pose(&self, header: &Header) -> Option<SensorPose> {
-        let (frame, fixed) = self.frames(&header.frame_id);
-        self.transforms.pose(&frame, &fixed, header.stamp).ok()
+        self.buffer.pose(header).ok()
     }
 
     fn trajectory(&self, camera_frame: &str) -> Result<Trajectory, FormatError> {
-        let topic = || printable_line(&self.topic.topic).into_owned();
         let unsupported = |problem: String| FormatError::Unsupported(printable_line(&problem).into_owned());
-        let (frame, fixed) = self.frames(camera_frame);
-        let times = self.transforms.times(&frame, &fixed).map_err(|error: TransformError| {
-            let of_odometry =
-                if self.parent.is_some() { " (static transforms must lead to the robot's frame)" } else { "" };
-            unsupported(format!("the topic {} has no poses of the camera: {error}{of_odometry}", topic()))
+        let Self { buffer, topic } = self;
+        let poses = buffer.poses(camera_frame).map_err(|error| {
+            let of_robot = if buffer.needs_static_transforms() {
+                "; the topic has the pose of a robot, to which static transforms must lead from the camera"
+            } else {
+                ""
+            };
+            unsupported(format!("the topic {topic} has no poses of the camera: {error}{of_robot}"))
         })?;
-        let known =
-            times.into_iter().filter_map(|at| Some((at.seconds(), self.transforms.pose(&frame, &fixed, at).ok()?)));
-        let known: Vec<(f64, SensorPose)> = known.collect();
-        if known.is_empty() {
-            return Err(unsupported(format!(
-                "the topic {} has no transforms over time between {frame} and {fixed}; name another fixed frame",
-                topic()
-            )));
+        if poses.is_empty() {
+            let problem =
+                "has no transforms over time between the camera and the fixed frame; name another fixed frame";
+            return Err(unsupported(format!("the topic {topic} {problem}")));
         }
-        Trajectory::of_times(known)
+        Trajectory::of_times(poses.into_iter().map(|(at, pose)| (at.seconds(), pose)).collect())
     }
 }
 
@@ -188,17 +143,8 @@ pub fn camera_trajectory(
     trajectory.map_err(|problem| IoError { path: path.to_path_buf(), problem }.into())
 }
 
-/// Returns the transforms in a message.
-fn transforms_of(kind: Kind, data: &[u8]) -> Result<Vec<TransformStamped>, FormatError> {
-    Ok(match kind {
-        Kind::Transforms => from_cdr::<TfMessage>(data)?.transforms,
-        Kind::Odometry => vec![from_cdr::<Odometry>(data)?.into()],
-        Kind::Pose => vec![from_cdr::<PoseStamped>(data)?.of_frame(CAMERA)],
-    })
-}
-
 /// Lists the topics with poses.
-fn told(channels: &BTreeMap<u16, (String, Option<Kind>)>) -> String {
+fn told(channels: &BTreeMap<u16, (String, Option<PoseKind>)>) -> String {
     const MOST: usize = 12;
     let mut names: Vec<&str> =
         channels.values().filter(|(_, kind)| kind.is_some()).map(|(name, _)| name.as_str()).collect();
