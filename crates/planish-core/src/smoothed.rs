@@ -50,11 +50,30 @@ impl Smoothed {
             if let Some(doubt) = frame.camera().filter(|_| !ONE_THREAD).and_then(doubt_about_lens) {
                 return doubt.to_string();
             }
+            if !ONE_THREAD && let Some(text) = self.beyond_depth(frame, lost) {
+                return text;
+            }
             format!(
                 "{lost} of {valid} valid points of a frame became holes: they have fewer than 3 neighbours within the \
                  radius; use a larger radius, or give the sensor's pose if it is missing"
             )
         })
+    }
+
+    /// Returns a warning if most lost points of a cloud are outside the range of the output `depth`.
+    fn beyond_depth(&self, frame: Frame<'_>, lost: usize) -> Option<String> {
+        let (Frame::Points(points), Some(camera), true) = (frame, frame.camera(), self.depth.is_some()) else {
+            return None;
+        };
+        let is_beyond = |z: f32| z.is_finite() && camera.raw_depth(z) == 0;
+        let beyond = (0..points.len()).filter(|&i| is_beyond(points.get(i)[2] as f32)).count();
+        let units = camera.depth_units_per_metre;
+        let text = || {
+            format!(
+                "{beyond} points of a frame became holes: their depth is not within 1 to 65534 units of 1/{units} m"
+            )
+        };
+        (2 * beyond >= lost).then(text)
     }
 
     /// Resizes all buffers, allocating only if the shape or the outputs changed.
@@ -117,6 +136,16 @@ impl Smoothed {
             (None, None) => return 0,
         };
         frame.valid_points().saturating_sub(left)
+    }
+
+    /// Returns a note on the points that the output `depth` cannot store, because they are nearer than 1 or farther
+    /// than 65534 of the camera's depth units, with their number; `None` if there are none, or without status or depth.
+    pub fn out_of_depth(&self, camera: &Camera) -> Option<(usize, String)> {
+        let (status, depth) = (self.status.as_ref()?, self.depth.as_ref()?);
+        let lost = status.iter().zip(depth).filter(|(status, raw)| status.has_point() && **raw == 0).count();
+        let units = camera.depth_units_per_metre;
+        let text = || format!("{lost} pixels became holes: their depth is not within 1 to 65534 units of 1/{units} m");
+        (lost > 0).then(|| (lost, text()))
     }
 
     /// Returns the number of pixels with each status, in the order of [`Status::ALL`]; `None` if status was not

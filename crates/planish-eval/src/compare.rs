@@ -3,7 +3,7 @@
 use glam::DVec3;
 use planish_core::internal::NeighbourSearch;
 use planish_core::{Error, ParamError, PointCloud, SATURATED_DEPTH};
-use planish_io::{Contents, RgbImage};
+use planish_io::{Contents, LengthUnit, RgbImage};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -213,8 +213,10 @@ fn points(contents: &Contents) -> Option<(&PointCloud, (usize, usize))> {
     }
 }
 
+/// Returns the points in metres.
 fn positions(cloud: &PointCloud) -> Vec<DVec3> {
-    let of = |i: usize| DVec3::from_array([0, 1, 2].map(|axis| cloud.coordinate(axis, i)));
+    let unit = LengthUnit::of_cloud(cloud);
+    let of = |i: usize| unit.metres * DVec3::from_array([0, 1, 2].map(|axis| cloud.coordinate(axis, i)));
     (0..cloud.len()).map(of).collect()
 }
 

@@ -2,7 +2,7 @@
 
 use planish_core::{PointCloud, Precision};
 
-use super::Format;
+use super::{Format, LengthUnit, convert_to_metres};
 
 /// Converts colours, intensities and the precision of coordinates to the conventions of the format `to`. `read` is the
 /// format from which the cloud was read. Returns notes for users, one clause each.
@@ -31,6 +31,14 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
             "coordinates are written as 64-bit floats, which PCL reads as zeros (--encoding f32 writes 32-bit floats)"
                 .to_owned(),
         );
+    }
+    let unit = LengthUnit::of_cloud(cloud);
+    match to {
+        _ if unit.is_metre() => {}
+        Format::Las | Format::Laz => {}
+        // The standard defines the unit of E57.
+        Format::E57 => notes.extend(convert_to_metres(cloud)),
+        _ => notes.push(format!("coordinates are in the {unit} ({}), which {} does not state", unit.symbol, to.name())),
     }
     notes
 }

@@ -52,6 +52,20 @@ pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> 
     Ok(index)
 }
 
+/// Returns the peak memory per point, in bytes, of columns of these types and of the cloud that
+/// [`cloud_from_columns`] makes of them.
+pub(crate) fn bytes_per_point(columns: &[Attribute]) -> usize {
+    let all: usize = columns.iter().map(|column| column.count * column.values.scalar_size()).sum();
+    let Ok(index) = axes_of(columns) else { return all };
+    let axes = index.map(|axis| &columns[axis].values);
+    if axes.iter().all(|values| matches!(values, AttributeValues::F32(_))) {
+        return all;
+    }
+    // The coordinates become f64, and then f32.
+    let widened = axes.iter().filter(|values| !matches!(values, AttributeValues::F64(_))).count();
+    all + 8 * widened + 12
+}
+
 /// Converts a file's columns to a cloud; they must include x, y and z.
 pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let index = axes_of(&columns)?;

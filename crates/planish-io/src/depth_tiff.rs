@@ -13,7 +13,7 @@ use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     let mut decoder = decoder(bytes, options)?;
-    let page = options.page_of(count_pages(&mut decoder), notes)?;
+    let page = options.image_of(count_pages(&mut decoder), notes)?;
     decoder.seek_to_image(page).map_err(malformed)?;
     let (width, height) = shape_of_depth(&mut decoder)?;
     // Memory for the image, and for a strip or tile, which may be as large as the image.
@@ -24,12 +24,19 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             raw.iter_mut().filter(|_| is_inverted).for_each(|value| *value = u16::MAX - *value);
             Contents::Depth(DepthImage { width, height, raw })
         }
-        DecodingResult::U32(values) => depth_of_integers((width, height), &values, notes)?,
+        DecodingResult::U32(mut values) => {
+            values.iter_mut().filter(|_| is_inverted).for_each(|value| *value = u32::MAX - *value);
+            depth_of_integers((width, height), &values, notes)?
+        }
         DecodingResult::I16(values) => depth_of_integers((width, height), &values, notes)?,
         DecodingResult::I32(values) => depth_of_integers((width, height), &values, notes)?,
-        DecodingResult::F32(depth_m) => Contents::DepthMetres { width, height, depth_m },
+        DecodingResult::F32(mut depth_m) => {
+            depth_m.iter_mut().filter(|_| is_inverted).for_each(|value| *value = 1.0 - *value);
+            Contents::DepthMetres { width, height, depth_m }
+        }
         DecodingResult::F64(values) => {
-            Contents::DepthMetres { width, height, depth_m: values.into_iter().map(|value| value as f32).collect() }
+            let value = |value: f64| if is_inverted { 1.0 - value } else { value } as f32;
+            Contents::DepthMetres { width, height, depth_m: values.into_iter().map(value).collect() }
         }
         _ => return Err(not_depth()),
     };
@@ -50,7 +57,7 @@ fn count_pages(decoder: &mut TiffDecoder<'_>) -> usize {
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
     let mut decoder = decoder(bytes, options)?;
     let (width, height) = shape_of_depth(&mut decoder)?;
-    if decoder.more_images() || options.page.is_some() || is_inverted(&mut decoder) {
+    if decoder.more_images() || options.image.is_some() || is_inverted(&mut decoder) {
         return Ok(None);
     }
     let (chunk_width, chunk_height) = decoder.chunk_dimensions();

@@ -1,5 +1,6 @@
 //! Reads the vertices of glTF 2.0 files (JSON or GLB) with normals and colours, transformed by the nodes of the scene.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
@@ -154,6 +155,7 @@ pub(super) fn decode(
     notes: &mut Vec<String>,
 ) -> FormatResult<PointCloud> {
     let (json, binary) = if is_gltf(bytes) { chunks(bytes)? } else { (bytes, None) };
+    check_json(json, options)?;
     let Stated { asset } = serde_json::from_slice(json).map_err(malformed)?;
     if let Some(version) = asset.version.filter(|version| !version.starts_with("2.")) {
         return Err(other_version(&version));
@@ -178,9 +180,9 @@ pub(super) fn decode(
     let mut buffers = Vec::new();
     for (i, buffer) in document.buffers.iter().enumerate() {
         let data = match &buffer.uri {
-            None if i == 0 => binary.unwrap_or_default().to_vec(),
+            None if i == 0 => Cow::Borrowed(binary.unwrap_or_default()),
             None => return Err(malformed(format!("buffer {i} has no data"))),
-            Some(uri) => contents_of(uri, folder, &options.with_max_memory_bytes(left))?,
+            Some(uri) => Cow::Owned(contents_of(uri, folder, &options.with_max_memory_bytes(left))?),
         };
         if data.len() < buffer.byte_length {
             return Err(malformed(format!(
@@ -189,9 +191,12 @@ pub(super) fn decode(
                 buffer.byte_length
             )));
         }
-        left = left.saturating_sub(data.len() as u64);
+        if matches!(data, Cow::Owned(_)) {
+            left = left.saturating_sub(data.len() as u64);
+        }
         buffers.push(data);
     }
+    let options = &options.with_max_memory_bytes(left);
     let file = File { document: &document, buffers: &buffers, options };
     let mut vertices = Vertices::default();
     let placed = file.placed()?;
@@ -209,6 +214,16 @@ pub(super) fn decode(
         }
     }
     vertices.cloud(notes)
+}
+
+/// Returns an error if the document could exceed the memory limit: objects and lists take far more memory than text.
+fn check_json(json: &[u8], options: &ReadOptions) -> FormatResult<()> {
+    /// Size of the largest object, with its lists.
+    const BYTES_PER_OBJECT: usize = 400;
+    /// Size of an element of a list, which grows by doubling.
+    const BYTES_PER_ELEMENT: usize = 40;
+    let count = |of: &[u8]| json.iter().filter(|byte| of.contains(byte)).count();
+    options.check(BYTES_PER_OBJECT * count(b"{[") + BYTES_PER_ELEMENT * count(b","), 1)
 }
 
 /// Returns the JSON chunk and the binary chunk of a GLB.
@@ -291,7 +306,7 @@ fn contents_of(uri: &str, folder: Option<&Path>, options: &ReadOptions) -> Forma
 
 struct File<'a> {
     document: &'a Document,
-    buffers: &'a [Vec<u8>],
+    buffers: &'a [Cow<'a, [u8]>],
     options: &'a ReadOptions,
 }
 
@@ -300,7 +315,7 @@ impl File<'_> {
     /// the identity.
     fn placed(&self) -> FormatResult<Vec<(usize, DMat4)>> {
         let Document { scenes, scene, nodes, meshes, .. } = self.document;
-        let is_child = |i: &usize| nodes.iter().any(|node| node.children.contains(i));
+        let children: BTreeSet<usize> = nodes.iter().flat_map(|node| &node.children).copied().collect();
         let roots: Vec<usize> = match (scenes.get(scene.unwrap_or(0)), scene) {
             (Some(scene), _) => scene.nodes.clone(),
             (None, Some(scene)) => return Err(malformed(format!("scene {scene} does not exist"))),
@@ -310,7 +325,7 @@ impl File<'_> {
             (None, None) if nodes.len() > MOST_UNROOTED => {
                 return Err(malformed("the file has too many nodes without a scene"));
             }
-            (None, None) => (0..nodes.len()).filter(|i| !is_child(i)).collect(),
+            (None, None) => (0..nodes.len()).filter(|i| !children.contains(i)).collect(),
         };
         let mut found = Vec::new();
         let mut open: Vec<(usize, DMat4, usize)> = roots.into_iter().map(|root| (root, DMat4::IDENTITY, 0)).collect();

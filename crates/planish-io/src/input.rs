@@ -28,7 +28,7 @@ pub struct ReadOptions {
     pub columns: Option<usize>,
     /// Which image to read, counted from 1, of a TIFF file with several pages or a NumPy array of shape [N, H, W]
     /// [default: the first].
-    pub page: Option<usize>,
+    pub image: Option<usize>,
 }
 
 /// An operation to check against the memory limit.
@@ -110,7 +110,7 @@ impl Work {
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { max_memory_bytes: 2 << 30, unit: None, depth_units_per_metre: None, columns: None, page: None }
+        Self { max_memory_bytes: 2 << 30, unit: None, depth_units_per_metre: None, columns: None, image: None }
     }
 }
 
@@ -136,29 +136,27 @@ impl ReadOptions {
     }
 
     /// Sets which image to read of a file with several, counted from 1.
-    pub const fn with_page(self, page: Option<usize>) -> Self {
-        Self { page, ..self }
+    pub const fn with_image(self, image: Option<usize>) -> Self {
+        Self { image, ..self }
     }
 
-    /// Returns which of `pages` images to read, counted from 0, and adds a note about the others.
+    /// Returns which of `images` images to read, counted from 0, and adds a note about the others.
     ///
     /// # Errors
     /// If the file has fewer images.
     #[cfg_attr(not(any(feature = "more-formats", feature = "tiff")), allow(dead_code))]
-    pub(crate) fn page_of(&self, pages: usize, notes: &mut Vec<String>) -> FormatResult<usize> {
-        let page = self.page.unwrap_or(1);
-        match page.checked_sub(1) {
-            Some(index) if index < pages => {
-                if pages > 1 {
-                    notes.push(format!("the file has {pages} images; only image {page} is read"));
+    pub(crate) fn image_of(&self, images: usize, notes: &mut Vec<String>) -> FormatResult<usize> {
+        let image = self.image.unwrap_or(1);
+        match image.checked_sub(1) {
+            Some(index) if index < images => {
+                if images > 1 {
+                    notes.push(format!("the file has {images} images; only image {image} is read"));
                 }
                 Ok(index)
             }
             _ => {
-                let images = if pages == 1 { "one image" } else { &format!("{pages} images") };
-                Err(FormatError::Unsupported(format!(
-                    "there is no image {page}: the file has {images}, counted from 1"
-                )))
+                let has = if images == 1 { "one image" } else { &format!("{images} images") };
+                Err(FormatError::Unsupported(format!("there is no image {image}: the file has {has}, counted from 1")))
             }
         }
     }

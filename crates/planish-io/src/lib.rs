@@ -94,6 +94,7 @@ pub(crate) use {
 
 pub use input::{ReadOptions, Work, read_bytes};
 pub use length_unit::LengthUnit;
+pub use meaning::convert_to_metres;
 #[cfg(feature = "scans")]
 pub use read::read_in_parts;
 pub use read::{
@@ -102,7 +103,7 @@ pub use read::{
 pub use rgb_png::{read_rgb_png, write_animated_png, write_rgb_png};
 pub use settings_file::{parse_settings, read_settings, settings_to_json};
 pub use stack::Stack;
-pub use trajectory::{Trajectory, read_trajectory};
+pub use trajectory::{Trajectory, read_trajectory, read_trajectory_with};
 pub use triangle_files::{WRITTEN_MESHES, write_mesh};
 pub use triangles::TriangleMesh;
 pub use write::{

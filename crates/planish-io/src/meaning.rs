@@ -62,6 +62,15 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
     Ok(())
 }
 
+/// Converts a cloud to metres if its file states another unit, and drops the header with that unit. Returns a note for
+/// users if it did.
+pub fn convert_to_metres(cloud: &mut PointCloud) -> Option<String> {
+    let unit = LengthUnit::stated_by(cloud).filter(|unit| !unit.is_metre())?;
+    scale(cloud, unit.metres);
+    cloud.provenance = planish_core::Provenance::default();
+    Some(format!("{}; its header is dropped, since its values are in the old unit", converted(unit)))
+}
+
 /// Multiplies all coordinates and sensor positions by a factor.
 fn scale(cloud: &mut PointCloud, factor: f64) {
     let scaled: Vec<[f64; 3]> =

@@ -1,7 +1,7 @@
 //! Reads the vertices of meshes (OBJ, OFF and STL) as unorganized clouds. Faces are dropped, and none of these formats
 //! can be written from a cloud.
 
-use std::collections::HashMap;
+use std::collections::HashSet;
 
 use super::columns::cloud_from_columns;
 use super::{FormatResult, ReadOptions, quoted, text_of};
@@ -14,7 +14,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
         let line = line.split('#').next().unwrap_or_default().trim();
         line.strip_prefix("v").filter(|rest| rest.starts_with([' ', '\t'])).map(|rest| (number, rest))
     });
-    options.check(lines.clone().count(), 8 * 6)?;
+    options.check(lines.clone().count(), 8 * 6 + 12)?;
     let mut columns: [Vec<f64>; 6] = Default::default();
     let mut colourless = 0;
     for (number, line) in lines {
@@ -84,7 +84,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
             bytes.len()
         )));
     }
-    options.check(count, 8 * 10)?;
+    options.check(count, 8 * 10 + 12)?;
     let has_normals = prefix.contains('N');
     let mut names = vec!["x", "y", "z"];
     names.extend(if has_normals { &["normal_x", "normal_y", "normal_z"][..] } else { &[] });
@@ -132,28 +132,32 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     let stated =
         bytes.get(80..HEADER).map(|count| u32::from_le_bytes([count[0], count[1], count[2], count[3]]) as usize);
     let is_binary = stated.is_some_and(|count| Some(bytes.len()) == count.checked_mul(TRIANGLE).map(|n| n + HEADER));
-    let corners: Vec<[f32; 3]> = if is_binary {
-        options.check(stated.unwrap_or(0), 3 * 40)?;
-        let corner = |triangle: &[u8], k: usize| {
+    let distinct: Vec<[f64; 3]> = if is_binary {
+        options.check(stated.unwrap_or(0), 3 * 80)?;
+        let corner = |triangle: &[u8], k: usize| -> [f64; 3] {
             let at = 12 * (k + 1);
-            std::array::from_fn(|axis| f32::from_le_bytes(std::array::from_fn(|i| triangle[at + 4 * axis + i])))
+            std::array::from_fn(|axis| {
+                f64::from(f32::from_le_bytes(std::array::from_fn(|i| triangle[at + 4 * axis + i])))
+            })
         };
-        bytes[HEADER..].chunks_exact(TRIANGLE).flat_map(|triangle| (0..3).map(move |k| corner(triangle, k))).collect()
+        let triangles = bytes[HEADER..].chunks_exact(TRIANGLE);
+        distinct(triangles.flat_map(|triangle| (0..3).map(move |k| Ok(corner(triangle, k)))))?
     } else if bytes.starts_with(b"solid") {
         let text = text_of(bytes);
-        let lines =
-            (1..).zip(text.lines().map(str::trim)).filter_map(|(n, line)| Some((n, line.strip_prefix("vertex")?)));
-        options.check(lines.clone().count(), 40)?;
-        let corner = |(number, line): (usize, &str)| {
-            let values: Option<Vec<f32>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
-            let values = values.and_then(|values| <[f32; 3]>::try_from(values).ok());
-            // Numbers beyond the range of f32 are parsed as infinite.
+        let lines = (1..).zip(text.lines().map(str::trim)).filter_map(|(number, line)| {
+            let (word, rest) = line.split_at_checked("vertex".len())?;
+            word.eq_ignore_ascii_case("vertex").then_some((number, rest))
+        });
+        options.check(lines.clone().count(), 80)?;
+        distinct(lines.map(|(number, line)| {
+            let values: Option<Vec<f64>> = line.split_whitespace().map(|cell| cell.parse().ok()).collect();
+            let values = values.and_then(|values| <[f64; 3]>::try_from(values).ok());
+            // Numbers beyond the range of f64 are parsed as infinite.
             let has_word = || line.contains(['i', 'I']);
             let values = values.filter(|values| values.iter().all(|value| !value.is_infinite()) || has_word());
             let text = || format!("line {number}: a vertex needs three numbers of at most 3.4e38");
             values.ok_or_else(|| FormatError::Malformed(text()))
-        };
-        lines.map(corner).collect::<Result<_, _>>()?
+        }))?
     } else {
         let triangles = stated.unwrap_or(0);
         return Err(FormatError::Malformed(format!(
@@ -161,15 +165,23 @@ pub(super) fn decode_stl(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
             bytes.len()
         )));
     };
-    let mut seen = HashMap::with_capacity(corners.len() / 5);
-    let mut distinct = Vec::new();
-    for corner in corners {
-        seen.entry(corner.map(|value| (value + 0.0).to_bits())).or_insert_with(|| distinct.push(corner));
-    }
     if distinct.is_empty() {
         return Err(FormatError::Malformed("the STL has no triangles".into()));
     }
-    Ok(PointCloud::new(distinct.into_iter().collect()))
+    let axis = |axis: usize| distinct.iter().map(|corner| corner[axis]).collect();
+    with_points(vec![column("x", axis(0)), column("y", axis(1)), column("z", axis(2))], "STL")
+}
+
+/// Returns each corner once, in the order of the first occurrences.
+fn distinct(corners: impl Iterator<Item = FormatResult<[f64; 3]>>) -> FormatResult<Vec<[f64; 3]>> {
+    let (mut seen, mut distinct) = (HashSet::new(), Vec::new());
+    for corner in corners {
+        let corner = corner?;
+        if seen.insert(corner.map(|value| (value + 0.0).to_bits())) {
+            distinct.push(corner);
+        }
+    }
+    Ok(distinct)
 }
 
 /// Returns a column with one value per point.

@@ -54,8 +54,10 @@ pub(super) fn decode(
         let name = file.name().map_err(damaged)?.into_owned();
         let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
         let stated = file.size();
-        left = left.checked_sub(stated).ok_or(FormatError::TooLarge {
-            needed: stated.saturating_add(options.max_memory_bytes - left),
+        // The values are decoded beside the array.
+        let needed = stated.saturating_mul(2);
+        left = left.checked_sub(needed).ok_or(FormatError::TooLarge {
+            needed: needed.saturating_add(options.max_memory_bytes - left),
             allowed: options.max_memory_bytes,
         })?;
         let mut array = Vec::new();

@@ -182,9 +182,23 @@ fn decode_plain(
     })?;
     #[cfg(any(feature = "more-formats", feature = "tiff"))]
     if !matches!(format, Format::DepthTiff | Format::Npy) {
-        options.page_of(1, notes)?;
+        options.image_of(1, notes)?;
     }
-    let mut contents = match format {
+    // Of these formats, the file's bytes stay in memory beside all that is decoded from them.
+    let beside_file = matches!(
+        format,
+        Format::Pcd | Format::Ply | Format::Text | Format::Csv | Format::Npz | Format::Obj | Format::Off | Format::Gltf
+    );
+    let used = if beside_file { bytes.len() as u64 } else { 0 };
+    let whole = options;
+    let options = &whole.with_max_memory_bytes(whole.max_memory_bytes.saturating_sub(used));
+    let with_file = |error| match error {
+        FormatError::TooLarge { needed, .. } => {
+            FormatError::TooLarge { needed: needed.saturating_add(used), allowed: whole.max_memory_bytes }
+        }
+        error => error,
+    };
+    let mut decode = || match format {
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
         Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
@@ -227,7 +241,8 @@ fn decode_plain(
             feature = "tiff"
         )))]
         _ => Err(left_out(format)),
-    }?;
+    };
+    let mut contents = decode().map_err(with_file)?;
     if let Contents::Organized(cloud) = &mut contents {
         meaning::holes_at_sensor(cloud, notes);
     }

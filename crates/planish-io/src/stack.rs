@@ -16,7 +16,7 @@ use planish_core::IoError;
 pub struct Stack {
     bytes: Vec<u8>,
     format: Format,
-    pages: usize,
+    images: usize,
     options: ReadOptions,
 }
 
@@ -31,23 +31,23 @@ impl Stack {
                 return Ok(None);
             }
             let bytes = plain(&read_bytes(path, options)?, options)?.into_owned();
-            let Some((format, pages)) = pages(&bytes, options)? else { return Ok(None) };
-            Ok((pages > 1).then_some(Self { bytes, format, pages, options: *options }))
+            let Some((format, images)) = images(&bytes, options)? else { return Ok(None) };
+            Ok((images > 1).then_some(Self { bytes, format, images, options: *options }))
         };
         open().map_err(IoError::at(path))
     }
 
     /// Returns the number of images.
-    pub fn pages(&self) -> usize {
-        self.pages
+    pub fn images(&self) -> usize {
+        self.images
     }
 
     /// Decodes an image, counted from 1.
     ///
     /// # Errors
     /// If there is no such image, or if it is damaged or exceeds the memory limit.
-    pub fn page(&self, page: usize) -> FormatResult<Contents> {
-        let options = self.options.with_page(Some(page));
+    pub fn image(&self, image: usize) -> FormatResult<Contents> {
+        let options = self.options.with_image(Some(image));
         decode_with(&self.bytes, Some(self.format), &options).map(|(_, contents)| contents)
     }
 }
@@ -66,7 +66,7 @@ fn may_have_several(path: &Path) -> FormatResult<bool> {
 
 /// Returns the format and the number of images of a file's uncompressed contents.
 #[cfg_attr(not(feature = "tiff"), allow(unused_variables))]
-fn pages(bytes: &[u8], options: &ReadOptions) -> FormatResult<Option<(Format, usize)>> {
+fn images(bytes: &[u8], options: &ReadOptions) -> FormatResult<Option<(Format, usize)>> {
     match Format::of_contents(bytes) {
         #[cfg(feature = "tiff")]
         Some(format @ Format::DepthTiff) => Ok(Some((format, super::depth_tiff::pages(bytes, options)?))),

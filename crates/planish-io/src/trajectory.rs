@@ -29,8 +29,18 @@ pub struct Trajectory {
 /// # Errors
 /// If the file is unreadable, has another format, or contains an invalid pose.
 pub fn read_trajectory(path: &Path) -> Result<Trajectory, IoError> {
+    read_trajectory_with(path, &ReadOptions::default())
+}
+
+/// Same as [`read_trajectory`], with a memory limit.
+///
+/// # Errors
+/// Same as [`read_trajectory`], and if the file and its poses exceed the limit.
+pub fn read_trajectory_with(path: &Path, options: &ReadOptions) -> Result<Trajectory, IoError> {
     let read = || {
-        let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
+        let bytes = super::read_bytes(path, &options.with_max_memory_bytes(options.max_memory_bytes.min(MAX_BYTES)))?;
+        let lines = bytes.iter().filter(|byte| **byte == b'\n').count() + 1;
+        options.check(lines, size_of::<Row>() + size_of::<(f64, SensorPose)>())?;
         let text = String::from_utf8(bytes).map_err(|_| malformed("the file is not text"))?;
         parse(text.trim_start_matches('\u{feff}'))
     };
@@ -98,18 +108,21 @@ fn parse(text: &str) -> FormatResult<Trajectory> {
     let lines = text.lines().enumerate().map(|(number, line)| (number + 1, line.trim()));
     let mut rows = Vec::new();
     for (number, line) in lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#')) {
-        let values: Result<Vec<f64>, _> = line
-            .split(|c: char| c.is_whitespace() || c == ',')
-            .filter(|word| !word.is_empty())
-            .map(str::parse)
-            .collect();
-        let values = values.map_err(|_| malformed(&format!("line {number} has values that are not numbers")))?;
-        if let Some(value) = values.iter().find(|value| !value.is_finite()) {
-            return Err(malformed(&format!("line {number} contains {value}, which is not finite")));
+        let mut row = Row { number, values: [0.0; 8], count: 0 };
+        for word in line.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty()) {
+            let value: f64 =
+                word.parse().map_err(|_| malformed(&format!("line {number} has values that are not numbers")))?;
+            if !value.is_finite() {
+                return Err(malformed(&format!("line {number} contains {value}, which is not finite")));
+            }
+            if let Some(place) = row.values.get_mut(row.count) {
+                *place = value;
+            }
+            row.count += 1;
         }
-        rows.push((number, values));
+        rows.push(row);
     }
-    let trajectory = match rows.first().map(|(_, values)| values.len()) {
+    let trajectory = match rows.first().map(|row| row.count) {
         Some(8) => with_times(&rows)?,
         Some(3) => by_frame(&rows)?,
         Some(count) => return Err(malformed(&format!("the first line has {count} numbers"))),
@@ -121,12 +134,27 @@ fn parse(text: &str) -> FormatResult<Trajectory> {
     Ok(trajectory)
 }
 
-fn with_times(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
+/// The numbers of a line.
+struct Row {
+    number: usize,
+    values: [f64; 8],
+    /// Number of values, of which the first eight are kept.
+    count: usize,
+}
+
+impl Row {
+    fn values(&self) -> &[f64] {
+        self.values.get(..self.count).unwrap_or_default()
+    }
+}
+
+fn with_times(rows: &[Row]) -> FormatResult<Trajectory> {
     let mut times_s: Vec<f64> = Vec::with_capacity(rows.len());
     let mut poses = Vec::with_capacity(rows.len());
-    for (number, values) in rows {
-        let &[time_s, x, y, z, qx, qy, qz, qw] = values.as_slice() else {
-            return Err(malformed(&format!("line {number} has {} numbers instead of 8", values.len())));
+    for row in rows {
+        let number = row.number;
+        let &[time_s, x, y, z, qx, qy, qz, qw] = row.values() else {
+            return Err(malformed(&format!("line {number} has {} numbers instead of 8", row.count)));
         };
         if times_s.last().is_some_and(|&last_s| time_s <= last_s) {
             return Err(malformed(&format!("the timestamp in line {number} is not later than the previous one")));
@@ -140,10 +168,10 @@ fn with_times(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
     Ok(Trajectory { times_s: Some(times_s), poses })
 }
 
-fn by_frame(rows: &[(usize, Vec<f64>)]) -> FormatResult<Trajectory> {
-    let pose = |block: &[(usize, Vec<f64>)]| {
-        let number = block[0].0;
-        let numbers: Vec<&[f64]> = block.iter().map(|(_, values)| values.as_slice()).collect();
+fn by_frame(rows: &[Row]) -> FormatResult<Trajectory> {
+    let pose = |block: &[Row]| {
+        let number = block[0].number;
+        let numbers: Vec<&[f64]> = block.iter().map(Row::values).collect();
         let &[[_, _, _], [a, b, c, x], [d, e, f, y], [g, h, i, z], [.., one]] = numbers.as_slice() else {
             return Err(malformed(&format!("line {number} does not start a block of three numbers and a 4x4 matrix")));
         };

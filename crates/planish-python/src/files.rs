@@ -25,10 +25,10 @@ pub fn read<'py>(
     path: PathBuf,
     unit: Option<&str>,
     columns: Option<usize>,
-    page: Option<usize>,
+    image: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let unit: Option<LengthUnit> = unit.map(str::parse).transpose().map_err(to_py)?;
-    let options = ReadOptions::default().with_unit(unit).with_columns(columns).with_page(page);
+    let options = ReadOptions::default().with_unit(unit).with_columns(columns).with_image(image);
     let FileRead { format, contents, camera, notes, .. } =
         py.detach(|| io::read_file(&path, &options)).map_err(to_py)?;
     // The stack level is 2, since the Python function of the same name calls this one.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
-use planish::io::{ReadOptions, Trajectory, read_trajectory};
+use planish::io::{ReadOptions, Trajectory, read_trajectory_with};
 use planish::{Camera, SensorPose, Settings, io};
 use planish_bench::errln;
 
@@ -73,12 +73,12 @@ impl PosesArgs {
     }
 
     /// Reads the poses of a file, if given.
-    pub fn read(&self, settings: &Settings, input: &Path) -> Result<Option<Trajectory>> {
+    pub fn read(&self, settings: &Settings, input: &Path, options: &ReadOptions) -> Result<Option<Trajectory>> {
         self.check(settings)?;
         if self.pose_topic.is_some() {
             bail!("{}: --pose-topic applies only to MCAP recordings", input.display());
         }
-        Ok(self.poses.as_deref().map(read_trajectory).transpose()?)
+        Ok(self.poses.as_deref().map(|file| read_trajectory_with(file, options)).transpose()?)
     }
 
     /// Reads the poses of a file or of the recording `input`, if given. `depth_topic` is the topic of the camera.
@@ -96,7 +96,7 @@ impl PosesArgs {
                 let file = planish::bag::file_of(input)?;
                 Ok(Some(planish::bag::camera_trajectory(&file, depth_topic, &topic, options)?))
             }
-            _ => self.read(settings, input),
+            _ => self.read(settings, input, options),
         }
     }
 
@@ -107,18 +107,22 @@ impl PosesArgs {
         settings: &Settings,
         input: &Path,
         _depth_topic: Option<&str>,
-        _options: &ReadOptions,
+        options: &ReadOptions,
     ) -> Result<Option<Trajectory>> {
-        self.read(settings, input)
+        self.read(settings, input, options)
     }
 
     /// Returns the poses for smoothing a recording, if given.
     #[cfg(feature = "mcap")]
-    pub fn of_recording(&self, settings: &Settings) -> Result<Option<planish::bag::CameraPoses>> {
+    pub fn of_recording(
+        &self,
+        settings: &Settings,
+        options: &ReadOptions,
+    ) -> Result<Option<planish::bag::CameraPoses>> {
         self.check(settings)?;
         Ok(match (self.topic(), &self.poses) {
             (Some(topic), _) => Some(planish::bag::CameraPoses::Topic(topic)),
-            (None, Some(file)) => Some(planish::bag::CameraPoses::Trajectory(read_trajectory(file)?)),
+            (None, Some(file)) => Some(planish::bag::CameraPoses::Trajectory(read_trajectory_with(file, options)?)),
             (None, None) => None,
         })
     }

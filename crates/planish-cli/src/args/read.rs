@@ -36,7 +36,7 @@ pub struct ReadArgs {
     pub columns: Option<usize>,
     /// Number of the image to read, from 1, of a TIFF with several pages or a .npy of shape [N, H, W] [default: 1]
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
-    pub page: Option<usize>,
+    pub image: Option<usize>,
 }
 
 impl ReadArgs {
@@ -46,7 +46,7 @@ impl ReadArgs {
     }
 
     pub fn read_options(&self) -> ReadOptions {
-        self.memory.options().with_unit(self.unit).with_columns(self.columns).with_page(self.page)
+        self.memory.options().with_unit(self.unit).with_columns(self.columns).with_image(self.image)
     }
 }
 

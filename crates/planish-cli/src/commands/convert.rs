@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use planish::compare::{Comparison, Distances, Matching};
-use planish::io::{self, Contents, ConvertOptions, FileRead, Format, read_trajectory};
+use planish::io::{self, Contents, ConvertOptions, FileRead, Format, read_trajectory_with};
 use planish::{Camera, DepthView, Error, IntoFrame, PointCloud, SensorPose, rig};
 use planish_bench::{errln, outln};
 use serde_json::json;
@@ -198,8 +198,8 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     if matches!(Format::of_extension(&args.out), Some(Format::DepthPng | Format::DepthTiff)) {
         bail!("{}: an image cannot store points; end the name in .pcd or .ply", args.out.display());
     }
-    let poses = args.poses.as_ref().map(|file| read_trajectory(file)).transpose()?;
     let options = args.reading.read_options();
+    let poses = args.poses.as_ref().map(|file| read_trajectory_with(file, &options)).transpose()?;
     let mut clouds: Vec<(PointCloud, SensorPose)> = Vec::new();
     let mut bytes = 0u64;
     for (i, input) in args.inputs.iter().enumerate() {
@@ -215,7 +215,8 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
             let missing = || missing_pose(input, args.poses.as_ref());
             poses.pose(i as u64, None, name).with_context(missing)
         });
-        bytes = (bytes + 12 * cloud.len() as u64).min(options.max_memory_bytes);
+        bytes =
+            (bytes + (12 + cloud.field_bytes_per_point()) as u64 * cloud.len() as u64).min(options.max_memory_bytes);
         clouds.push((cloud, pose.transpose()?.unwrap_or(SensorPose::IDENTITY)));
     }
     let count = clouds.len();

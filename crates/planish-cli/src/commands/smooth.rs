@@ -292,7 +292,14 @@ impl Worker<'_> {
             bail!("{}: writing depth needs the camera's intrinsics; add --camera FX,FY,CX,CY", output.display());
         }
         let fields = cloud.as_ref().map_or(0, |cloud| cloud.points.field_bytes_per_point());
-        let (points, times_ms) = self.smooth(input, output, (frame, fields), outputs)?;
+        let (mut points, times_ms) = self.smooth(input, output, (frame, fields), outputs)?;
+        if let Some((lost, note)) = frame.camera().and_then(|camera| self.smoothed.out_of_depth(camera)) {
+            points.lost += lost;
+            // In a folder, only the first frame's note is printed.
+            if self.noted.lock().is_ok_and(|mut noted| noted.insert("out of depth".to_owned())) {
+                report_notes(output, &[note]);
+            }
+        }
         report_range_rule(input, frame, self.session.range_rule(), self.pose.is_some());
         for setting in self.settings.unused_by_frames() {
             errln!("{}: {setting} has no effect on frames on a grid", input.display());

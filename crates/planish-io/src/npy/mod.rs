@@ -25,9 +25,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let mut array = Array::parse(bytes)?;
     #[cfg(feature = "more-formats")]
     if let Some(pages) = pages_of_shape(&array.header.shape) {
-        array = array.page(options.page_of(pages, notes)?)?;
-    } else if options.page.is_some() {
-        options.page_of(1, notes)?;
+        array = array.page(options.image_of(pages, notes)?)?;
+    } else if options.image.is_some() {
+        options.image_of(1, notes)?;
     }
     // Memory for the file, the values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
@@ -35,7 +35,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         ('u', 2, _) => 2 * array.header.size,
         ('f', 8, [.., 3]) => 32,
         ('f', _, [.., 3]) => 12,
-        ('V', size, _) => 3 * size,
+        ('V', size, _) => 3 * size + 36,
         _ => 24,
     };
     options.check(values, bytes_each)?;

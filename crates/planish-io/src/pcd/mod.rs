@@ -11,7 +11,7 @@ pub mod lzf;
 
 use crate::{
     CloudRef, Encoding, Gridded, ReadOptions,
-    columns::{cloud_from_columns, columns_from_cloud},
+    columns::{bytes_per_point, cloud_from_columns, columns_from_cloud},
     text,
 };
 use header::{Field, Header};
@@ -22,13 +22,14 @@ pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
     let (header, body) = Header::parse(bytes)?;
     // Memory for the columns and the decompressed bytes. If the file is too short to contain them, the error for a
     // truncated file is reported instead.
-    let (copies, most_bytes) = match header.encoding {
-        Encoding::Ascii => (1, body.len().saturating_mul(8)),
-        Encoding::Binary => (1, body.len()),
-        Encoding::BinaryCompressed => (2, body.len().saturating_mul(lzf::MAX_REFERENCE)),
+    let (decompressed, most_bytes) = match header.encoding {
+        Encoding::Ascii => (0, body.len().saturating_mul(8)),
+        Encoding::Binary => (0, body.len()),
+        Encoding::BinaryCompressed => (header.point_bytes(), body.len().saturating_mul(lzf::MAX_REFERENCE)),
     };
     if header.point_bytes().checked_mul(header.points()).is_some_and(|bytes| bytes <= most_bytes) {
-        options.check(header.points(), copies * header.point_bytes())?;
+        let columns: Vec<_> = header.fields.iter().map(Field::empty_column).collect();
+        options.check(header.points(), decompressed + bytes_per_point(&columns))?;
     }
     let columns = match header.encoding {
         Encoding::Ascii => {

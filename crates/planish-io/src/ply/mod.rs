@@ -22,7 +22,7 @@ pub(crate) use parts::PlyReader;
 use records::{Layout, pass_over, take_records, take_values};
 use remarks::{GRID_INFOS, left_out, remarks_of};
 
-use super::columns::{cloud_from_columns, with_values};
+use super::columns::{bytes_per_point, cloud_from_columns, with_values};
 use super::{Encoding, Gridded, ReadOptions, quoted, text};
 use planish_core::{Attribute, AttributeValues, FormatError, MAX_PIXELS};
 
@@ -34,6 +34,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         options.check(element.count, 8 * element.properties.len())?;
     }
     let mut columns = empty_columns(vertex);
+    options.check(vertex.count, bytes_per_point(&columns))?;
     let Body { cells, camera } = match header.storage {
         Storage::Ascii => read_text(&header, &bytes[at..], &mut columns)?,
         _ => read_binary(&header, &bytes[at..], &mut columns)?,

@@ -106,7 +106,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let separator = first.map_or(Separator::Space, Separator::of);
     let count = title.columns(first, separator)?;
     let line_ends = text.bytes().filter(|byte| *byte == b'\n').count();
-    options.check(line_ends + 1, 8 * count)?;
+    options.check(line_ends + 1, 8 * count + 12)?;
     let mut columns: Vec<Column> = (0..count).map(|_| Column::default()).collect();
     if let Some(first) = first {
         let is_text = |k: usize, cell: &str| !title.is_axis(k) && number_of(cell).is_none();

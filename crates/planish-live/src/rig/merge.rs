@@ -18,7 +18,7 @@ const MOST_CLOUDS: usize = 256;
 /// Merges clouds into one coordinate frame, in which each cloud is placed by its pose (`world_from_cloud`; the
 /// identity leaves a cloud in place).
 ///
-/// Holes are omitted. Fields with the same name are merged, with zeros for points of clouds without the field. Fields
+/// Coordinates in another unit than metres, which LAS files may state, are converted. Holes are omitted. Fields with the same name are merged, with zeros for points of clouds without the field. Fields
 /// of different types become f64, and packed colours become red, green and blue. Normals are rotated. The field
 /// `scan` contains the index of each point's cloud, or of its scan if a cloud has several. Sensor positions are kept
 /// ([`PointCloud::scanners_m`]). The second value is a list of notes for users, one clause each.
@@ -32,6 +32,9 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
         return Err(FrameError::LengthMismatch { what, len: clouds.len(), expected });
     }
     clouds.iter_mut().for_each(|(cloud, _)| cloud.unpack_colour());
+    // The merged cloud states no unit.
+    let in_metres: Vec<String> =
+        clouds.iter_mut().filter_map(|(cloud, _)| planish_io::convert_to_metres(cloud)).collect();
     let (mut parts, mut scanners_m, mut first_scans) = (Vec::with_capacity(clouds.len()), Vec::new(), Vec::new());
     for (i, (cloud, pose)) in clouds.iter().enumerate() {
         let world_from_cloud = pose.transform()?;
@@ -84,7 +87,8 @@ pub fn merge(mut clouds: Vec<(PointCloud, SensorPose)>) -> Result<(PointCloud, V
     if merged.is_empty() {
         return Err(FrameError::NoPoints);
     }
-    let notes = notes(&clouds);
+    let mut notes = notes(&clouds);
+    notes.extend(in_metres.into_iter().next());
     place_exactly(&clouds, &mut merged)?;
     let mut take = |name: &str| {
         let index = merged.attributes.iter().position(|field| field.name == name)?;

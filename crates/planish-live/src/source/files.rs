@@ -58,11 +58,11 @@ impl FileSource {
 
 impl FileSource {
     /// Returns the next image of a file with several, if any is left.
-    fn next_page(&mut self) -> Option<Result<OwnedFrame, Error>> {
-        let (stack, page) = self.stack.as_mut().filter(|(stack, page)| *page < stack.pages())?;
-        *page += 1;
+    fn next_image(&mut self) -> Option<Result<OwnedFrame, Error>> {
+        let (stack, image) = self.stack.as_mut().filter(|(stack, image)| *image < stack.images())?;
+        *image += 1;
         let file = &self.files[self.next - 1];
-        let contents = stack.page(*page).map_err(IoError::at(file)).map_err(Error::from);
+        let contents = stack.image(*image).map_err(IoError::at(file)).map_err(Error::from);
         let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &self.read));
         Some(frame.inspect(|frame| self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()))))
     }
@@ -73,14 +73,14 @@ impl Source for FileSource {
         if let Some(frame) = &self.repeated {
             return Ok(Some(frame.clone()));
         }
-        if let Some(frame) = self.next_page() {
+        if let Some(frame) = self.next_image() {
             return frame.map(Some);
         }
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
         self.stack =
-            if self.read.page.is_none() { Stack::open(file, &self.read)?.map(|stack| (stack, 0)) } else { None };
+            if self.read.image.is_none() { Stack::open(file, &self.read)?.map(|stack| (stack, 0)) } else { None };
         if self.stack.is_some() {
             self.repeats = false;
             return self.next_frame();
@@ -100,7 +100,7 @@ impl Source for FileSource {
         let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
         let stem = file_stem(self.files.get(last)?)?;
         Some(match &self.stack {
-            Some((_, page)) => format!("{stem}_{page:04}"),
+            Some((_, image)) => format!("{stem}_{image:04}"),
             None => stem,
         })
     }

@@ -8,20 +8,25 @@
 use std::f64::consts::PI;
 #[cfg(any(test, feature = "internal"))]
 use std::fmt::Write;
+#[cfg(any(test, feature = "internal"))]
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
 use super::{OwnedFrame, Source, malformed, with_shape};
-use planish_core::{Camera, DepthFrame, Error, IoError};
-#[cfg(any(test, feature = "internal"))]
-use planish_io;
+use planish_core::{Camera, DepthFrame, Error, FormatError, IoError};
+use planish_io::{self as io, ReadOptions};
 
 /// Smallest raw disparity that marks a hole.
 const HOLE_DISPARITY: u16 = 2047;
 
 const REACH_M: f64 = 10.0;
+
+/// Maximum size of INDEX.txt in bytes, enough for a day of frames.
+const LARGEST_INDEX: u64 = 256 << 20;
+/// Maximum length of an image's header in bytes.
+const LONGEST_HEADER: usize = 1024;
 
 /// The infrared camera, which measures raw disparities: N. Burrus, "Kinect calibration", 2011.
 const INFRARED_CAMERA: Camera = Camera::new((640, 480), [594.21434, 591.04054], [339.30781, 242.73914]);
@@ -110,10 +115,14 @@ impl FreenectRecording {
     /// Opens the folder that has INDEX.txt. The default camera is the infrared camera of a typical Kinect.
     pub fn open(folder: &Path, camera: Option<Camera>) -> Result<Self, Error> {
         let index = folder.join("INDEX.txt");
-        let text =
-            fs::read_to_string(&index).map_err(|error| IoError { path: index.clone(), problem: error.into() })?;
+        let text = io::read_bytes(&index, &ReadOptions::default().with_max_memory_bytes(LARGEST_INDEX));
+        let text = text.map_err(|error| match error {
+            FormatError::TooLarge { .. } => malformed(&index, "the index is larger than 256 MiB"),
+            error => IoError::at(&index)(error),
+        })?;
+        let text = String::from_utf8_lossy(&text);
         let (mut files, mut colour) = (Vec::new(), None);
-        for name in text.lines().map(str::trim) {
+        for name in text.lines().map(str::trim).filter(|name| !name.contains(['/', '\\'])) {
             match name.as_bytes() {
                 [b'd', b'-', ..] => files.push((folder.join(name), colour.clone())),
                 [b'r', b'-', ..] => colour = Some(folder.join(name)),
@@ -143,10 +152,15 @@ impl Source for FreenectRecording {
 /// Returns the pixel bytes of an image in a recording. The image has a header of one line, such as "P5 640 480
 /// 65535", and its 16-bit pixels are little-endian, contrary to the PGM standard.
 fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>, Error> {
-    let mut bytes = fs::read(file).map_err(|error| IoError { path: file.to_path_buf(), problem: error.into() })?;
+    let pixels = bytes_a_pixel * 640 * 480;
+    let most = (pixels + LONGEST_HEADER) as u64;
+    let mut bytes = match io::read_bytes(file, &ReadOptions::default().with_max_memory_bytes(most)) {
+        // A file of another size is no such image.
+        Err(FormatError::TooLarge { .. }) => Vec::new(),
+        bytes => bytes.map_err(IoError::at(file))?,
+    };
     let end = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |at| at + 1);
     let header = String::from_utf8_lossy(&bytes[..end]);
-    let pixels = bytes_a_pixel * 640 * 480;
     if header.split_whitespace().take(3).ne([kind, "640", "480"]) || bytes.len() != end + pixels {
         let problem = format!(
             "not a libfreenect image; expected '{kind} 640 480 ..' on the first line, followed by {pixels} bytes"

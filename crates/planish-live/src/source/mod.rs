@@ -311,8 +311,8 @@ fn open_path(path: &Path, options: &SourceOptions) -> Result<Box<dyn Source>, Er
         return Ok(Box::new(FreenectRecording::open(path, options.camera)?));
     }
     if ["associations.txt", "associate.txt", "depth.txt"].iter().any(|file| path.join(file).is_file()) {
-        let source = TumSource::open(path, options.camera, options.tum_units_per_metre)?;
-        return Ok(Box::new(source.with_read_options(options.read)));
+        let (camera, units) = (options.camera, options.tum_units_per_metre);
+        return Ok(Box::new(TumSource::open_within(path, camera, units, options.read)?));
     }
     Ok(Box::new(FileSource::folder_within(path, options.camera, options.read)?))
 }

@@ -3,13 +3,13 @@
 //! Depth has 5000 units per metre. The camera is the caller's; otherwise the one in `camera.json` next to the lists,
 //! which [`TumRecorder`] writes; otherwise the benchmark's default of 525, 525, 319.5, 239.5.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use super::files::{file_stem, read_frame};
 use super::{OwnedFrame, Source, malformed, with_shape};
 use crate::new_folder::refuse_used;
 use planish_core::{Camera, DepthFrame, DepthImage, Error, FormatError, IoError, SATURATED_DEPTH};
-use planish_io::internal::{append_to, create_output_folder};
+use planish_io::internal::{append_to, create_output_folder, quoted};
 use planish_io::{self as io, ReadOptions, RgbImage};
 
 /// The benchmark's depth units per metre.
@@ -44,10 +44,20 @@ impl TumSource {
     /// Depth has 5000 units per metre, regardless of `camera`, unless `units_per_metre` or the data set's own
     /// camera.json states otherwise.
     pub fn open(folder: &Path, camera: Option<Camera>, units_per_metre: Option<f64>) -> Result<Self, Error> {
+        Self::open_within(folder, camera, units_per_metre, ReadOptions::default())
+    }
+
+    /// Same as [`Self::open`], with options for reading the lists and images.
+    pub(super) fn open_within(
+        folder: &Path,
+        camera: Option<Camera>,
+        units_per_metre: Option<f64>,
+        read: ReadOptions,
+    ) -> Result<Self, Error> {
         let lists = ["associations.txt", "associate.txt"].map(|name| folder.join(name));
         let entries = match lists.iter().find(|list| list.is_file()) {
-            Some(list) => associated(list)?,
-            None => joined(folder)?,
+            Some(list) => associated(list, &read)?,
+            None => joined(folder, &read)?,
         };
         if entries.is_empty() {
             return Err(malformed(folder, "the data set lists no depth images").into());
@@ -58,13 +68,7 @@ impl TumSource {
         let is_assumed = camera.is_none() && own.is_none();
         let camera = camera.or(own).unwrap_or(Camera::kinect_v1().with_shape((0, 0)));
         let camera = camera.with_depth_units_per_metre(units);
-        let read = ReadOptions::default();
         Ok(Self { folder: folder.to_path_buf(), camera, is_assumed, entries, next: 0, read })
-    }
-
-    /// Sets the options for reading images.
-    pub fn with_read_options(self, read: ReadOptions) -> Self {
-        Self { read, ..self }
     }
 }
 
@@ -107,54 +111,68 @@ impl Source for TumSource {
     }
 }
 
-/// Returns the lines of a list, split at whitespace, without comments.
-fn read_list(list: &Path) -> Result<Vec<Vec<String>>, IoError> {
-    const MAX_BYTES: u64 = 256 << 20;
-    let bytes = io::read_bytes(list, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES));
-    let bytes = bytes.map_err(|problem| IoError { path: list.to_path_buf(), problem })?;
-    let text = String::from_utf8(bytes).map_err(|_| malformed(list, "the list is not text"))?;
-    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-    Ok(lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect())
+/// Returns the text of a list. Checks the memory for its entries.
+fn text_of(list: &Path, read: &ReadOptions) -> Result<String, IoError> {
+    /// Memory for a line and for its entry.
+    const BYTES_PER_ENTRY: usize = 160;
+    let text = io::read_bytes(list, read).and_then(|bytes| {
+        read.check(bytes.iter().filter(|byte| **byte == b'\n').count(), BYTES_PER_ENTRY)?;
+        String::from_utf8(bytes).map_err(|_| FormatError::Malformed("the list is not text".into()))
+    });
+    text.map_err(IoError::at(list))
+}
+
+/// Returns the lines of a list without comments.
+fn lines(text: &str) -> impl Iterator<Item = &str> {
+    text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'))
+}
+
+/// Returns the path of a file that a list names. It must be in the data set's folder.
+fn file_in(list: &Path, name: &str) -> Result<PathBuf, IoError> {
+    let is_part = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+    if Path::new(name).components().all(is_part) {
+        return Ok(name.into());
+    }
+    Err(malformed(list, format!("{} is outside the data set's folder", quoted(name))))
 }
 
 fn timestamp_s(list: &Path, word: &str) -> Result<f64, IoError> {
     let number = word.parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| {
-        malformed(list, format!("'{word}' is not a timestamp; expected lines of the form: seconds file"))
+        malformed(list, format!("{} is not a timestamp; expected lines of the form: seconds file", quoted(word)))
     })
 }
 
 /// Returns the timestamp in seconds and the file of each line.
-fn stamped(list: &Path) -> Result<Vec<(f64, PathBuf)>, IoError> {
-    let line = |words: Vec<String>| match &words[..] {
-        [seconds, file] => Ok((timestamp_s(list, seconds)?, PathBuf::from(file))),
-        _ => Err(malformed(list, format!("invalid line '{}'; expected: seconds file", words.join(" ")))),
+fn stamped(list: &Path, read: &ReadOptions) -> Result<Vec<(f64, PathBuf)>, IoError> {
+    let entry = |line: &str| match line.split_whitespace().collect::<Vec<_>>()[..] {
+        [seconds, file] => Ok((timestamp_s(list, seconds)?, file_in(list, file)?)),
+        _ => Err(malformed(list, format!("invalid line {}; expected: seconds file", quoted(line)))),
     };
-    read_list(list)?.into_iter().map(line).collect()
+    lines(&text_of(list, read)?).map(entry).collect()
 }
 
 /// Returns pairs of depth and colour from lines that list them in either order; the name of the colour image begins
 /// with `rgb`.
-fn associated(list: &Path) -> Result<Vec<Entry>, IoError> {
-    let line = |words: Vec<String>| {
-        let [first_s, first, second_s, second] = &words[..] else {
-            return Err(malformed(
-                list,
-                format!("invalid line '{}'; expected: seconds file seconds file", words.join(" ")),
-            ));
+fn associated(list: &Path, read: &ReadOptions) -> Result<Vec<Entry>, IoError> {
+    let entry = |line: &str| {
+        let [first_s, first, second_s, second] = line.split_whitespace().collect::<Vec<_>>()[..] else {
+            let problem = format!("invalid line {}; expected: seconds file seconds file", quoted(line));
+            return Err(malformed(list, problem));
         };
         let (seconds, depth, rgb) =
             if first.starts_with("rgb") { (second_s, second, first) } else { (first_s, first, second) };
-        Ok(Entry { timestamp_s: timestamp_s(list, seconds)?, depth: depth.into(), rgb: Some(rgb.into()) })
+        let timestamp_s = timestamp_s(list, seconds)?;
+        Ok(Entry { timestamp_s, depth: file_in(list, depth)?, rgb: Some(file_in(list, rgb)?) })
     };
-    read_list(list)?.into_iter().map(line).collect()
+    lines(&text_of(list, read)?).map(entry).collect()
 }
 
 /// Pairs every line of depth.txt with the colour image nearest to it in time, if that is within [`NEAR_IN_TIME_S`].
-fn joined(folder: &Path) -> Result<Vec<Entry>, IoError> {
-    let depths = stamped(&folder.join("depth.txt"))?;
+fn joined(folder: &Path, read: &ReadOptions) -> Result<Vec<Entry>, IoError> {
+    let depths = stamped(&folder.join("depth.txt"), read)?;
     let list = folder.join("rgb.txt");
-    let mut colours = if list.is_file() { stamped(&list)? } else { Vec::new() };
+    let mut colours = if list.is_file() { stamped(&list, read)? } else { Vec::new() };
     colours.sort_by(|a, b| a.0.total_cmp(&b.0));
     let nearest = |seconds: f64| {
         let at = colours.partition_point(|(other, _)| *other < seconds);
@@ -265,9 +283,12 @@ impl TumRecorder {
         let raw: Vec<u16> = frame.raw.iter().map(converted).collect();
         let seconds = frame.timestamp_s.unwrap_or(self.frames as f64 / 30.0);
         // Names are timestamps: a clock that stands still or jumps back must not overwrite earlier files.
-        let seconds = if seconds <= self.last_s { self.last_s + 1e-6 } else { seconds };
+        let name_of = |seconds: f64| format!("{seconds:.6}");
+        let is_used = seconds <= self.last_s || name_of(seconds) == name_of(self.last_s);
+        // Large numbers have fewer decimals.
+        let seconds = if is_used { (self.last_s + 1e-6).max(self.last_s.next_up()) } else { seconds };
         self.last_s = seconds;
-        let name = format!("{seconds:.6}");
+        let name = name_of(seconds);
         let depth = format!("depth/{name}.png");
         io::write_depth(&self.folder.join(&depth), &DepthImage { width: camera.width, height: camera.height, raw })?;
         if let Some(rgb) = &frame.rgb {

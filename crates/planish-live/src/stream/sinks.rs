@@ -81,13 +81,20 @@ impl FolderSink {
 
     /// Returns a unique name for a frame's file, without its extension.
     fn name_of(&mut self, frame: &StreamFrame) -> String {
+        // The lists of a data set separate names by spaces and lines, and begin comments with #.
+        let listed = |name: &String| {
+            name.replace(|c: char| c.is_whitespace() || c.is_control() || c == '#', "_")
+                .trim_start_matches('.')
+                .to_owned()
+        };
+        let named = frame.name.as_ref().map(listed).filter(|name| !name.is_empty());
         let number = format!("{:06}", frame.index);
-        let is_free = |name: &String| !self.names.contains(name);
-        let name = frame.name.clone().filter(is_free).unwrap_or_else(|| match &frame.name {
-            Some(taken) => format!("{taken}-{number}"),
-            None => number,
-        });
-        self.names.insert(name.clone());
+        let origin_of = |name: &String| format!("{name}.origin");
+        let is_free = |name: &String| !self.names.contains(name) && !self.names.contains(&origin_of(name));
+        let base = named.as_ref().map_or_else(|| number.clone(), |taken| format!("{taken}-{number}"));
+        let numbered = std::iter::successors(Some(base), |name| Some(format!("{name}-{number}")));
+        let name = named.into_iter().chain(numbered).find(is_free).unwrap_or(number);
+        self.names.extend([origin_of(&name), name.clone()]);
         name
     }
 

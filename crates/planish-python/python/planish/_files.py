@@ -111,7 +111,7 @@ class Devices:
     reason: str
 
 
-def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | None = None, page: int | None = None) -> Frame:
+def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | None = None, image: int | None = None) -> Frame:
     """Read a cloud or a depth image: PCD, PLY, LAS, LAZ, E57, PTX, text, CSV, NPY, NPZ, lidar .bin, OBJ, OFF, STL, PNG, TIFF, ....
 
     Parameters
@@ -122,7 +122,7 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
         Unit of points and of floating-point depth in files that do not state one; values are converted to metres [default: m].
     columns : int, optional
         Number of columns of a lidar's .bin [default: detected from the values].
-    page : int, optional
+    image : int, optional
         Number of the image to read, counted from 1, of a TIFF file with several pages or a .npy of shape [N, H, W] [default: 1].
 
     Warns
@@ -137,7 +137,7 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
     ValueError
         If its contents contradict its format.
     """
-    return _frame(_planish.read(path, unit, columns, page))
+    return _frame(_planish.read(path, unit, columns, image))
 
 
 # Extensions of the formats that store the sensor's pose, and of those that store rows and columns.

@@ -7,6 +7,7 @@ use mcap::records::Record;
 
 use super::is_named_mcap;
 use planish_core::FormatError;
+use planish_io::ReadOptions;
 use planish_io::internal::quoted;
 
 /// Returns the files of a recording in order: the file itself, or the files that the metadata of a rosbag2 folder
@@ -15,7 +16,18 @@ use planish_io::internal::quoted;
 /// # Errors
 /// If a listed file is missing.
 pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
-    let Ok(metadata) = std::fs::read_to_string(path.join("metadata.yaml")) else { return Ok(vec![path.to_path_buf()]) };
+    /// Maximum size of a recording's metadata in bytes.
+    const LARGEST_METADATA: u64 = 16 << 20;
+    let file = path.join("metadata.yaml");
+    if !file.is_file() {
+        return Ok(vec![path.to_path_buf()]);
+    }
+    let metadata = planish_io::read_bytes(&file, &ReadOptions::default().with_max_memory_bytes(LARGEST_METADATA));
+    let metadata = metadata.map_err(|error| match error {
+        FormatError::TooLarge { .. } => FormatError::Malformed("its metadata.yaml is larger than 16 MiB".into()),
+        error => FormatError::Malformed(format!("its metadata.yaml: {error}")),
+    })?;
+    let metadata = String::from_utf8_lossy(&metadata);
     let files: Vec<PathBuf> = listed(&metadata).into_iter().map(|name| path.join(name)).collect();
     if let Some(missing) = files.iter().find(|file| !file.is_file()) {
         let name = quoted(&missing.display().to_string());
@@ -48,6 +60,10 @@ fn listed(metadata: &str) -> Vec<String> {
     names.filter_map(|name| Some(Path::new(name).file_name()?.to_str()?.to_owned())).collect()
 }
 
+/// Number of copies of the schemas and channels of a recording in memory: here, in the reader's records, in the writer,
+/// and in the end of a recording.
+pub(super) const DEFINITION_COPIES: usize = 4;
+
 /// A numbering of schemas and channels shared by all files of a recording. The first file keeps its own numbers.
 #[derive(Default)]
 pub(super) struct Numbers {
@@ -62,6 +78,8 @@ pub(super) struct Numbers {
     /// Shared number of each channel, by its number in the current file.
     channel: BTreeMap<u16, u16>,
     is_later: bool,
+    /// Bytes of all schemas and channels. Programs keep these, and write them again at the end of a recording.
+    definitions: usize,
     /// Number from which the search for a free number continues.
     next_free: u16,
 }
@@ -93,14 +111,31 @@ impl Numbers {
         Some(number)
     }
 
+    /// Counts the bytes of a schema or channel.
+    fn count(&mut self, bytes: usize, options: &ReadOptions) -> Result<(), FormatError> {
+        self.definitions += bytes;
+        options.check(self.definitions, DEFINITION_COPIES)
+    }
+
     /// Renumbers a record; returns `None` for a record that an earlier file already had.
-    pub(super) fn renumbered(&mut self, record: Record<'static>) -> Result<Option<Record<'static>>, FormatError> {
+    ///
+    /// # Errors
+    /// If there are too many schemas and channels for their numbers or for the memory limit.
+    pub(super) fn renumbered(
+        &mut self,
+        record: Record<'static>,
+        options: &ReadOptions,
+    ) -> Result<Option<Record<'static>>, FormatError> {
         let too_many = || FormatError::Malformed("too many channels for one recording".into());
         Ok(Some(match record {
             Record::Header(_) if self.is_later => return Ok(None),
             Record::Schema { mut header, data } if header.id != 0 => {
                 let key = (header.name.clone(), header.encoding.clone(), data.to_vec());
                 let known = self.schemas.get(&key).copied();
+                // Recorders repeat definitions in each chunk.
+                if known.is_none() || !self.schema.contains_key(&header.id) {
+                    self.count(data.len() + header.name.len() + header.encoding.len(), options)?;
+                }
                 let number = self.number(known, header.id).ok_or_else(too_many)?;
                 self.schemas.entry(key).or_insert(number);
                 self.schema.insert(header.id, number);
@@ -116,6 +151,10 @@ impl Numbers {
                 }
                 let key = (channel.topic.clone(), channel.schema_id, channel.message_encoding.clone());
                 let known = self.channels.get(&key).copied();
+                if known.is_none() || !self.channel.contains_key(&channel.id) {
+                    let metadata: usize = channel.metadata.iter().map(|(name, value)| name.len() + value.len()).sum();
+                    self.count(channel.topic.len() + metadata, options)?;
+                }
                 let number = self.number(known, channel.id).ok_or_else(too_many)?;
                 self.channels.entry(key).or_insert(number);
                 self.channel.insert(channel.id, number);

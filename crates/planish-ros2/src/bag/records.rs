@@ -92,7 +92,7 @@ impl Records {
     pub(super) fn next(&mut self) -> Result<Next, FormatError> {
         loop {
             let next = match self.next_of_file() {
-                Ok(Next::Record(record)) => match self.numbers.renumbered(record) {
+                Ok(Next::Record(record)) => match self.numbers.renumbered(record, &self.options) {
                     Ok(Some(record)) => return Ok(Next::Record(record)),
                     Ok(None) => continue,
                     Err(error) => Err(error),

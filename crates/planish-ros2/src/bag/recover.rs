@@ -14,6 +14,7 @@ use mcap::records::{
     Statistics, op,
 };
 
+use super::parts::DEFINITION_COPIES;
 use super::records::parse_record;
 use super::{MAGIC, of_mcap};
 use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
@@ -165,6 +166,8 @@ struct Scan {
     counts: BTreeMap<u16, u64>,
     times: Option<(u64, u64)>,
     chunks: Vec<ChunkIndex>,
+    /// Bytes of all schemas and channels.
+    definitions: usize,
     /// Message indices that the last chunk lacks.
     missing: BTreeMap<u16, Vec<MessageIndexEntry>>,
     /// Whole records of a chunk that was cut.
@@ -220,10 +223,10 @@ impl Scan {
                 op::CHUNK => {
                     let (contents, is_whole) = contents_of(&data, false, options);
                     if length > left || !is_whole && is_zero(file)? {
-                        let dropped = self.salvage(&data, options);
+                        let dropped = self.salvage(&data, options)?;
                         return cut(dropped);
                     }
-                    self.chunk(at, length, &data, contents, is_whole);
+                    self.chunk((at, length), &data, contents, is_whole, options)?;
                 }
                 op::MESSAGE_INDEX => self.message_index(at, length, &data),
                 op::ATTACHMENT => self.attachments += 1,
@@ -237,7 +240,7 @@ impl Scan {
                         return cut(bytes - at);
                     }
                     match is_read {
-                        true => self.take(&contents),
+                        true => self.take(&contents, options)?,
                         false => self.damaged_chunks += 1,
                     }
                 }
@@ -248,7 +251,7 @@ impl Scan {
     }
 
     /// Keeps the whole records of a chunk that was cut; returns the number of lost bytes.
-    fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> u64 {
+    fn salvage(&mut self, data: &[u8], options: &ReadOptions) -> Result<u64, FormatError> {
         // After a power failure, a message may end in zeros.
         let zeros = data.iter().rev().take_while(|&&byte| byte == 0).count();
         let (contents, kept) = match cut_contents(&data[..data.len() - zeros]) {
@@ -263,11 +266,11 @@ impl Scan {
             }
         };
         if contents.index.is_empty() || !self.knows_channels(&contents) {
-            return data.len() as u64;
+            return Ok(data.len() as u64);
         }
-        self.take(&contents);
+        self.take(&contents, options)?;
         self.salvaged = Some(contents);
-        data.len().saturating_sub(kept) as u64
+        Ok(data.len().saturating_sub(kept) as u64)
     }
 
     /// Returns true if the channels of all messages are known.
@@ -276,19 +279,24 @@ impl Scan {
     }
 
     /// Indexes a chunk, whose message indices follow, or counts it as damaged.
-    fn chunk(&mut self, at: u64, length: u64, data: &[u8], contents: Contents, is_whole: bool) {
+    fn chunk(
+        &mut self,
+        (at, length): (u64, u64),
+        data: &[u8],
+        contents: Contents,
+        is_whole: bool,
+        options: &ReadOptions,
+    ) -> Result<(), FormatError> {
         self.missing.clear();
         let header = match parse_record(op::CHUNK, data) {
             Ok(Record::Chunk { header, .. }) if is_whole => header,
             _ => {
                 self.damaged_chunks += 1;
                 // Later chunks may refer to this chunk's schemas and channels.
-                self.schemas.extend(contents.schemas);
-                self.channels.extend(contents.channels);
-                return;
+                return self.define(&contents, options);
             }
         };
-        self.take(&contents);
+        self.take(&contents, options)?;
         self.missing = contents.index;
         self.chunks.push(ChunkIndex {
             message_start_time: header.message_start_time,
@@ -301,6 +309,7 @@ impl Scan {
             compressed_size: header.compressed_size,
             uncompressed_size: header.uncompressed_size,
         });
+        Ok(())
     }
 
     /// Registers a message index of the last chunk.
@@ -313,13 +322,34 @@ impl Scan {
         }
     }
 
-    fn take(&mut self, contents: &Contents) {
-        self.schemas.extend(contents.schemas.iter().map(|(id, schema)| (*id, schema.clone())));
-        self.channels.extend(contents.channels.iter().map(|(id, channel)| (*id, channel.clone())));
+    /// Keeps schemas and channels.
+    ///
+    /// # Errors
+    /// If all that are kept exceed the memory limit.
+    fn define(&mut self, contents: &Contents, options: &ReadOptions) -> Result<(), FormatError> {
+        for (id, schema) in &contents.schemas {
+            let added = schema.1.len() + schema.0.name.len();
+            let replaced =
+                self.schemas.insert(*id, schema.clone()).map_or(0, |(header, text)| text.len() + header.name.len());
+            self.definitions = self.definitions + added - replaced;
+        }
+        let bytes_of = |channel: &Channel| {
+            channel.topic.len() + channel.metadata.iter().map(|(name, value)| name.len() + value.len()).sum::<usize>()
+        };
+        for (id, channel) in &contents.channels {
+            let replaced = self.channels.insert(*id, channel.clone()).map_or(0, |channel| bytes_of(&channel));
+            self.definitions = self.definitions + bytes_of(channel) - replaced;
+        }
+        options.check(self.definitions, DEFINITION_COPIES)
+    }
+
+    fn take(&mut self, contents: &Contents, options: &ReadOptions) -> Result<(), FormatError> {
+        self.define(contents, options)?;
         for (channel, entries) in &contents.index {
             *self.counts.entry(*channel).or_default() += entries.len() as u64;
         }
         self.times = together(self.times, contents.times);
+        Ok(())
     }
 
     /// Returns the bytes to append at `at`: missing indices, messages of a chunk that was cut, and the summary.

@@ -101,7 +101,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
 fn between_recordings(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
     let mut settings = args.smoothing.settings()?;
     settings.outputs = Some(args.outputs());
-    let poses = args.poses.of_recording(&settings)?;
+    let poses = args.poses.of_recording(&settings, &args.reading.read_options())?;
     let mut smoother = MessageSmoother::new(settings)?.with_read_options(args.reading.read_options());
     let options = SmoothBagOptions::default()
         .with_topics(args.topics.topic.clone())

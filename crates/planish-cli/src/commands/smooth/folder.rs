@@ -36,7 +36,7 @@ type Job = (PathBuf, PathBuf);
 
 pub fn run(worker: &mut Worker<'_>) -> Result<ExitCode> {
     let args = worker.args;
-    let trajectory = args.poses.read(&worker.settings, &args.input)?;
+    let trajectory = args.poses.read(&worker.settings, &args.input, &args.reading.read_options())?;
     let inputs = io::frame_files(&args.input).map_err(Error::from)?;
     let frames = inputs.len();
     if let Some(poses) = trajectory.as_ref().filter(|poses| !poses.has_times() && poses.len() != frames) {

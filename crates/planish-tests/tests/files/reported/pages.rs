@@ -82,17 +82,17 @@ fn one_image_of_several_is_read_and_the_others_are_reported() {
         assert_eq!(first.notes, ["the file has 3 images; only image 1 is read"], "{name}");
         let path = write(folder.path(), name, &bytes);
         let stack = Stack::open(&path, &ReadOptions::default()).unwrap().unwrap();
-        assert_eq!(stack.pages(), PAGES);
+        assert_eq!(stack.images(), PAGES);
         for page in 1..=PAGES {
-            let (_, contents) = io::read_with(&path, &ReadOptions::default().with_page(Some(page))).unwrap();
+            let (_, contents) = io::read_with(&path, &ReadOptions::default().with_image(Some(page))).unwrap();
             assert_eq!(depth_mm(&contents), value(page), "{name}");
-            assert_eq!(stack.page(page).unwrap(), contents, "{name}");
+            assert_eq!(stack.image(page).unwrap(), contents, "{name}");
         }
         for page in [0, PAGES + 1, usize::MAX] {
-            let error = io::read_with(&path, &ReadOptions::default().with_page(Some(page))).unwrap_err().to_string();
+            let error = io::read_with(&path, &ReadOptions::default().with_image(Some(page))).unwrap_err().to_string();
             let expected = format!("there is no image {page}: the file has 3 images, counted from 1");
             assert!(error.ends_with(&expected), "{name}: {error}");
-            assert_eq!(stack.page(page).unwrap_err().to_string(), expected);
+            assert_eq!(stack.image(page).unwrap_err().to_string(), expected);
         }
     }
     let error = read_as("f.npy", &npy(false, true)).unwrap_err();
@@ -109,8 +109,8 @@ fn a_page_of_a_file_with_one_image_or_cloud_exists_only_if_it_is_the_first() {
     for (name, bytes) in files {
         let path = write(folder.path(), name, &bytes);
         assert!(Stack::open(&path, &ReadOptions::default()).unwrap().is_none(), "{name}");
-        assert!(io::read_with(&path, &ReadOptions::default().with_page(Some(1))).is_ok(), "{name}");
-        let error = io::read_with(&path, &ReadOptions::default().with_page(Some(2))).unwrap_err().to_string();
+        assert!(io::read_with(&path, &ReadOptions::default().with_image(Some(1))).is_ok(), "{name}");
+        let error = io::read_with(&path, &ReadOptions::default().with_image(Some(2))).unwrap_err().to_string();
         assert!(error.ends_with("there is no image 2: the file has one image, counted from 1"), "{error}");
     }
 }
