@@ -46,6 +46,10 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
             0 => {}
             missing => notes.push(format!("{missing} colour values are missing; they become 0")),
         }
+        match channels().filter(|value| !value.is_nan() && !(0.0..=255.0).contains(*value)).count() {
+            0 => {}
+            beyond => notes.push(format!("{beyond} colour values are not within 0 to 255; they are clipped")),
+        }
         for (name, values) in [("red", red), ("green", green), ("blue", blue)] {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();
             all.push(Attribute { name: name.into(), count: 1, values: values.into() });
@@ -56,7 +60,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
 
 /// Reads the vertices of an OFF, with optional normals and colours.
 #[cfg(feature = "more-formats")]
-pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<PointCloud> {
+pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> FormatResult<PointCloud> {
     let text = text_of(bytes);
     let without_comment = |line| str::split(line, '#').next().unwrap_or_default().trim();
     let mut lines = (1..).zip(text.lines().map(without_comment)).filter(|(_, line)| !line.is_empty());
@@ -90,7 +94,8 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
     names.extend(if has_normals { &["normal_x", "normal_y", "normal_z"][..] } else { &[] });
     names.extend(if prefix.contains('C') { &["red", "green", "blue"][..] } else { &[] });
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
-    let mut largest = 0.0f64;
+    // Colours end at 1 or at 255. Alpha, which may follow, can have the other range.
+    let (mut largest, mut largest_alpha, mut has_fraction, mut beyond) = (0.0f64, 0.0f64, false, 0);
     for _ in 0..count {
         let (number, line) = lines.next().ok_or_else(|| {
             FormatError::Malformed(format!(
@@ -106,11 +111,20 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions) -> FormatResult<Po
                 names.len()
             ))
         })?;
-        // Alpha may follow the colours; it only affects the detected range.
-        largest = values[3 + 3 * usize::from(has_normals)..].iter().copied().fold(largest, f64::max);
+        let first_colour = 3 + 3 * usize::from(has_normals);
+        for value in &values[first_colour.min(names.len())..names.len()] {
+            largest = largest.max(*value);
+            has_fraction |= value.fract() != 0.0;
+            beyond += usize::from(!(0.0..=255.0).contains(value));
+        }
+        largest_alpha = values[names.len()..].iter().copied().fold(largest_alpha, f64::max);
         columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
-    let scale = if largest <= 1.0 { 255.0 } else { 1.0 };
+    if beyond > 0 {
+        notes.push(format!("{beyond} colour values are not within 0 to 255; they are clipped"));
+    }
+    let is_share = largest <= 1.0 && (has_fraction || largest_alpha <= 1.0);
+    let scale = if is_share { 255.0 } else { 1.0 };
     let typed = |(name, values): (&str, Vec<f64>)| match name {
         "red" | "green" | "blue" => {
             let values: Vec<u8> = values.into_iter().map(|value| (scale * value).round() as u8).collect();

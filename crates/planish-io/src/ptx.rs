@@ -24,6 +24,8 @@ struct Points {
     holes: usize,
     /// Number of points without a colour.
     colourless: usize,
+    /// Number of colour values that a byte cannot store.
+    odd_colours: usize,
 }
 
 /// The remaining lines of a file, with their line numbers.
@@ -76,8 +78,19 @@ impl Points {
         // The file's points are row vectors, to the left of the matrix, so its rows are the columns of `to_file`.
         let matrix = [lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?, lines.row::<4>()?];
         let to_file = DMat4::from_cols_array_2d(&matrix);
+        if !to_file.is_finite() || !DVec3::from(position).is_finite() {
+            return Err(FormatError::Malformed("a scan's position or matrix has values that are not finite".into()));
+        }
+        // The translation is in the last row; other programs would apply a projection.
+        if (to_file.row(3) - DVec4::W).length() > 1e-9 {
+            return Err(FormatError::Unsupported(format!(
+                "the last column of a scan's matrix is {:?} instead of 0, 0, 0, 1; write the translation in the last row",
+                to_file.row(3).to_array()
+            )));
+        }
         let count = columns * rows;
-        if !(columns >= 0.0 && rows >= 0.0 && count <= planish_core::MAX_PIXELS as f64 && count.fract() == 0.0) {
+        let is_whole = |number: f64| number >= 0.0 && number.fract() == 0.0;
+        if !(is_whole(columns) && is_whole(rows) && count <= planish_core::MAX_PIXELS as f64) {
             return Err(FormatError::Malformed(format!(
                 "a scan states an invalid size of {columns} columns and {rows} rows"
             )));
@@ -104,7 +117,9 @@ impl Points {
             self.scan.push(scan);
             self.colourless += usize::from(values.len() == COUNTS[0]);
             for (channel, colours) in self.colours.iter_mut().enumerate() {
-                colours.push(values.get(4 + channel).map_or(0, |value| *value as u8));
+                let value = values.get(4 + channel).copied().unwrap_or_default();
+                self.odd_colours += usize::from(!(0.0..=255.0).contains(&value) || value.fract() != 0.0);
+                colours.push(value.round() as u8);
             }
         }
         Ok(())
@@ -122,6 +137,12 @@ impl Points {
         if self.colourless < count {
             let colours = ["red", "green", "blue"].into_iter().zip(self.colours);
             columns.extend(colours.map(|(name, values)| column(name, values.into())));
+            if self.odd_colours > 0 {
+                notes.push(format!(
+                    "{} colour values are not integers from 0 to 255; they are rounded",
+                    self.odd_colours
+                ));
+            }
             if self.colourless > 0 {
                 notes.push(format!("{} of {count} points have no colour; they are black", self.colourless));
             }

@@ -222,7 +222,7 @@ fn decode_plain(
         Format::Obj => Ok(Contents::General(mesh::decode_obj(bytes, options, notes)?)),
         Format::Stl => Ok(Contents::General(mesh::decode_stl(bytes, options)?)),
         #[cfg(feature = "more-formats")]
-        Format::Off => Ok(Contents::General(mesh::decode_off(bytes, options)?)),
+        Format::Off => Ok(Contents::General(mesh::decode_off(bytes, options, notes)?)),
         #[cfg(feature = "more-formats")]
         Format::Ptx => Ok(Contents::General(ptx::decode(bytes, options, notes)?)),
         #[cfg(feature = "more-formats")]

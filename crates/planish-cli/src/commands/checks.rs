@@ -1,6 +1,6 @@
 //! Checks, reports and field conversions shared by the commands that write points.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use planish::io::{self, Format, LengthUnit};
@@ -80,10 +80,10 @@ pub fn report_unit(input: &Path, cloud: &PointCloud) {
     }
 }
 
-/// Refuses to overwrite the settings file.
-pub fn check_not_settings(settings: Option<&Path>, output: &Path) -> Result<()> {
-    if settings.is_some_and(|settings| io::is_same_file(settings, output)) {
-        bail!("{}: the output is the settings file; write to another file", output.display());
+/// Refuses to overwrite a file that is read beside the input: settings, a camera or poses.
+pub fn check_not_beside<'a>(files: impl IntoIterator<Item = &'a Option<PathBuf>>, output: &Path) -> Result<()> {
+    if files.into_iter().flatten().any(|file| io::is_same_file(file, output)) {
+        bail!("{}: the output is also read (settings, camera or poses); write to another file", output.display());
     }
     Ok(())
 }

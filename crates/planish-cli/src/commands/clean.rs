@@ -10,7 +10,9 @@ use planish::{Error, OrganizedCloud, Outputs, ParamError};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::checks::{check_not_input, convert_fields, report_columns, report_losses, report_notes, report_unit};
+use super::checks::{
+    check_not_beside, check_not_input, convert_fields, report_columns, report_losses, report_notes, report_unit,
+};
 use super::{check_work, ms_since, organized, read_input};
 use crate::args::CleanArgs;
 
@@ -40,6 +42,7 @@ pub fn run(args: &CleanArgs) -> Result<ExitCode> {
         bail!("{}: an image cannot store points; end the name in .pcd or .ply", output.display());
     }
     check_not_input(input, output, Some(args.overwrite))?;
+    check_not_beside([&args.camera.camera_file], output)?;
     let start = Instant::now();
     let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     let FileRead { format, encoding, contents, notes, .. } = file;

@@ -9,7 +9,7 @@ use planish::{Camera, DepthView, Error, IntoFrame, PointCloud, SensorPose, rig};
 use planish_bench::{errln, outln};
 use serde_json::json;
 
-use super::checks::{check_not_input, report_columns, report_notes};
+use super::checks::{check_not_beside, check_not_input, report_columns, report_notes};
 use super::{check_work, organized, read_input};
 use crate::args::{CameraArgs, CompareArgs, ConvertArgs, MergeArgs};
 use crate::exit::ExitCode;
@@ -19,6 +19,7 @@ pub fn convert(args: &ConvertArgs) -> Result<ExitCode> {
     let ConvertArgs { input, output, .. } = args;
     args.encoding.check(output)?;
     check_not_input(input, output, Some(args.overwrite))?;
+    check_not_beside([&args.camera.camera_file], output)?;
     let (mut file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &std::mem::take(&mut file.notes));
     if let Contents::General(cloud) = &file.contents {
@@ -126,6 +127,7 @@ pub fn compare(args: &CompareArgs) -> Result<ExitCode> {
         for input in [&args.a, &args.b] {
             check_not_input(input, picture, None)?;
         }
+        check_not_beside([&args.camera.camera_file], picture)?;
         let full_scale = [args.max, Some(found.distances.p95)].into_iter().flatten().find(|scale| *scale > 0.0);
         let full_scale = full_scale.unwrap_or(f64::MIN_POSITIVE);
         let map = planish::compare::difference_map(&a, &b, full_scale);
@@ -198,6 +200,7 @@ pub fn merge(args: &MergeArgs) -> Result<ExitCode> {
     if matches!(Format::of_extension(&args.out), Some(Format::DepthPng | Format::DepthTiff)) {
         bail!("{}: an image cannot store points; end the name in .pcd or .ply", args.out.display());
     }
+    check_not_beside([&args.camera.camera_file, &args.poses], &args.out)?;
     let options = args.reading.read_options();
     let poses = args.poses.as_ref().map(|file| read_trajectory_with(file, &options)).transpose()?;
     let mut clouds: Vec<(PointCloud, SensorPose)> = Vec::new();

@@ -5,7 +5,7 @@ use planish::io::{self, Contents, WRITTEN_MESHES};
 use planish::mesh::{FrameMesh, mesh_of};
 use planish_bench::{errln, outln};
 
-use super::checks::{check_not_input, report_notes};
+use super::checks::{check_not_beside, check_not_input, report_notes};
 use super::{check_work, organized, read_input};
 use crate::args::{MeshArgs, by_option_of_error};
 use crate::exit::ExitCode;
@@ -17,6 +17,7 @@ pub fn run(args: &MeshArgs) -> Result<ExitCode> {
         bail!("{}: unsupported mesh extension; expected {WRITTEN_MESHES}", output.display());
     }
     check_not_input(input, output, None)?;
+    check_not_beside([&args.smoothing.settings, &args.camera.camera_file], output)?;
     let settings = args.smoothing.settings()?;
     let (file, camera) = read_input(input, &args.reading.read_options(), &args.camera)?;
     report_notes(input, &file.notes);

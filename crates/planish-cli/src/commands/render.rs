@@ -8,7 +8,7 @@ use planish::io::{Contents, FileRead, Work};
 use planish::render::{colours, normals_of, relief, seen_from, side_by_side};
 use planish::{FrameError, ParamError};
 
-use super::checks::{check_not_input, report_notes};
+use super::checks::{check_not_beside, check_not_input, report_notes};
 use super::{check_work, organized, read_input};
 use crate::args::RenderArgs;
 
@@ -20,6 +20,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         bail!("{}: unsupported picture extension; expected .png", args.output.display());
     }
     check_not_input(&args.file, &args.output, None)?;
+    check_not_beside([&args.camera.camera_file], &args.output)?;
     let (FileRead { contents, notes, .. }, camera) =
         read_input(&args.file, &args.reading.read_options(), &args.camera)?;
     report_notes(&args.file, &notes);

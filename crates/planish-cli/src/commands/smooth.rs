@@ -32,7 +32,7 @@ use report::{
 };
 
 use super::checks::{
-    check_not_input, check_not_settings, check_radius, convert_fields, report_columns, report_losses, report_notes,
+    check_not_beside, check_not_input, check_radius, convert_fields, report_columns, report_losses, report_notes,
     report_unit,
 };
 use super::{ms_since, organized_for_session, read_input};
@@ -111,7 +111,8 @@ pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
     }
     args.encoding.check(&args.output)?;
     check_not_input(&args.input, &args.output, Some(args.overwrite))?;
-    check_not_settings(args.smoothing.settings.as_deref(), &args.output)?;
+    let beside = [&args.smoothing.settings, &args.camera.camera_file, &args.poses.poses];
+    check_not_beside(beside, &args.output)?;
     let report = match worker.smooth_file(&args.input, &args.output) {
         Err(error) if error.is::<NothingLeft>() => {
             errln!("error: {error:#}");

@@ -175,10 +175,16 @@ fn of_names(names: &Names<'_>, lacking: impl Fn() -> FormatError) -> FormatResul
     let mut camera = Camera::new(shape, focal_length, centre).with_distortion(distortion(names)?);
     let replica = if names.outer.is_some() { names.own.get(REPLICA_SCALE).and_then(Value::as_f64) } else { None };
     let (units, scale) = (names.number(UNITS)?, names.number(SCALE)?.or(replica));
-    if let Some(units) = units {
+    let of_scale = scale.map(|scale| units_of_scale(scale, &mut notes)).transpose()?;
+    if let (Some(units), Some(scale)) = (units, of_scale)
+        && (units / scale - 1.0).abs() > 0.01
+    {
+        return Err(malformed(format!(
+            "depth_units_per_metre is {units}, but the depth scale means {scale} units per metre; remove one of them"
+        )));
+    }
+    if let Some(units) = units.or(of_scale) {
         camera = camera.with_depth_units_per_metre(units);
-    } else if let Some(scale) = scale {
-        camera = camera.with_depth_units_per_metre(units_of_scale(scale, &mut notes)?);
     }
     Ok(CameraFile { camera: part_of(names, camera)?, states_units: units.or(scale).is_some(), notes })
 }
@@ -196,6 +202,14 @@ fn intrinsics(names: &Names<'_>, notes: &mut Vec<String>) -> FormatResult<Option
                 "K and P differ although the distortion is zero: fx is {} or {}, cx is {} or {}; using K",
                 of_matrix.0[0], projection.0[0], of_matrix.1[0], projection.1[0]
             ));
+        }
+        if let (Some(fx), Some(fy), Some(cx), Some(cy)) = (fx, fy, cx, cy)
+            && differ(&([fx, fy], [cx, cy]), &of_matrix)
+        {
+            return Err(malformed(format!(
+                "the matrix states fx = {}, cx = {}, but the file also has fx = {fx}, cx = {cx}; remove one of them",
+                of_matrix.0[0], of_matrix.1[0]
+            )));
         }
         return Ok(Some(of_matrix));
     }

@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use self::scans::Scans;
 use self::scans::{pose_of, set_limits};
-use super::columns::cloud_from_columns;
+use super::columns::{EXACT_INTEGERS, cloud_from_columns};
 use super::{FormatResult, ReadOptions, brief};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
 
@@ -232,6 +232,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let normals = NORMALS.map(|(name, _)| columns.iter().position(|column| column.0 == name));
     let mut positions: [Vec<f64>; 3] = Default::default();
     let mut scan_of: Vec<u16> = Vec::new();
+    let mut has_rounded = false;
     for (number, scan) in scans.iter().enumerate() {
         let position = Position::of(&scan.prototype)
             .ok_or_else(|| FormatError::Unsupported("a scan has neither Cartesian nor spherical positions".into()))?;
@@ -251,6 +252,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
         for point in reader.pointcloud_raw(scan).map_err(damaged)? {
             values.clear();
             for (value, record) in point.map_err(damaged)?.iter().zip(&scan.prototype) {
+                if let RecordValue::Integer(value) = value {
+                    has_rounded |= value.unsigned_abs() > EXACT_INTEGERS;
+                }
                 values.push(value.to_f64(&record.data_type).map_err(damaged)?);
             }
             let p = rotation * position.point(&values) + translation;
@@ -272,6 +276,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             }
             scan_of.push(u16::try_from(number).unwrap_or(u16::MAX));
         }
+    }
+    if has_rounded {
+        notes.push("integers beyond 2^53 are rounded".into());
     }
     let [x, y, z] = positions;
     let axis = |name: &str, values: Vec<f64>| Attribute { name: name.into(), count: 1, values: values.into() };
@@ -355,9 +362,25 @@ fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
         AttributeValues::I8(_) | AttributeValues::I16(_) | AttributeValues::I32(_) => {
             RecordDataType::Integer { min: i64::from(i32::MIN), max: i64::from(i32::MAX) }
         }
-        AttributeValues::I64(_) | AttributeValues::U64(_) => RecordDataType::Integer { min: i64::MIN, max: i64::MAX },
+        AttributeValues::I64(values) => integers_of(attribute, values.iter().map(|value| i128::from(*value)))?,
+        AttributeValues::U64(values) => integers_of(attribute, values.iter().map(|value| i128::from(*value)))?,
     };
     Ok(Record { name, data_type })
+}
+
+/// Returns the type of 64-bit integers, whose range E57 stores.
+///
+/// # Errors
+/// If a value, or the range of the values, exceeds 63 bits.
+fn integers_of(attribute: &Attribute, values: impl Iterator<Item = i128> + Clone) -> FormatResult<RecordDataType> {
+    let (min, max) = (values.clone().min().unwrap_or(0), values.max().unwrap_or(0));
+    match (i64::try_from(min), i64::try_from(max), i64::try_from(max - min)) {
+        (Ok(min), Ok(max), Ok(_)) => Ok(RecordDataType::Integer { min, max }),
+        _ => Err(FormatError::Unsupported(format!(
+            "the field {} has values from {min} to {max}, but E57 stores integers of 63 bits; write .pcd",
+            attribute.name
+        ))),
+    }
 }
 
 fn value_of(attribute: &Attribute, i: usize) -> RecordValue {

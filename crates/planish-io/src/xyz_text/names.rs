@@ -1,6 +1,6 @@
 //! Column names, read from the file or guessed from the number and values of the columns.
 
-use super::super::{FormatResult, LengthUnit};
+use super::super::{FormatResult, LengthUnit, quoted};
 use planish_core::FormatError;
 
 /// Range of lengths that a unit normal may have if it is written with few digits.
@@ -8,6 +8,26 @@ const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 
 /// Maximum number of cells in a line of column names.
 pub(super) const MOST_NAMED: usize = 1000;
+
+/// Units of length that planish cannot convert. Other words in brackets, such as PCV or 0, are no units.
+const OTHER_UNITS: [&str; 16] = [
+    "km",
+    "kilometre",
+    "kilometres",
+    "kilometer",
+    "kilometers",
+    "dm",
+    "um",
+    "µm",
+    "μm",
+    "nm",
+    "micron",
+    "microns",
+    "yd",
+    "mi",
+    "px",
+    "deg",
+];
 
 /// Other names for x, y and z, used by maps and surveys, ParaView and CloudCompare.
 const AXES: [[&str; 3]; 9] = [
@@ -53,12 +73,31 @@ pub(super) fn names_of(cells: &[&str]) -> Option<Vec<String>> {
 
 /// Returns the unit stated in brackets after the names x, y and z; `None` if it is missing or is the metre.
 pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<LengthUnit>> {
-    let in_brackets = |cell: &str| {
-        let (_, rest) = cell.split_once(['[', '('])?;
-        rest.trim_end_matches([']', ')']).trim().to_ascii_lowercase().parse::<LengthUnit>().ok()
+    let in_brackets = |cell: &str| -> FormatResult<Option<LengthUnit>> {
+        let Some((_, rest)) = cell.split_once(['[', '(']) else { return Ok(None) };
+        let stated = rest.trim_end_matches([']', ')']).trim().to_ascii_lowercase();
+        let known = match &stated[..] {
+            "metre" | "metres" | "meter" | "meters" => LengthUnit::METRE,
+            "millimetre" | "millimetres" | "millimeter" | "millimeters" => LengthUnit::MILLIMETRE,
+            "centimetre" | "centimetres" | "centimeter" | "centimeters" => LengthUnit::CENTIMETRE,
+            "inches" => LengthUnit::INCH,
+            "feet" | "foot" => LengthUnit::FOOT,
+            "ftus" | "us survey foot" | "us survey feet" => LengthUnit::US_SURVEY_FOOT,
+            symbol => match symbol.parse() {
+                Ok(unit) => unit,
+                Err(_) if OTHER_UNITS.contains(&symbol) => {
+                    return Err(FormatError::Unsupported(format!(
+                        "x, y and z are in the unsupported unit {}; convert them to metres",
+                        quoted(symbol)
+                    )));
+                }
+                Err(_) => return Ok(None),
+            },
+        };
+        Ok(Some(known))
     };
     let axes = cells.iter().zip(names).filter(|(_, name)| ["x", "y", "z"].contains(&name.as_str()));
-    let units: Vec<Option<LengthUnit>> = axes.map(|(cell, _)| in_brackets(cell)).collect();
+    let units: Vec<Option<LengthUnit>> = axes.map(|(cell, _)| in_brackets(cell)).collect::<FormatResult<_>>()?;
     if units.windows(2).any(|pair| pair[0] != pair[1]) && units.iter().flatten().any(|unit| !unit.is_metre()) {
         return Err(FormatError::Unsupported(format!("x, y and z are in different units: {}", cells.join(", "))));
     }

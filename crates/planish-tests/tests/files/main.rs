@@ -1,5 +1,6 @@
 //! Files of every format, hostile ones among them, and clouds larger than memory.
 
+mod attacked;
 mod bag_poses;
 mod bags;
 mod formats;

@@ -16,7 +16,7 @@ use planish::{EngineError, Error, Outputs};
 use planish_bench::{errln, outln};
 use serde::Serialize;
 
-use super::super::checks::{check_not_input, is_mcap};
+use super::super::checks::{check_not_beside, check_not_input, is_mcap};
 use super::clouds::smooth_clouds;
 use crate::args::{FieldArg, SmoothArgs};
 use crate::exit::ExitCode;
@@ -71,6 +71,7 @@ pub fn run(args: &SmoothArgs) -> Result<Option<ExitCode>> {
         bail!("{}: a recording can be written only from a folder of frames or from a recording", args.output.display());
     }
     check_not_input(&input, &args.output, Some(args.overwrite))?;
+    check_not_beside([&args.smoothing.settings, &args.camera.camera_file, &args.poses.poses], &args.output)?;
     if !writes && !args.output.is_dir() && args.output.extension().is_some() {
         bail!(
             "{}: the output of a recording cannot be a single file; choose a folder, or a name that ends in .mcap",
