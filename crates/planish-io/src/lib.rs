@@ -15,6 +15,9 @@
     clippy::print_stderr
 )]
 
+/// False for the browser's page, whose size is limited: it omits checks of rare contradictions and of memory.
+pub(crate) const HAS_ROOM: bool = cfg!(not(target_family = "wasm"));
+
 mod adapt;
 mod atomic_write;
 mod camera_file;

@@ -47,7 +47,7 @@ pub(super) fn decode_obj(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
             missing => notes.push(format!("{missing} colour values are missing; they become 0")),
         }
         match channels().filter(|value| !value.is_nan() && !(0.0..=255.0).contains(*value)).count() {
-            0 => {}
+            beyond if beyond == 0 || !crate::HAS_ROOM => {}
             beyond => notes.push(format!("{beyond} colour values are not within 0 to 255; they are clipped")),
         }
         for (name, values) in [("red", red), ("green", green), ("blue", blue)] {

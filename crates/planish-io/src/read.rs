@@ -189,7 +189,7 @@ fn decode_plain(
         format,
         Format::Pcd | Format::Ply | Format::Text | Format::Csv | Format::Npz | Format::Obj | Format::Off | Format::Gltf
     );
-    let used = if beside_file { bytes.len() as u64 } else { 0 };
+    let used = if crate::HAS_ROOM && beside_file { bytes.len() as u64 } else { 0 };
     let whole = options;
     let options = &whole.with_max_memory_bytes(whole.max_memory_bytes.saturating_sub(used));
     let with_file = |error| match error {
@@ -242,7 +242,8 @@ fn decode_plain(
         )))]
         _ => Err(left_out(format)),
     };
-    let mut contents = decode().map_err(with_file)?;
+    let contents = decode();
+    let mut contents = if crate::HAS_ROOM { contents.map_err(with_file)? } else { contents? };
     if let Contents::Organized(cloud) = &mut contents {
         meaning::holes_at_sensor(cloud, notes);
     }

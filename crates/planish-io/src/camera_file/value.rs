@@ -176,7 +176,8 @@ fn of_names(names: &Names<'_>, lacking: impl Fn() -> FormatError) -> FormatResul
     let replica = if names.outer.is_some() { names.own.get(REPLICA_SCALE).and_then(Value::as_f64) } else { None };
     let (units, scale) = (names.number(UNITS)?, names.number(SCALE)?.or(replica));
     let of_scale = scale.map(|scale| units_of_scale(scale, &mut notes)).transpose()?;
-    if let (Some(units), Some(scale)) = (units, of_scale)
+    if crate::HAS_ROOM
+        && let (Some(units), Some(scale)) = (units, of_scale)
         && (units / scale - 1.0).abs() > 0.01
     {
         return Err(malformed(format!(
@@ -203,7 +204,8 @@ fn intrinsics(names: &Names<'_>, notes: &mut Vec<String>) -> FormatResult<Option
                 of_matrix.0[0], projection.0[0], of_matrix.1[0], projection.1[0]
             ));
         }
-        if let (Some(fx), Some(fy), Some(cx), Some(cy)) = (fx, fy, cx, cy)
+        if crate::HAS_ROOM
+            && let (Some(fx), Some(fy), Some(cx), Some(cy)) = (fx, fy, cx, cy)
             && differ(&([fx, fy], [cx, cy]), &of_matrix)
         {
             return Err(malformed(format!(

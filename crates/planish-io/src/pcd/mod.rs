@@ -28,8 +28,11 @@ pub(crate) fn decode(bytes: &[u8], options: &ReadOptions) -> Result<Gridded, For
         Encoding::BinaryCompressed => (header.point_bytes(), body.len().saturating_mul(lzf::MAX_REFERENCE)),
     };
     if header.point_bytes().checked_mul(header.points()).is_some_and(|bytes| bytes <= most_bytes) {
-        let columns: Vec<_> = header.fields.iter().map(Field::empty_column).collect();
-        options.check(header.points(), decompressed + bytes_per_point(&columns))?;
+        let bytes_each = match crate::HAS_ROOM {
+            true => bytes_per_point(&header.fields.iter().map(Field::empty_column).collect::<Vec<_>>()),
+            false => header.point_bytes(),
+        };
+        options.check(header.points(), decompressed + bytes_each)?;
     }
     let columns = match header.encoding {
         Encoding::Ascii => {

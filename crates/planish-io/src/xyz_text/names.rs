@@ -77,6 +77,7 @@ pub(super) fn unit_of(cells: &[&str], names: &[String]) -> FormatResult<Option<L
         let Some((_, rest)) = cell.split_once(['[', '(']) else { return Ok(None) };
         let stated = rest.trim_end_matches([']', ')']).trim().to_ascii_lowercase();
         let known = match &stated[..] {
+            symbol if !crate::HAS_ROOM => return Ok(symbol.parse().ok()),
             "metre" | "metres" | "meter" | "meters" => LengthUnit::METRE,
             "millimetre" | "millimetres" | "millimeter" | "millimeters" => LengthUnit::MILLIMETRE,
             "centimetre" | "centimetres" | "centimeter" | "centimeters" => LengthUnit::CENTIMETRE,
