@@ -28,7 +28,7 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
     }
     if to == Format::Pcd && precision.is_none() && cloud.is_written_in_f64() {
         notes.push(
-            "coordinates are written as 64-bit floats, which PCL reads as zeros (--encoding f32 writes 32-bit floats)"
+            "coordinates are written as 64-bit floats, which PCL reads as zeros (encoding f32 writes 32-bit floats)"
                 .to_owned(),
         );
     }

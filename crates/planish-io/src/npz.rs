@@ -54,7 +54,7 @@ pub(super) fn decode(
         let name = file.name().map_err(damaged)?.into_owned();
         let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
         let stated = file.size();
-        // The values are decoded beside the array.
+        // The array and its decoded values are in memory at the same time.
         let needed = stated.saturating_mul(2);
         left = left.checked_sub(needed).ok_or(FormatError::TooLarge {
             needed: needed.saturating_add(options.max_memory_bytes - left),

@@ -184,12 +184,12 @@ fn decode_plain(
     if !matches!(format, Format::DepthTiff | Format::Npy) {
         options.image_of(1, notes)?;
     }
-    // Of these formats, the file's bytes stay in memory beside all that is decoded from them.
-    let beside_file = matches!(
+    // The decoders of these formats check only the memory that they allocate; the file's bytes count, too.
+    let counts_file = matches!(
         format,
         Format::Pcd | Format::Ply | Format::Text | Format::Csv | Format::Npz | Format::Obj | Format::Off | Format::Gltf
     );
-    let used = if crate::HAS_ROOM && beside_file { bytes.len() as u64 } else { 0 };
+    let used = if crate::HAS_ROOM && counts_file { bytes.len() as u64 } else { 0 };
     let whole = options;
     let options = &whole.with_max_memory_bytes(whole.max_memory_bytes.saturating_sub(used));
     let with_file = |error| match error {

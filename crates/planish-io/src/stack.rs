@@ -45,7 +45,7 @@ impl Stack {
     /// Decodes an image, counted from 1.
     ///
     /// # Errors
-    /// If there is no such image, or if it is damaged or exceeds the memory limit.
+    /// If the image does not exist, is damaged, or exceeds the memory limit.
     pub fn image(&self, image: usize) -> FormatResult<Contents> {
         let options = self.options.with_image(Some(image));
         decode_with(&self.bytes, Some(self.format), &options).map(|(_, contents)| contents)

@@ -48,7 +48,7 @@ pub fn read_trajectory_with(path: &Path, options: &ReadOptions) -> Result<Trajec
 }
 
 impl Trajectory {
-    /// Creates a trajectory from times in seconds and poses. Of poses with the same time, the first is kept.
+    /// Creates a trajectory from times in seconds and poses. If several poses have the same time, the first is kept.
     ///
     /// # Errors
     /// If there are no poses, a time is not finite, or a pose is invalid.

@@ -23,7 +23,7 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// Number of messages that a subscription keeps, as in tf2.
 const DEPTH: usize = 100;
 
-/// The poses of the camera, received by a thread of their own.
+/// The poses of the camera, which a separate thread receives.
 pub struct Poses(Arc<Received>);
 
 struct Received {

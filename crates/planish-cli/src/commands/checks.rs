@@ -80,7 +80,7 @@ pub fn report_unit(input: &Path, cloud: &PointCloud) {
     }
 }
 
-/// Refuses to overwrite a file that is read beside the input: settings, a camera or poses.
+/// Refuses to overwrite a file with settings, a camera or poses that the command reads in addition to the input.
 pub fn check_not_beside<'a>(files: impl IntoIterator<Item = &'a Option<PathBuf>>, output: &Path) -> Result<()> {
     if files.into_iter().flatten().any(|file| io::is_same_file(file, output)) {
         bail!("{}: the output is also read (settings, camera or poses); write to another file", output.display());

@@ -155,7 +155,7 @@ fn read_netpbm(file: &Path, kind: &str, bytes_a_pixel: usize) -> Result<Vec<u8>,
     let pixels = bytes_a_pixel * 640 * 480;
     let most = (pixels + LONGEST_HEADER) as u64;
     let mut bytes = match io::read_bytes(file, &ReadOptions::default().with_max_memory_bytes(most)) {
-        // A file of another size is no such image.
+        // A file of another size is not a libfreenect image.
         Err(FormatError::TooLarge { .. }) => Vec::new(),
         bytes => bytes.map_err(IoError::at(file))?,
     };

@@ -79,7 +79,7 @@ impl Recording {
         let stream = RecordingStreamBuilder::new("planish").spawn_opts(&options);
         let stream = stream.map_err(|error| DeviceError::Driver {
             what: format!("Rerun's viewer does not start: {}", error.to_string().trim()),
-            help: "install it (pip install rerun-sdk==0.36.3), or write a file with --rrd",
+            help: "install it (pip install rerun-sdk==0.36.3), or write a .rrd file",
         })?;
         Ok(Self { name: "Rerun".to_owned(), stream: Some(stream), file: None })
     }

@@ -108,7 +108,7 @@ fn of_mcap(error: mcap::McapError) -> FormatError {
     match error {
         mcap::McapError::Io(error) => FormatError::Os(error),
         mcap::McapError::RecordTooLarge { len, .. } | mcap::McapError::ChunkTooLarge(len) => {
-            FormatError::Malformed(format!("a record of {len} bytes exceeds --max-memory or the size of the file"))
+            FormatError::Malformed(format!("a record of {len} bytes exceeds the memory limit or the size of the file"))
         }
         error => FormatError::Malformed(brief(&format!("damaged: {error}"))),
     }

@@ -42,7 +42,7 @@ pub(super) struct Poses {
 }
 
 impl Poses {
-    /// Reads all poses of a recording, and the static transforms beside them.
+    /// Reads all poses and static transforms of a recording.
     pub(super) fn read(path: &Path, topic: &PoseTopic, options: &ReadOptions) -> Result<Self, FormatError> {
         let mut records = Records::open(path, options).map_err(|error| error.problem)?;
         let PoseTopic { topic, fixed_frame } = topic;

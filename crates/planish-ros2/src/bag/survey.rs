@@ -143,7 +143,7 @@ impl Survey {
             if of_topic.is_none() && camera.is_none() && topic.kind != MessageKind::PointCloud2 {
                 return Err(refuse(format!(
                     "the recording has no camera for {}: no CameraInfo on {} or in the frame of its images; name a \
-                     topic with --camera-info-topic, or give --camera FX,FY,CX,CY",
+                     topic (camera_info_topic), or give the intrinsics (camera) as FX,FY,CX,CY",
                     topic.name,
                     beside(&topic.name)
                 )));
@@ -165,14 +165,14 @@ impl Survey {
                 (Some(_), Some(_)) => {
                     let names: Vec<_> = found().map(|topic| topic.name.as_str()).collect();
                     return Err(format!(
-                        "the recording has depth on several topics; choose one with --topic: {}",
+                        "the recording has depth on several topics; choose one (topic): {}",
                         names.join(", ")
                     ));
                 }
             }
         }
         let is_damaged = self.topics.iter().any(|topic| topic.encoding == DAMAGED);
-        let hint = if is_damaged { "; name a topic with --topic to read beyond its first message" } else { "" };
+        let hint = if is_damaged { "; name a topic to read beyond its first message" } else { "" };
         Err(format!("the recording has no depth images and no clouds; {}{hint}", self.told()))
     }
 

@@ -69,7 +69,7 @@ fn clouds_in_feet_and_in_metres_are_compared_and_merged_in_metres() {
         let apart = (0..3).map(|axis| (merged.coordinate(axis, i) - merged.coordinate(axis, i + 20)).abs());
         assert!(apart.fold(0.0, f64::max) < 1e-3, "point {i}");
     }
-    // A format without units is told of them, and E57 has metres.
+    // Formats that do not state units cause a note. E57 files are in metres.
     let mut as_ply = feet.clone();
     let notes = io::adapt_fields(&mut as_ply, Format::Las, Format::Ply, None);
     assert!(notes.iter().any(|note| note.contains("US survey foot")) && as_ply.coordinate(0, 0) > 9.0, "{notes:?}");

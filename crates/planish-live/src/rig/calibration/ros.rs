@@ -50,9 +50,7 @@ impl Tree {
         match roots[..] {
             [root] => Ok(root.clone()),
             [] => Err(malformed("the file has no transforms, or they form a cycle")),
-            _ => {
-                Err(malformed(format!("several frames have no parent ({roots:?}); choose the rig's frame with --base")))
-            }
+            _ => Err(malformed(format!("several frames have no parent ({roots:?}); choose the rig's frame (base)"))),
         }
     }
 
@@ -78,7 +76,7 @@ impl Tree {
             let joint = self.moving.get(&moving).cloned().unwrap_or_default();
             return Err(malformed(format!(
                 "the joint {joint:?} moves between {base:?} and {frame:?}, but a rig must be rigid; choose a base \
-                 beyond the joint (--base), and only cameras attached to that side (--frame)"
+                 beyond the joint (base), and only cameras attached to that side (frame)"
             )));
         }
         // Via their common ancestor: base_from_common after common_from_frame.
@@ -109,7 +107,7 @@ impl Tree {
         }
         if frames.is_empty() {
             return Err(malformed(format!(
-                "no frame name ends in optical_frame; choose camera frames, which look along z, with --frame; \
+                "no frame name ends in optical_frame; choose camera frames (frame), which look along z; \
                  available are {all:?}"
             )));
         }
@@ -315,7 +313,7 @@ transforms:
             TRANSFORMS.replace("base_link", "other").replace("left_", "l_").replace("right_", "r_")
         );
         let said = refused(&transforms(&two).unwrap(), CalibrationOptions::default());
-        assert!(said.contains("--base"), "{said}");
+        assert!(said.contains("(base)"), "{said}");
         let circle = TRANSFORMS.replace("child_frame_id: right_depth_optical_frame", "child_frame_id: base_link");
         assert!(transforms(&circle).is_ok_and(|tree| refused(&tree, CalibrationOptions::default()).contains("cycle")));
         let twice =

@@ -218,7 +218,7 @@ impl OpenNi2Source {
         let VideoMode { width, height, .. } = frame.mode;
         let Some(fx) = angle(api::HORIZONTAL_FOV).map(|angle| focal_length(width, angle)) else {
             let what = format!("{} reports no field of view", self.description);
-            return Err(DeviceError::Driver { what, help: "give its intrinsics with --camera FX,FY,CX,CY" });
+            return Err(DeviceError::Driver { what, help: "give its intrinsics (camera) as FX,FY,CX,CY" });
         };
         let fy = angle(api::VERTICAL_FOV).map_or(fx, |angle| focal_length(height, angle));
         let (mut cx, mut cy) = (0.5 * f64::from(width - 1), 0.5 * f64::from(height - 1));

@@ -295,7 +295,7 @@ impl RealSenseSource {
 
     /// Returns advice for an error message, in case the library waits for colour.
     fn advice(&self) -> &'static str {
-        if self.aligner.is_some() { "; --align none plays depth without colour" } else { "" }
+        if self.aligner.is_some() { "; align none plays depth without colour" } else { "" }
     }
 
     /// Returns the error for a recording that delivered no frame.
