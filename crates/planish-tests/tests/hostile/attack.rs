@@ -271,7 +271,7 @@ impl Attack {
                     camera.clear();
                 }
                 match numbers.below(17) {
-                    0 => with(&["info", &file], &camera),
+                    0 => with(&["info", &file, "--image", numbers.of(&["1", "2"])], &camera),
                     1 => with(&["info", &file, "--json"], &camera),
                     2 | 3 => smooths(with(&["smooth", &file, &written], &camera)),
                     4 => {
@@ -311,12 +311,17 @@ impl Attack {
                     }
                 }
             }
-            Kind::Recording => match numbers.below(7) {
+            Kind::Recording => match numbers.below(9) {
                 0 => with(&["info", &file, "--json"], &[]),
                 1 => smooths(with(&["smooth", &file, numbers.of(&["out/out.mcap", "out/frames"])], &[])),
                 2 => smooths(with(&[&["stream", &file][..], &live].concat(), &camera)),
                 3 | 4 => with(&["recover", &file], &[]),
                 5 => smooths(with(&["evaluate", "--sequence", "--input", &file, "--frames", "3"], &[])),
+                6 => smooths(with(&["stream", &file, "--temporal", "steady", "--pose-topic", "/tf"], &[])),
+                7 => {
+                    let poses = ["--temporal", "steady", "--pose-topic", numbers.of(&["/tf", "/points"])];
+                    smooths(with(&[&["smooth", &file, "out/out.mcap"][..], &poses].concat(), &[]))
+                }
                 _ => with(&[&["record", &file, numbers.of(&["out/out.mcap", "out/set"])][..], &live].concat(), &camera),
             },
             Kind::List => {
