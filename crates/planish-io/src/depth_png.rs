@@ -10,7 +10,7 @@ pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatE
     let (mut reader, (width, height)) = open(bytes, options)?;
     options.check(width * height, 2)?;
     let mut raw = Vec::with_capacity(width * height);
-    for_each_row(&mut reader, options, |row| raw.extend(row.chunks_exact(2).map(value)))?;
+    for_each_row(&mut reader, options, |row| raw.extend(row.as_chunks().0.iter().copied().map(u16::from_be_bytes)))?;
     Ok(DepthImage { width, height, raw })
 }
 
@@ -18,12 +18,8 @@ pub fn decode(bytes: &[u8], options: &ReadOptions) -> Result<DepthImage, FormatE
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<DepthSummary, FormatError> {
     let (mut reader, (width, height)) = open(bytes, options)?;
     let mut summary = DepthSummary { width, height, ..DepthSummary::default() };
-    for_each_row(&mut reader, options, |row| summary.add(row.chunks_exact(2).map(value)))?;
+    for_each_row(&mut reader, options, |row| summary.add(row.as_chunks().0.iter().copied().map(u16::from_be_bytes)))?;
     Ok(summary)
-}
-
-fn value(bytes: &[u8]) -> u16 {
-    u16::from_be_bytes([bytes[0], bytes[1]])
 }
 
 fn malformed(error: png::DecodingError) -> FormatError {
