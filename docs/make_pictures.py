@@ -2,7 +2,8 @@
 
 usage: python docs/make_pictures.py DATA
 
-DATA has real frames, as the gallery names them; without one of them its picture is left as it is. Needs the Python package and Pillow.
+DATA has real frames, as the gallery names them; without one of them its picture is left as it is. Needs the Python package, Pillow and
+opencv-python-headless.
 """
 
 import subprocess
@@ -10,6 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import planish
 from PIL import Image, ImageDraw
 
@@ -32,11 +35,12 @@ def smoothed(file: Path, folder: Path, *arguments: str) -> Path:
     return result
 
 
-def side_by_side(name: str, cells: list[tuple[str, Image.Image]]) -> None:
+def side_by_side(name: str, cells: list[tuple[str, Image.Image]], *, full_size: bool = False) -> None:
     """One picture of several, each with its caption, at most three in a row."""
     for _, image in cells:
-        image.thumbnail(CELL, Image.Resampling.LANCZOS)
-    across = 2 if len(cells) == 4 else len(cells)
+        if not full_size:
+            image.thumbnail(CELL, Image.Resampling.LANCZOS)
+    across = 2 if full_size or len(cells) == 4 else len(cells)
     width, height = max(image.width for _, image in cells) + 8, max(image.height for _, image in cells) + 24
     sheet = Image.new("RGB", (across * width - 8, -(-len(cells) // across) * height), "white")
     draw = ImageDraw.Draw(sheet)
@@ -94,6 +98,28 @@ def video(folder: Path) -> None:
     frames[0].save(HERE / "video.png", save_all=True, append_images=frames[1:], duration=80, loop=0)
 
 
+def objects(folder: Path) -> None:
+    """Curved objects at full size: one pixel of the picture is one pixel of the frame."""
+    frame = planish.simulate("curves", seed=3)
+    camera = frame.camera
+    of_camera = ["--camera", f"{camera.fx},{camera.fy},{camera.cx},{camera.cy}"]
+    raw, truth = folder / "curves.png", folder / "truth.pcd"
+    planish.write(raw, frame.depth)
+    planish.write(truth, frame.points)
+    depth_m = frame.depth.astype(np.float32) / camera.depth_units_per_metre
+    bilateral_m = cv2.bilateralFilter(depth_m, 13, 0.03, 4.0)
+    bilateral_m[depth_m == 0] = np.nan
+    bilateral = folder / "bilateral.npy"
+    planish.write(bilateral, bilateral_m)
+    cells = [("raw", relief(raw, folder, *of_camera))]
+    for preset in ["light", "default", "strong"]:
+        cells.append((f"--preset {preset}", relief(smoothed(raw, folder, *of_camera, "--preset", preset), folder)))
+    cells.append(("OpenCV bilateral, 13x13", relief(bilateral, folder, *of_camera)))
+    cells.append(("truth", relief(truth, folder)))
+    box = (90, 60, 560, 420)
+    side_by_side("objects", [(caption, image.crop(box)) for caption, image in cells], full_size=True)
+
+
 def parameters(folder: Path) -> None:
     frame = planish.simulate("shapes", seed=2)
     path = folder / "shapes.png"
@@ -120,6 +146,7 @@ def parameters(folder: Path) -> None:
 
 with tempfile.TemporaryDirectory() as work:
     parameters(Path(work))
+    objects(Path(work))
     video(Path(work))
     if len(sys.argv) > 1:
         gallery(Path(sys.argv[1]), Path(work))

@@ -214,9 +214,14 @@ pub fn simulate<'py>(
             let (scene, pose, _) = Scene::gauges(seed);
             (scene, pose)
         }
+        "curves" => {
+            const RANGE_M: f64 = 1.2;
+            let (scene, pose, _) = Scene::curves(seed, RANGE_M);
+            (scene, pose)
+        }
         _ => {
             return Err(PyValueError::new_err(format!(
-                "scene = {scene:?} is not allowed; expected \"table\", \"room\" or \"shapes\""
+                "scene = {scene:?} is not allowed; expected \"table\", \"room\", \"shapes\" or \"curves\""
             )));
         }
     };

@@ -278,7 +278,7 @@ def info(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def simulate(
-    scene: Literal["table", "room", "shapes"] = "table",
+    scene: Literal["table", "room", "shapes", "curves"] = "table",
     *,
     seed: int = 1,
     camera: Camera | None = None,
@@ -289,8 +289,8 @@ def simulate(
 
     Parameters
     ----------
-    scene : {"table", "room", "shapes"}
-        The scene.
+    scene : {"table", "room", "shapes", "curves"}
+        The scene. ``curves`` has cylinders, spheres, a torus, a saddle and a board at 1.2 m.
     seed : int
         Seed of scene and noise.
     camera : Camera, optional
