@@ -15,7 +15,7 @@ use super::records::{Next, Records};
 use super::schemas::{CLOUD, CLOUD_TYPE, IMAGE, IMAGE_TYPE, MESSAGE_ENCODING, SCHEMA_ENCODING};
 use super::survey::{Channel, Channels, Chosen, MessageKind, Survey};
 use super::writer::channel_metadata;
-use crate::ros::{Header, MessageError, MessageSmoother, PointCloud2, to_cdr};
+use crate::ros::{Header, MessageError, MessageSmoother, PointCloud2, Time, to_cdr};
 use planish_core::{Camera, EngineError, Error, FormatError, IoError, ParamError, SensorPose, Settings};
 use planish_io::{ReadOptions, Trajectory, internal::AtomicFile};
 
@@ -412,7 +412,7 @@ impl Copy<'_> {
             return Ok(writer.write_to_known_channel(&header, data)?);
         };
         self.done += 1;
-        let result = self.smooth(&chosen, data);
+        let result = self.smooth(&chosen, header.log_time, data);
         let report = self.reports.entry(topic).or_insert_with(|| empty_report(&chosen));
         match result {
             Ok(Rewritten { message, points, origin }) => {
@@ -438,26 +438,29 @@ impl Copy<'_> {
     }
 
     /// Passes the pose of a message's camera to the smoother, if poses were given.
-    fn set_pose(&mut self, header: &Header) -> Result<(), MessageError> {
+    fn set_pose(&mut self, header: &Header, log_time: u64) -> Result<(), MessageError> {
         let Some(poses) = &self.poses else { return Ok(()) };
-        let pose = poses.pose(header, self.done - 1);
+        // Some programs never set the timestamp.
+        let is_set = header.stamp != Time::default();
+        let stamp = if is_set { header.stamp } else { Time::from_nanoseconds(log_time) };
+        let pose = poses.pose(&Header { stamp, ..header.clone() }, self.done - 1);
         self.without_pose += u64::from(pose.is_none());
         Ok(self.smoother.set_camera_pose(pose)?)
     }
 
     /// Smooths a message.
-    fn smooth(&mut self, chosen: &Chosen, data: &[u8]) -> Result<Rewritten, MessageError> {
+    fn smooth(&mut self, chosen: &Chosen, log_time: u64, data: &[u8]) -> Result<Rewritten, MessageError> {
         self.smoother.set_topic(&chosen.topic)?;
         let Chosen { kind, wire, .. } = *chosen;
         if kind == MessageKind::PointCloud2 {
             let cloud = wire.cloud(data)?;
-            self.set_pose(&cloud.header)?;
+            self.set_pose(&cloud.header, log_time)?;
             let smoothed = self.smoother.smooth_cloud(cloud)?;
             let message = wire.with_cloud(data, &smoothed)?;
             return Ok(Rewritten { message, points: None, origin: None });
         }
         let message = wire.depth(kind, data, &self.options.read)?;
-        self.set_pose(message.header())?;
+        self.set_pose(message.header(), log_time)?;
         let camera = |shape| chosen.camera(self.options.camera.as_ref(), shape);
         let wants_points = self.options.points_topic.is_some();
         let smoothed = self.smoother.smooth_depth(&message, camera, wants_points)?;

@@ -270,6 +270,21 @@ impl Transforms {
         self.edges.contains_key(frame) || self.edges.values().any(|edge| edge.parent == frame)
     }
 
+    /// Lists some of the known frames.
+    fn some_names(&self) -> String {
+        const MOST: usize = 12;
+        let names = self.edges.iter().flat_map(|(frame, edge)| [frame.as_str(), edge.parent.as_str()]);
+        let mut first: BTreeSet<&str> = names.take(2 * MOST).collect();
+        let more = if first.len() > MOST { ", ..." } else { "" };
+        while first.len() > MOST {
+            first.pop_last();
+        }
+        match first.is_empty() {
+            true => "no frames".to_owned(),
+            false => Vec::from_iter(first).join(", ") + more,
+        }
+    }
+
     /// Returns a frame and its ancestors, up to the root.
     fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
         let parent = |frame: &&'a str| self.edges.get(*frame).map(|edge| edge.parent.as_str());
@@ -282,10 +297,11 @@ impl Transforms {
         let common =
             up.iter().find_map(|ancestor| down.iter().position(|other| other == ancestor).zip(Some(*ancestor)));
         let Some((length, common)) = common else {
-            let known: BTreeSet<&str> =
-                self.edges.iter().flat_map(|(frame, edge)| [frame.as_str(), edge.parent.as_str()]).collect();
-            let known = if known.is_empty() { "no frames".to_owned() } else { Vec::from_iter(known).join(", ") };
-            return Err(TransformError::NotConnected { frame: frame.to_owned(), fixed: fixed.to_owned(), known });
+            return Err(TransformError::NotConnected {
+                frame: frame.to_owned(),
+                fixed: fixed.to_owned(),
+                known: self.some_names(),
+            });
         };
         down.truncate(length);
         up.truncate(up.iter().position(|ancestor| *ancestor == common).unwrap_or_default());
