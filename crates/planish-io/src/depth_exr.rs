@@ -65,11 +65,17 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     let offset = layer.attributes.layer_position - window.position;
     let stored = layer.size.0.max(1);
     let mut depth_m = vec![f32::NAN; width * height];
+    let mut outside = 0;
     for (i, value) in channel.sample_data.values_as_f32().enumerate() {
         let (u, v) = ((i % stored) as i64 + i64::from(offset.0), (i / stored) as i64 + i64::from(offset.1));
-        if (0..width as i64).contains(&u) && (0..height as i64).contains(&v) && value < nothing {
+        let is_inside = (0..width as i64).contains(&u) && (0..height as i64).contains(&v);
+        if is_inside && value < nothing {
             depth_m[v as usize * width + u as usize] = value;
         }
+        outside += usize::from(!is_inside && value < nothing);
+    }
+    if outside > 0 {
+        notes.push(format!("{outside} pixels outside the display window of {width}x{height} are dropped"));
     }
     Ok(Contents::DepthMetres { width, height, depth_m })
 }

@@ -1,7 +1,7 @@
 //! Reads and writes depth images as grayscale TIFF: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in
 //! metres.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read, Seek, SeekFrom};
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::encoder::{Compression, TiffEncoder, colortype};
@@ -12,9 +12,12 @@ use super::{Contents, DepthSummary, ReadOptions, depth_of_integers};
 use planish_core::{DepthImage, FormatError, validate_shape};
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
-    let mut decoder = decoder(bytes, options)?;
-    let page = options.image_of(count_pages(&mut decoder), notes)?;
-    decoder.seek_to_image(page).map_err(malformed)?;
+    let pages = Pages::of(bytes)?;
+    let page = options.image_of(pages.offsets.len(), notes)?;
+    if pages.is_cut {
+        notes.push(format!("the file is truncated after image {}", pages.offsets.len()));
+    }
+    let mut decoder = decoder(pages.reader(bytes, page), options)?;
     let (width, height) = shape_of_depth(&mut decoder)?;
     // Memory for the image, and for a strip or tile, which may be as large as the image.
     options.check(width * height, 16)?;
@@ -43,21 +46,110 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(contents)
 }
 
-/// Returns the number of pages, up to the first damaged one.
-pub(super) fn pages(bytes: &[u8], options: &ReadOptions) -> Result<usize, FormatError> {
-    Ok(count_pages(&mut decoder(bytes, options)?))
+/// The pages of a file.
+pub(super) struct Pages {
+    /// The first bytes of the file, up to the offset of the first page.
+    header: Vec<u8>,
+    /// Number of bytes of an offset: 4, or 8 in a BigTIFF.
+    offset_bytes: usize,
+    is_big_endian: bool,
+    /// Offsets of the directories of the pages.
+    pub(super) offsets: Vec<u64>,
+    /// Whether the file ends before its last page.
+    pub(super) is_cut: bool,
 }
 
-fn count_pages(decoder: &mut TiffDecoder<'_>) -> usize {
-    1 + std::iter::from_fn(|| (decoder.more_images() && decoder.next_image().is_ok()).then_some(())).count()
+impl Pages {
+    /// Finds the pages. The decoder would read all directories up to a page, whatever their size.
+    ///
+    /// # Errors
+    /// If the directories overlap, or the file is not a TIFF.
+    pub(super) fn of(bytes: &[u8]) -> Result<Self, FormatError> {
+        let damaged = |text: &str| FormatError::Malformed(format!("damaged TIFF: {text}"));
+        let (is_big_endian, is_big) = match bytes {
+            [b'I', b'I', 42, 0, ..] => (false, false),
+            [b'M', b'M', 0, 42, ..] => (true, false),
+            [b'I', b'I', 43, 0, ..] => (false, true),
+            [b'M', b'M', 0, 43, ..] => (true, true),
+            _ => return Err(damaged("its signature is missing")),
+        };
+        let number = |at: usize, size: usize| -> Option<u64> {
+            let of = bytes.get(at..at.checked_add(size)?)?;
+            let fold = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
+            Some(if is_big_endian { of.iter().fold(0, fold) } else { of.iter().rev().fold(0, fold) })
+        };
+        let (first, offset_bytes, count_bytes, entry) = if is_big { (8, 8, 8, 20) } else { (4, 4, 2, 12) };
+        let mut next = number(first, offset_bytes).ok_or_else(|| damaged("it ends within its header"))?;
+        let (mut offsets, mut used, mut is_cut) = (Vec::new(), 0u64, false);
+        while next != 0 {
+            let at = usize::try_from(next).unwrap_or(usize::MAX);
+            let size = number(at, count_bytes).and_then(|count| count.checked_mul(entry));
+            let end = size.and_then(|size| at.checked_add(count_bytes)?.checked_add(usize::try_from(size).ok()?));
+            let Some(after) = end.and_then(|end| number(end, offset_bytes)) else {
+                is_cut = true;
+                break;
+            };
+            used += size.unwrap_or_default() + (count_bytes + offset_bytes) as u64;
+            if used > bytes.len() as u64 {
+                return Err(damaged("its pages overlap"));
+            }
+            offsets.push(next);
+            next = after;
+        }
+        // The decoder describes what is wrong with the only page.
+        if offsets.is_empty() {
+            offsets.push(number(first, offset_bytes).unwrap_or_default());
+            is_cut = false;
+        }
+        Ok(Self { header: bytes[..first].to_vec(), offset_bytes, is_big_endian, offsets, is_cut })
+    }
+
+    /// Returns a reader of the file with this page as its first page.
+    fn reader<'a>(&self, bytes: &'a [u8], page: usize) -> PageReader<'a> {
+        let offset = self.offsets.get(page).copied().unwrap_or_default();
+        let of_offset = if self.is_big_endian {
+            offset.to_be_bytes()[8 - self.offset_bytes..].to_vec()
+        } else {
+            offset.to_le_bytes()[..self.offset_bytes].to_vec()
+        };
+        PageReader { header: [&self.header[..], &of_offset].concat(), file: Cursor::new(bytes) }
+    }
+}
+
+/// A file with another header.
+struct PageReader<'a> {
+    header: Vec<u8>,
+    file: Cursor<&'a [u8]>,
+}
+
+impl Read for PageReader<'_> {
+    fn read(&mut self, to: &mut [u8]) -> std::io::Result<usize> {
+        let at = usize::try_from(self.file.position()).unwrap_or(usize::MAX);
+        match self.header.get(at..).filter(|rest| !rest.is_empty()) {
+            None => self.file.read(to),
+            Some(rest) => {
+                let count = rest.len().min(to.len());
+                to[..count].copy_from_slice(&rest[..count]);
+                self.file.set_position((at + count) as u64);
+                Ok(count)
+            }
+        }
+    }
+}
+
+impl Seek for PageReader<'_> {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.file.seek(to)
+    }
 }
 
 /// Summarizes a depth image strip by strip or tile by tile, without storing its pixels. Returns `None` for images with
 /// several pages, inverted values or samples other than 16-bit integers.
 pub(super) fn summarize(bytes: &[u8], options: &ReadOptions) -> Result<Option<DepthSummary>, FormatError> {
-    let mut decoder = decoder(bytes, options)?;
+    let pages = Pages::of(bytes)?;
+    let mut decoder = decoder(pages.reader(bytes, 0), options)?;
     let (width, height) = shape_of_depth(&mut decoder)?;
-    if decoder.more_images() || options.image.is_some() || is_inverted(&mut decoder) {
+    if pages.offsets.len() > 1 || pages.is_cut || options.image.is_some() || is_inverted(&mut decoder) {
         return Ok(None);
     }
     let (chunk_width, chunk_height) = decoder.chunk_dimensions();
@@ -86,14 +178,14 @@ fn not_depth() -> FormatError {
     FormatError::Unsupported("unsupported TIFF samples; expected 16-bit or 32-bit integers, or floats".into())
 }
 
-type TiffDecoder<'a> = Decoder<Cursor<&'a [u8]>>;
+type TiffDecoder<'a> = Decoder<PageReader<'a>>;
 
-fn decoder<'a>(bytes: &'a [u8], options: &ReadOptions) -> Result<TiffDecoder<'a>, FormatError> {
+fn decoder<'a>(reader: PageReader<'a>, options: &ReadOptions) -> Result<TiffDecoder<'a>, FormatError> {
     let most = usize::try_from(options.max_memory_bytes).unwrap_or(usize::MAX);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = most;
     limits.intermediate_buffer_size = most;
-    Ok(Decoder::new(Cursor::new(bytes)).map_err(malformed)?.with_limits(limits))
+    Ok(Decoder::new(reader).map_err(malformed)?.with_limits(limits))
 }
 
 /// Returns the width and height of the current page.

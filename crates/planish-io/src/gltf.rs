@@ -336,7 +336,7 @@ impl File<'_> {
             if depth > DEEPEST || visits > MOST_PLACED {
                 return Err(malformed("the nodes form a loop, or are too many"));
             }
-            let place = parent * node.place();
+            let place = parent * node.place()?;
             // A skinned mesh is placed by its joints; the transform of its node is ignored.
             found.extend(node.mesh.map(|mesh| (mesh, if node.skin.is_some() { DMat4::IDENTITY } else { place })));
             open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
@@ -446,16 +446,33 @@ impl Attributes {
 }
 
 impl Node {
-    fn place(&self) -> DMat4 {
+    /// Returns the transform of the node.
+    ///
+    /// # Errors
+    /// If the matrix has values that are not finite or flattens everything, or the quaternion has no unit length.
+    fn place(&self) -> FormatResult<DMat4> {
+        const LENGTH_TOLERANCE: f64 = 0.01;
         let Self { matrix, translation, rotation, scale, .. } = self;
-        match matrix {
+        let place = match matrix {
             Some(matrix) => DMat4::from_cols_array(matrix),
-            None => DMat4::from_scale_rotation_translation(
-                DVec3::from(scale.unwrap_or([1.0; 3])),
-                DQuat::from_array(rotation.unwrap_or([0.0, 0.0, 0.0, 1.0])),
-                DVec3::from(translation.unwrap_or_default()),
-            ),
+            None => {
+                let rotation = DQuat::from_array(rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
+                // False for a NaN.
+                let is_unit = (rotation.length() - 1.0).abs() <= LENGTH_TOLERANCE;
+                if !is_unit {
+                    return Err(malformed("the rotation of a node is not a quaternion of length 1"));
+                }
+                DMat4::from_scale_rotation_translation(
+                    DVec3::from(scale.unwrap_or([1.0; 3])),
+                    rotation.normalize(),
+                    DVec3::from(translation.unwrap_or_default()),
+                )
+            }
+        };
+        if !place.is_finite() || *matrix == Some([0.0; 16]) {
+            return Err(malformed("the matrix of a node is zero or not finite"));
         }
+        Ok(place)
     }
 }
 

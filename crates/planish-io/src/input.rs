@@ -200,6 +200,18 @@ impl ReadOptions {
         self.check_work(work, points, field_bytes)
     }
 
+    /// Calls `decode` with the limit that `used` bytes leave. Its errors state the whole limit.
+    pub(crate) fn beside<T>(&self, used: usize, decode: impl FnOnce(&Self) -> FormatResult<T>) -> FormatResult<T> {
+        let used = used as u64;
+        let left = self.with_max_memory_bytes(self.max_memory_bytes.saturating_sub(used));
+        decode(&left).map_err(|error| match error {
+            FormatError::TooLarge { needed, .. } => {
+                FormatError::TooLarge { needed: needed.saturating_add(used), allowed: self.max_memory_bytes }
+            }
+            error => error,
+        })
+    }
+
     /// Returns an error if `count` items of `bytes_each` bytes exceed the limit.
     pub fn check(&self, count: usize, bytes_each: usize) -> FormatResult<()> {
         let (needed, allowed) = (count as u64 as u128 * bytes_each as u128, self.max_memory_bytes);

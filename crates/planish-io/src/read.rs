@@ -187,18 +187,18 @@ fn decode_plain(
     // The decoders of these formats check only the memory that they allocate; the file's bytes count, too.
     let counts_file = matches!(
         format,
-        Format::Pcd | Format::Ply | Format::Text | Format::Csv | Format::Npz | Format::Obj | Format::Off | Format::Gltf
+        Format::Pcd
+            | Format::Ply
+            | Format::Text
+            | Format::Csv
+            | Format::Npz
+            | Format::Obj
+            | Format::Off
+            | Format::Gltf
+            | Format::DepthTiff
     );
-    let used = if crate::HAS_ROOM && counts_file { bytes.len() as u64 } else { 0 };
-    let whole = options;
-    let options = &whole.with_max_memory_bytes(whole.max_memory_bytes.saturating_sub(used));
-    let with_file = |error| match error {
-        FormatError::TooLarge { needed, .. } => {
-            FormatError::TooLarge { needed: needed.saturating_add(used), allowed: whole.max_memory_bytes }
-        }
-        error => error,
-    };
-    let mut decode = || match format {
+    let used = if crate::HAS_ROOM && counts_file { bytes.len() } else { 0 };
+    let mut decode = |options: &ReadOptions| match format {
         Format::Pcd => organized_if_grid(pcd::decode(bytes, options)?),
         Format::Ply => organized_if_grid(ply::decode(bytes, options, notes)?),
         Format::DepthPng => Ok(Contents::Depth(depth_png::decode(bytes, options)?)),
@@ -242,8 +242,7 @@ fn decode_plain(
         )))]
         _ => Err(left_out(format)),
     };
-    let contents = decode();
-    let mut contents = if crate::HAS_ROOM { contents.map_err(with_file)? } else { contents? };
+    let mut contents = if crate::HAS_ROOM { options.beside(used, decode)? } else { decode(options)? };
     if let Contents::Organized(cloud) = &mut contents {
         meaning::holes_at_sensor(cloud, notes);
     }

@@ -1,5 +1,6 @@
 //! Files with several depth images: the pages of a TIFF file, or a NumPy array of shape [N, H, W].
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -17,11 +18,12 @@ pub struct Stack {
     bytes: Vec<u8>,
     format: Format,
     images: usize,
+    is_cut: bool,
     options: ReadOptions,
 }
 
 impl Stack {
-    /// Reads a file; `None` if it has one image, or is of a format without several.
+    /// Reads a file; `None` if it is whole and has one image, or is of a format without several.
     ///
     /// # Errors
     /// If the file is unreadable, exceeds the memory limit, or has a damaged header.
@@ -30,9 +32,14 @@ impl Stack {
             if !may_have_several(path)? {
                 return Ok(None);
             }
-            let bytes = plain(&read_bytes(path, options)?, options)?.into_owned();
-            let Some((format, images)) = images(&bytes, options)? else { return Ok(None) };
-            Ok((images > 1).then_some(Self { bytes, format, images, options: *options }))
+            let bytes = read_bytes(path, options)?;
+            let unpacked = match plain(&bytes, options)? {
+                Cow::Borrowed(_) => None,
+                Cow::Owned(unpacked) => Some(unpacked),
+            };
+            let bytes = unpacked.unwrap_or(bytes);
+            let Some((format, images, is_cut)) = images(&bytes)? else { return Ok(None) };
+            Ok((images > 1 || is_cut).then_some(Self { bytes, format, images, is_cut, options: *options }))
         };
         open().map_err(IoError::at(path))
     }
@@ -40,6 +47,16 @@ impl Stack {
     /// Returns the number of images.
     pub fn images(&self) -> usize {
         self.images
+    }
+
+    /// Returns true if the file is truncated after its last image.
+    pub fn is_cut(&self) -> bool {
+        self.is_cut
+    }
+
+    /// Returns the size of the file in memory, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.bytes.len()
     }
 
     /// Decodes an image, counted from 1.
@@ -64,14 +81,17 @@ fn may_have_several(path: &Path) -> FormatResult<bool> {
     Ok(start.starts_with(GZIP) || matches!(format, Some(Format::DepthTiff | Format::Npy)))
 }
 
-/// Returns the format and the number of images of a file's uncompressed contents.
-#[cfg_attr(not(feature = "tiff"), allow(unused_variables))]
-fn images(bytes: &[u8], options: &ReadOptions) -> FormatResult<Option<(Format, usize)>> {
+/// Returns the format, the number of images, and whether images are missing at the end, of a file's uncompressed
+/// contents.
+fn images(bytes: &[u8]) -> FormatResult<Option<(Format, usize, bool)>> {
     match Format::of_contents(bytes) {
         #[cfg(feature = "tiff")]
-        Some(format @ Format::DepthTiff) => Ok(Some((format, super::depth_tiff::pages(bytes, options)?))),
+        Some(format @ Format::DepthTiff) => {
+            let pages = super::depth_tiff::Pages::of(bytes)?;
+            Ok(Some((format, pages.offsets.len(), pages.is_cut)))
+        }
         #[cfg(feature = "more-formats")]
-        Some(format @ Format::Npy) => Ok(Some((format, super::npy::pages(bytes)?))),
+        Some(format @ Format::Npy) => Ok(Some((format, super::npy::pages(bytes)?, false))),
         _ => Ok(None),
     }
 }

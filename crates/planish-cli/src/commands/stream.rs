@@ -204,7 +204,7 @@ fn print_report(report: &Report) {
     outln!("{frames_out} frames in {seconds:.1} s, {fps:.1} per second, engine {engine}");
     outln!("  {frames_in} frames received, {dropped} replaced by newer ones, {unreadable} unreadable");
     if report.without_pose > 0 {
-        outln!("  {} frames without a pose in --poses, smoothed as if the camera stood still", report.without_pose);
+        outln!("  {} frames without a pose, smoothed as if the camera stood still", report.without_pose);
     }
     if report.gaps > 0 {
         outln!("  {} time gaps; smoothing over time restarted after each", report.gaps);

@@ -33,7 +33,10 @@ fn settings_come_from_a_file_and_options_override_them() {
     let own = folder.path().join("settings.pcd");
     fs::copy(&file, &own).unwrap();
     let stderr = refused(&["smooth", str(&path), str(&own), "--settings", str(&own)]);
-    assert!(stderr.contains("is the settings file") && fs::read(&own).unwrap() == fs::read(&file).unwrap());
+    assert!(
+        stderr.contains("is also read (settings, camera or poses)")
+            && fs::read(&own).unwrap() == fs::read(&file).unwrap()
+    );
     let twice = [("radius: 0.1\nradius_m: 0.1", "given twice"), ("bandwidth: 0.1\nbandwidth_m: 0.1", "given twice")];
     let wrong = [("window: 9", "window = 9"), ("speed: 2", "speed"), ("[1]", "settings"), ("{", "settings")];
     for (text, said) in wrong.into_iter().chain(twice) {

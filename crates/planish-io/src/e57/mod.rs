@@ -12,7 +12,7 @@ use e57::{E57Reader, E57Writer, Extension, Record, RecordDataType, RecordName, R
 use glam::DVec3;
 
 use self::scans::Scans;
-use self::scans::{pose_of, set_limits};
+use self::scans::{check_pose, pose_of, set_limits};
 use super::columns::{EXACT_INTEGERS, cloud_from_columns};
 use super::{FormatResult, ReadOptions, brief};
 use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenance};
@@ -240,6 +240,7 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             matches!(record.name, RecordName::CartesianInvalidState | RecordName::SphericalInvalidState)
         };
         let invalid: Vec<usize> = (0..scan.prototype.len()).filter(|&i| is_invalid(&scan.prototype[i])).collect();
+        notes.extend(check_pose(scan)?.map(str::to_owned));
         let (rotation, translation) = pose_of(scan);
         let lacks_colour = marks_colourless && !has_colour(scan);
         let mut sources: Vec<Option<usize>> = vec![None; columns.len()];

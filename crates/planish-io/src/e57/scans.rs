@@ -7,6 +7,7 @@ use e57::{
     RecordValue,
 };
 use glam::{DQuat, DVec3};
+use planish_core::FormatError;
 
 /// Metadata of an E57 file.
 #[derive(Debug, Clone)]
@@ -34,6 +35,29 @@ impl PartialEq for Scans {
     fn eq(&self, other: &Self) -> bool {
         let key = |scan: &e57::PointCloud| (scan.guid.clone(), scan.name.clone(), scan.records);
         self.scans.iter().map(key).eq(other.scans.iter().map(key))
+    }
+}
+
+/// Checks the pose of a scan. Returns a note for users if its rotation is unset.
+///
+/// # Errors
+/// If the rotation is not a quaternion of length 1, or the position is not finite.
+pub(super) fn check_pose(scan: &e57::PointCloud) -> Result<Option<&'static str>, FormatError> {
+    const LENGTH_TOLERANCE: f64 = 0.01;
+    let Some(transform) = &scan.transform else { return Ok(None) };
+    let Quaternion { w, x, y, z } = transform.rotation;
+    let length = DQuat::from_xyzw(x, y, z, w).length();
+    let translation = &transform.translation;
+    let is_finite = [translation.x, translation.y, translation.z].iter().all(|value| value.is_finite());
+    // False for a NaN.
+    let is_unit = (length - 1.0).abs() <= LENGTH_TOLERANCE;
+    match length {
+        0.0 if is_finite => Ok(Some("the rotation of a scan is zero; the scan is read without rotation")),
+        _ if is_unit && is_finite => Ok(None),
+        _ => {
+            let problem = "the pose of a scan has a quaternion without unit length, or a position that is not finite";
+            Err(FormatError::Malformed(problem.into()))
+        }
     }
 }
 

@@ -110,7 +110,8 @@ impl Repaired {
         }
         if found < stated {
             self.set(RECORDS, &found.to_le_bytes());
-            self.notes.push(format!("the header states {stated} records before the points, but the file has {found}"));
+            self.notes
+                .push(format!("the number of records before the points is {found}, but the header states {stated}"));
         }
         Some(())
     }

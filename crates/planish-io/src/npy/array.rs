@@ -48,6 +48,12 @@ impl<'a> Array<'a> {
         }
     }
 
+    /// Returns the number of bytes of all values.
+    #[cfg(feature = "more-formats")]
+    pub(crate) fn bytes(&self) -> usize {
+        self.data.len()
+    }
+
     /// Returns the values in row-major order. `T` must have the size of the array's values.
     pub(crate) fn values<T: LittleEndian>(&self) -> Vec<T> {
         let Header { size, shape, is_big_endian, is_fortran, .. } = &self.header;

@@ -21,14 +21,21 @@ const LAYOUTS: &str =
     "depth must be [H, W] of integers or floats (metres), points [H, W, 3] or [N, 3] of floats or records";
 
 pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
-    #[cfg_attr(not(feature = "more-formats"), allow(unused_mut))]
-    let mut array = Array::parse(bytes)?;
+    let array = Array::parse(bytes)?;
     #[cfg(feature = "more-formats")]
     if let Some(pages) = pages_of_shape(&array.header.shape) {
-        array = array.page(options.image_of(pages, notes)?)?;
-    } else if options.image.is_some() {
+        let page = array.page(options.image_of(pages, notes)?)?;
+        let others = bytes.len() - page.bytes();
+        return options.beside(others, |options| contents_of(&page, options, notes));
+    }
+    #[cfg(feature = "more-formats")]
+    if options.image.is_some() {
         options.image_of(1, notes)?;
     }
+    contents_of(&array, options, notes)
+}
+
+fn contents_of(array: &Array<'_>, options: &ReadOptions, notes: &mut Vec<String>) -> Result<Contents, FormatError> {
     // Memory for the file, the values as stored, integers and columns widened to 8 bytes, and the result.
     let values = array.header.len().unwrap_or(usize::MAX);
     let bytes_each = match (array.header.kind, array.header.size, &array.header.shape[..]) {
@@ -48,21 +55,21 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     };
     match (&shape[..], array.header.kind, array.header.size) {
         #[cfg(feature = "more-formats")]
-        (&[n], 'V', _) => of_records(&array, (n, 1)),
+        (&[n], 'V', _) => of_records(array, (n, 1)),
         #[cfg(feature = "more-formats")]
-        (&[height, width], 'V', _) => of_records(&array, (width, height)),
+        (&[height, width], 'V', _) => of_records(array, (width, height)),
         (&[height, width], 'u' | 'i', 2 | 4 | 8) if !is_long(height, width) => {
             validate_shape(width, height)?;
             match array.header.kind {
                 'u' if array.header.size == 2 => Ok(Contents::Depth(DepthImage { width, height, raw: array.values() })),
-                _ => depth_of_integers((width, height), &integers(&array), notes),
+                _ => depth_of_integers((width, height), &integers(array), notes),
             }
         }
         (&[n, 3], 'f', 8) => points_f64(n, 1, array.values()),
-        (&[n, 3], 'f', 2 | 4) => points(n, 1, floats(&array)),
+        (&[n, 3], 'f', 2 | 4) => points(n, 1, floats(array)),
         (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) && !is_long(width, height) => {
             validate_shape(width, height)?;
-            let depth_m = floats(&array);
+            let depth_m = floats(array);
             // f64 values beyond f32 have become infinite.
             // The page has no room for this check.
             if cfg!(not(target_family = "wasm"))
@@ -78,18 +85,18 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             Ok(Contents::DepthMetres { width, height, depth_m })
         }
         #[cfg(feature = "more-formats")]
-        (&[n, columns @ 4..=16], 'f', 2 | 4 | 8) => of_table(&array, (n, 1), columns, notes),
+        (&[n, columns @ 4..=16], 'f', 2 | 4 | 8) => of_table(array, (n, 1), columns, notes),
         (&[height, width, 3], 'f', 2 | 4 | 8) => {
             validate_shape(width, height)?;
             match array.header.size {
                 8 => points_f64(width, height, array.values()),
-                _ => points(width, height, floats(&array)),
+                _ => points(width, height, floats(array)),
             }
         }
         #[cfg(feature = "more-formats")]
         (&[height, width, columns @ 4..=16], 'f', 2 | 4 | 8) => {
             validate_shape(width, height)?;
-            of_table(&array, (width, height), columns, notes)
+            of_table(array, (width, height), columns, notes)
         }
         (shape, ..) => {
             let descr = &array.header.descr;

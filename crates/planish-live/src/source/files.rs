@@ -57,13 +57,21 @@ impl FileSource {
 }
 
 impl FileSource {
-    /// Returns the next image of a file with several, if any is left.
+    /// Returns the next image of a file with several, if any is left. A truncated file ends with an error.
     fn next_image(&mut self) -> Option<Result<OwnedFrame, Error>> {
-        let (stack, image) = self.stack.as_mut().filter(|(stack, image)| *image < stack.images())?;
-        *image += 1;
+        let (stack, image) = self.stack.as_mut()?;
         let file = &self.files[self.next - 1];
+        *image += 1;
+        if *image > stack.images() {
+            let is_told = *image > stack.images() + 1;
+            let text = format!("the file is truncated after image {}", stack.images());
+            return (stack.is_cut() && !is_told).then(|| Err(malformed(file, text).into()));
+        }
+        // The other images stay in memory.
+        let left = self.read.max_memory_bytes.saturating_sub(stack.bytes() as u64);
+        let read = self.read.with_max_memory_bytes(left);
         let contents = stack.image(*image).map_err(IoError::at(file)).map_err(Error::from);
-        let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &self.read));
+        let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &read));
         Some(frame.inspect(|frame| self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()))))
     }
 }
@@ -100,7 +108,7 @@ impl Source for FileSource {
         let last = self.next.checked_sub(1).filter(|_| !self.repeats)?;
         let stem = file_stem(self.files.get(last)?)?;
         Some(match &self.stack {
-            Some((_, image)) => format!("{stem}_{image:04}"),
+            Some((stack, image)) => format!("{stem}_{:04}", image.min(&stack.images())),
             None => stem,
         })
     }

@@ -117,7 +117,8 @@ fn text_of(list: &Path, read: &ReadOptions) -> Result<String, IoError> {
     const BYTES_PER_ENTRY: usize = 160;
     let text = io::read_bytes(list, read).and_then(|bytes| {
         read.check(bytes.iter().filter(|byte| **byte == b'\n').count(), BYTES_PER_ENTRY)?;
-        String::from_utf8(bytes).map_err(|_| FormatError::Malformed("the list is not text".into()))
+        let text = String::from_utf8(bytes).map_err(|_| FormatError::Malformed("the list is not text".into()))?;
+        Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
     });
     text.map_err(IoError::at(list))
 }

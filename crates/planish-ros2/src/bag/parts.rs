@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use mcap::records::Record;
+use mcap::records::{Channel, Record};
 
 use super::is_named_mcap;
 use planish_core::FormatError;
@@ -28,7 +28,9 @@ pub(super) fn parts_of(path: &Path) -> Result<Vec<PathBuf>, FormatError> {
         error => FormatError::Malformed(format!("its metadata.yaml: {error}")),
     })?;
     let metadata = String::from_utf8_lossy(&metadata);
-    let files: Vec<PathBuf> = listed(&metadata).into_iter().map(|name| path.join(name)).collect();
+    let mut seen = BTreeSet::new();
+    let names = listed(&metadata).into_iter().filter(|name| seen.insert(name.clone()));
+    let files: Vec<PathBuf> = names.map(|name| path.join(name)).collect();
     if let Some(missing) = files.iter().find(|file| !file.is_file()) {
         let name = quoted(&missing.display().to_string());
         return Err(FormatError::Malformed(format!("its metadata.yaml lists {name}, which does not exist")));
@@ -63,6 +65,14 @@ fn listed(metadata: &str) -> Vec<String> {
 /// Number of copies of the schemas and channels of a recording in memory: here, in the reader's records, in the writer,
 /// and in the end of a recording.
 pub(super) const DEFINITION_COPIES: usize = 4;
+
+/// Returns the memory for a channel in bytes.
+pub(super) fn bytes_of_channel(channel: &Channel) -> usize {
+    /// Memory for an entry of the metadata besides its text.
+    const ENTRY: usize = 100;
+    let metadata: usize = channel.metadata.iter().map(|(name, value)| name.len() + value.len() + ENTRY).sum();
+    channel.topic.len() + channel.message_encoding.len() + metadata
+}
 
 /// A numbering of schemas and channels shared by all files of a recording. The first file keeps its own numbers.
 #[derive(Default)]
@@ -152,8 +162,7 @@ impl Numbers {
                 let key = (channel.topic.clone(), channel.schema_id, channel.message_encoding.clone());
                 let known = self.channels.get(&key).copied();
                 if known.is_none() || !self.channel.contains_key(&channel.id) {
-                    let metadata: usize = channel.metadata.iter().map(|(name, value)| name.len() + value.len()).sum();
-                    self.count(channel.topic.len() + metadata, options)?;
+                    self.count(bytes_of_channel(&channel), options)?;
                 }
                 let number = self.number(known, channel.id).ok_or_else(too_many)?;
                 self.channels.entry(key).or_insert(number);

@@ -12,8 +12,8 @@ use crate::ros::{Header, PoseBuffer, PoseKind};
 use planish_core::{Error, FormatError, IoError, SensorPose};
 use planish_io::{ReadOptions, Trajectory, printable_line};
 
-/// Memory for one transform, in bytes.
-const TRANSFORM_BYTES: usize = 120;
+/// Memory for a decoded message, as a multiple of its size.
+const MESSAGE_COPIES: usize = 4;
 
 /// A topic with the poses of a moving camera or robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,16 +66,17 @@ impl Poses {
                 }
                 Record::Message { header, data } => {
                     let Some((name, Some(kind))) = channels.get(&header.channel_id) else { continue };
-                    let is_static = *kind == PoseKind::Transforms && name.ends_with("tf_static");
+                    let is_static = *kind == PoseKind::Transforms && is_static_beside(name, topic);
                     if !is_static && name != topic {
                         continue;
                     }
+                    options.check(data.len(), MESSAGE_COPIES)?;
                     messages += usize::from(!is_static);
                     match buffer.add_cdr(*kind, &data, is_static) {
                         Ok(number) => invalid += number,
                         Err(_) => unreadable += 1,
                     }
-                    options.check(buffer.len(), TRANSFORM_BYTES)?;
+                    options.check(buffer.bytes(), 1)?;
                 }
                 _ => {}
             }
@@ -84,10 +85,13 @@ impl Poses {
         let problem = match channels.values().find(|(found, _)| found == topic) {
             None => format!("the recording has no topic {} in CDR; {}", name(), told(&channels)),
             Some((_, None)) => format!("the topic {} has no poses; {}", name(), told(&channels)),
+            Some(_) if topic.ends_with(STATIC) => {
+                format!("the topic {} has only static transforms; name the topic with the others, such as /tf", name())
+            }
             Some(_) if messages == 0 => format!("the topic {} has no messages", name()),
             Some(_) if buffer.is_empty() => format!(
-                "the topic {} has no valid pose: {unreadable} messages are damaged, {invalid} poses have a quaternion \
-                 without unit length or values that are not finite",
+                "the topic {} has no valid pose: {unreadable} messages are damaged, {invalid} poses have no frame, \
+                 a quaternion without unit length, or values that are not finite",
                 name()
             ),
             Some(_) => return Ok(Self { buffer, topic: topic.clone() }),
@@ -141,6 +145,15 @@ pub fn camera_trajectory(
     let frame_id = survey.frame_of(path, &topics)?;
     let trajectory = Poses::read(path, poses, options).and_then(|poses| poses.trajectory(&frame_id));
     trajectory.map_err(|problem| IoError { path: path.to_path_buf(), problem }.into())
+}
+
+/// The last part of the name of a topic with static transforms.
+const STATIC: &str = "tf_static";
+
+/// Returns true if a topic has the static transforms that belong to a topic with poses: it is in the same namespace, or
+/// in one around it. Other namespaces may be other robots.
+fn is_static_beside(name: &str, topic: &str) -> bool {
+    name.strip_suffix(STATIC).is_some_and(|namespace| namespace.ends_with('/') && topic.starts_with(namespace))
 }
 
 /// Lists the topics with poses.

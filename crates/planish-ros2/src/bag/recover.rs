@@ -14,7 +14,7 @@ use mcap::records::{
     Statistics, op,
 };
 
-use super::parts::DEFINITION_COPIES;
+use super::parts::{DEFINITION_COPIES, bytes_of_channel};
 use super::records::parse_record;
 use super::{MAGIC, of_mcap};
 use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
@@ -139,12 +139,27 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
         ));
     }
     let tail = scan.tail(end.valid)?;
+    let length = end.valid + tail.len() as u64;
+    reserve(file, bytes, length)?;
     // The file is changed only from here on.
-    file.set_len(end.valid)?;
     file.seek(SeekFrom::Start(end.valid))?;
     file.write_all(&tail)?;
+    file.set_len(length)?;
     file.sync_all()?;
     Ok(recovered(false, end.dropped))
+}
+
+/// Extends a file of `bytes` bytes to `length` bytes, if that is more. If the disk is full, the file stays as it is: what
+/// is overwritten afterwards would be lost.
+fn reserve(file: &mut File, bytes: u64, length: u64) -> Result<(), FormatError> {
+    let Some(more) = length.checked_sub(bytes).filter(|more| *more > 0) else { return Ok(()) };
+    file.seek(SeekFrom::Start(bytes))?;
+    let extended = std::io::copy(&mut std::io::repeat(0).take(more), file).and_then(|_| file.sync_all());
+    if let Err(error) = extended {
+        file.set_len(bytes)?;
+        return Err(error.into());
+    }
+    Ok(())
 }
 
 /// The end of the whole records of a recording, as offsets and sizes in bytes.
@@ -327,18 +342,16 @@ impl Scan {
     /// # Errors
     /// If all that are kept exceed the memory limit.
     fn define(&mut self, contents: &Contents, options: &ReadOptions) -> Result<(), FormatError> {
+        let bytes_of =
+            |(header, text): &(SchemaHeader, Vec<u8>)| text.len() + header.name.len() + header.encoding.len();
         for (id, schema) in &contents.schemas {
-            let added = schema.1.len() + schema.0.name.len();
-            let replaced =
-                self.schemas.insert(*id, schema.clone()).map_or(0, |(header, text)| text.len() + header.name.len());
-            self.definitions = self.definitions + added - replaced;
+            let replaced = self.schemas.insert(*id, schema.clone());
+            self.definitions = self.definitions + bytes_of(schema) - replaced.as_ref().map_or(0, bytes_of);
         }
-        let bytes_of = |channel: &Channel| {
-            channel.topic.len() + channel.metadata.iter().map(|(name, value)| name.len() + value.len()).sum::<usize>()
-        };
         for (id, channel) in &contents.channels {
-            let replaced = self.channels.insert(*id, channel.clone()).map_or(0, |channel| bytes_of(&channel));
-            self.definitions = self.definitions + bytes_of(channel) - replaced;
+            let replaced = self.channels.insert(*id, channel.clone());
+            self.definitions =
+                self.definitions + bytes_of_channel(channel) - replaced.as_ref().map_or(0, bytes_of_channel);
         }
         options.check(self.definitions, DEFINITION_COPIES)
     }

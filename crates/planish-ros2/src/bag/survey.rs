@@ -11,6 +11,7 @@ use super::schemas::{CAMERA_INFO_TYPE, CLOUD_TYPE, COMPRESSED_TYPE, IMAGE_TYPE};
 use super::wire::{Wire, is_known_type, kind_of};
 use crate::ros::{CameraInfo, DepthMessage, camera_info_topic as beside, is_rectified};
 use planish_core::{Camera, Error, FormatError, IoError};
+use planish_io::internal::brief;
 use planish_io::{ReadOptions, printable_line};
 
 /// Message type of a topic.
@@ -416,5 +417,7 @@ fn first_message(channel: &Channel, data: &[u8], options: &ReadOptions) -> Topic
             }
         }
     }
+    // An encoding may be a text of any length.
+    topic.encoding = brief(&topic.encoding);
     topic
 }

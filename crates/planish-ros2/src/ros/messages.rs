@@ -1,7 +1,36 @@
 //! ROS messages of the packages `std_msgs` and `sensor_msgs`. Their fields must stay in the order of the ROS
 //! definitions, since CDR serializes them in this order.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// Reads a list of at most 1000 elements. Elements need more memory than bytes in a message.
+pub(crate) fn few<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    const MOST: usize = 1000;
+    struct Few<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Few<T> {
+        type Value = Vec<T>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "a list of at most {MOST} elements")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Vec<T>, A::Error> {
+            let mut few = Vec::new();
+            while let Some(element) = elements.next_element()? {
+                if few.len() == MOST {
+                    return Err(A::Error::custom(format!("a list has more than {MOST} elements")));
+                }
+                few.push(element);
+            }
+            Ok(few)
+        }
+    }
+    deserializer.deserialize_seq(Few(PhantomData))
+}
 
 /// `builtin_interfaces/Time`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -146,6 +175,7 @@ pub struct PointCloud2 {
     /// Number of columns, or of points in a cloud without a grid.
     pub width: u32,
     /// Fields of each point.
+    #[serde(deserialize_with = "few")]
     pub fields: Vec<PointField>,
     /// Whether values are big-endian.
     pub is_bigendian: bool,

@@ -18,6 +18,8 @@ mod transforms;
 pub use camera::{camera_info_topic, is_rectified};
 pub use cdr::{from_cdr, to_cdr};
 pub use depth::{DepthMessage, DepthPixels};
+#[cfg(feature = "mcap")]
+pub(crate) use messages::few;
 pub use messages::{CameraInfo, CompressedImage, Header, Image, PointCloud2, PointField, RegionOfInterest, Time};
 pub use pose_buffer::{PoseBuffer, PoseKind};
 pub use smoother::{MessageError, MessageSmoother};

@@ -88,9 +88,9 @@ impl PoseBuffer {
         Self { transforms: self.transforms.keeping_s(seconds), ..self }
     }
 
-    /// Returns the number of transforms.
-    pub fn len(&self) -> usize {
-        self.transforms.len()
+    /// Returns about the memory of all transforms, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.transforms.bytes()
     }
 
     /// Returns true if there are no transforms.

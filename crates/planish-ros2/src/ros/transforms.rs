@@ -1,16 +1,18 @@
 //! The transforms between coordinate frames over time, from tf and odometry.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::messages::{Header, Time};
 use planish_core::SensorPose;
+use planish_io::internal::brief;
 
 /// Maximum time between two transforms for interpolation between them, in nanoseconds.
 const LONGEST_GAP_NS: i64 = 200_000_000;
-/// Maximum number of frames between a frame and the root of its tree. Longer chains are cycles.
+/// Maximum number of frames from a frame to the root of its tree. Longer chains are taken for cycles.
 const DEEPEST: usize = 100;
 /// Maximum deviation of a quaternion's length from 1.
 const LENGTH_TOLERANCE: f64 = 0.01;
@@ -133,50 +135,66 @@ impl Rigid {
     }
 }
 
-/// A frame's transforms to its parent.
+/// A transform and the parent that it leads to.
 #[derive(Debug, Clone)]
+struct Sample {
+    parent: Arc<str>,
+    rigid: Rigid,
+}
+
+/// A frame's transforms to its parents.
+#[derive(Debug, Clone, Default)]
 struct Edge {
-    parent: String,
-    is_static: bool,
+    /// The transform that is valid at all times. Transforms over time replace it.
+    fixed: Option<Sample>,
     /// By time in nanoseconds.
-    samples: BTreeMap<i64, Rigid>,
+    samples: BTreeMap<i64, Sample>,
 }
 
 impl Edge {
+    /// Returns the parent at a time, or the newest one.
+    fn parent(&self, at_ns: Option<i64>) -> Option<&Arc<str>> {
+        let next = at_ns.and_then(|at_ns| self.samples.range(at_ns..).next());
+        let sample = next.or_else(|| self.samples.last_key_value()).map(|(_, sample)| sample);
+        sample.or(self.fixed.as_ref()).map(|sample| &sample.parent)
+    }
+
     /// Returns the transform of this edge's `frame`.
-    fn at(&self, time_ns: i64, frame: &str) -> Result<Rigid, TransformError> {
+    fn at(&self, at_ns: i64, frame: &str) -> Result<Rigid, TransformError> {
         let unknown = || TransformError::Unknown { frame: frame.to_owned() };
-        let (newest_ns, newest) = self.samples.last_key_value().ok_or_else(unknown)?;
-        if self.is_static {
-            return Ok(*newest);
-        }
-        if time_ns > *newest_ns {
+        let Some((newest_ns, _)) = self.samples.last_key_value() else {
+            return self.fixed.as_ref().map(|sample| sample.rigid).ok_or_else(unknown);
+        };
+        if at_ns > *newest_ns {
             return Err(TransformError::NotYet { frame: frame.to_owned() });
         }
-        let (to_ns, to) = self.samples.range(time_ns..).next().ok_or_else(unknown)?;
-        if *to_ns == time_ns {
-            return Ok(*to);
+        let (to_ns, to) = self.samples.range(at_ns..).next().ok_or_else(unknown)?;
+        if *to_ns == at_ns {
+            return Ok(to.rigid);
         }
-        let (from_ns, from) = self.samples.range(..time_ns).next_back().ok_or_else(unknown)?;
-        if to_ns - from_ns > LONGEST_GAP_NS {
+        let (from_ns, from) = self.samples.range(..at_ns).next_back().ok_or_else(unknown)?;
+        if to_ns - from_ns > LONGEST_GAP_NS || from.parent != to.parent {
             return Err(unknown());
         }
-        let share = (time_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
+        let share = (at_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
         Ok(Rigid {
-            rotation: from.rotation.slerp(to.rotation, share),
-            translation: from.translation.lerp(to.translation, share),
+            rotation: from.rigid.rotation.slerp(to.rigid.rotation, share),
+            translation: from.rigid.translation.lerp(to.rigid.translation, share),
         })
     }
 }
 
 /// The transforms between coordinate frames over time.
 ///
-/// As in tf, every frame has one parent. Transforms at most 0.2 s apart are interpolated.
+/// As in tf, every frame has one parent at a time. Transforms at most 0.2 s apart are interpolated.
 #[derive(Debug, Clone, Default)]
 pub struct Transforms {
-    edges: BTreeMap<String, Edge>,
+    edges: BTreeMap<Arc<str>, Edge>,
+    /// The names of all frames.
+    names: BTreeSet<Arc<str>>,
     kept_ns: Option<i64>,
     count: usize,
+    name_bytes: usize,
 }
 
 impl Transforms {
@@ -195,8 +213,18 @@ impl Transforms {
         self.count == 0
     }
 
-    /// Adds a transform. A static transform is valid at all times. Returns false, without adding it, if the transform
-    /// is invalid: values that are not finite, a quaternion without unit length, or a frame that is its own parent.
+    /// Returns about the memory of all transforms, in bytes.
+    pub fn bytes(&self) -> usize {
+        /// Memory for a frame besides its name.
+        const FRAME: usize = 400;
+        /// Memory for a transform.
+        const TRANSFORM: usize = 160;
+        self.name_bytes + FRAME * self.names.len() + TRANSFORM * self.count
+    }
+
+    /// Adds a transform. A static transform is valid at all times, unless the frame has transforms over time. Returns
+    /// false, without adding it, if the transform is invalid: values that are not finite, a quaternion without unit
+    /// length, a frame without a name, or one that is its own parent.
     pub fn add(&mut self, transform: &TransformStamped, is_static: bool) -> bool {
         let TransformStamped { header, child_frame_id, translation, rotation } = transform;
         let (parent, frame) = (name_of(&header.frame_id), name_of(child_frame_id));
@@ -206,23 +234,15 @@ impl Transforms {
         if !is_unit || !translation.is_finite() || parent == frame || frame.is_empty() || parent.is_empty() {
             return false;
         }
-        let rigid = Rigid { rotation: rotation.normalize(), translation };
-        let edge = self.edges.entry(frame.to_owned()).or_insert_with(|| Edge {
-            parent: parent.to_owned(),
-            is_static,
-            samples: BTreeMap::new(),
-        });
-        if edge.parent != parent || edge.is_static != is_static {
-            // As in tf, the newest parent counts.
-            self.count -= edge.samples.len();
-            *edge = Edge { parent: parent.to_owned(), is_static, samples: BTreeMap::new() };
-        }
+        let (frame, parent) = (self.name(frame), self.name(parent));
+        let sample = Sample { parent, rigid: Rigid { rotation: rotation.normalize(), translation } };
+        let edge = self.edges.entry(frame).or_default();
         if is_static {
-            self.count -= edge.samples.len();
-            edge.samples.clear();
+            self.count += usize::from(edge.fixed.replace(sample).is_none());
+            return true;
         }
         let at_ns = time_ns(header.stamp);
-        self.count += usize::from(edge.samples.insert(at_ns, rigid).is_none());
+        self.count += usize::from(edge.samples.insert(at_ns, sample).is_none());
         let newest_ns = edge.samples.last_key_value().map_or(at_ns, |(newest_ns, _)| *newest_ns);
         while let (Some(kept_ns), Some(oldest)) = (self.kept_ns, edge.samples.first_entry())
             && newest_ns.saturating_sub(*oldest.key()) > kept_ns
@@ -233,15 +253,26 @@ impl Transforms {
         true
     }
 
+    /// Returns the shared copy of a name.
+    fn name(&mut self, name: &str) -> Arc<str> {
+        if let Some(known) = self.names.get(name) {
+            return Arc::clone(known);
+        }
+        let name: Arc<str> = name.into();
+        self.name_bytes += name.len();
+        self.names.insert(Arc::clone(&name));
+        name
+    }
+
     /// Returns the pose of a frame in another one at a time.
     ///
     /// # Errors
     /// If the frames are not connected, or one of the transforms between them is unknown at that time.
     pub fn pose(&self, frame: &str, fixed: &str, at: Time) -> Result<SensorPose, TransformError> {
-        let (up, down) = self.paths(frame, fixed)?;
+        let at_ns = time_ns(at);
+        let (up, down) = self.paths(frame, fixed, Some(at_ns))?;
         let along = |path: &[&str]| {
-            path.iter()
-                .try_fold(Rigid::IDENTITY, |inner, frame| Ok(self.edges[*frame].at(time_ns(at), frame)?.after(inner)))
+            path.iter().try_fold(Rigid::IDENTITY, |inner, frame| Ok(self.edges[*frame].at(at_ns, frame)?.after(inner)))
         };
         let Rigid { rotation, translation } = along(&down)?.inverse().after(along(&up)?);
         Ok(SensorPose::from_xyzw(translation.to_array(), rotation.normalize().to_array()))
@@ -252,54 +283,65 @@ impl Transforms {
     /// # Errors
     /// If the frames are not connected.
     pub fn times(&self, frame: &str, fixed: &str) -> Result<Vec<Time>, TransformError> {
-        let (up, down) = self.paths(frame, fixed)?;
-        let moving = up.iter().chain(&down).map(|frame| &self.edges[*frame]).filter(|edge| !edge.is_static);
-        let times: BTreeSet<i64> = moving.flat_map(|edge| edge.samples.keys().copied()).collect();
+        self.paths(frame, fixed, None)?;
+        let mut between = self.frames_above(name_of(frame), name_of(fixed));
+        if !between.remove(name_of(fixed)) {
+            // Transforms above both frames move neither against the other.
+            between = &between ^ &self.frames_above(name_of(fixed), name_of(frame));
+        }
+        let edges = between.into_iter().filter_map(|frame| self.edges.get(frame));
+        let times: BTreeSet<i64> = edges.flat_map(|edge| edge.samples.keys().copied()).collect();
         Ok(times.into_iter().map(of_ns).collect())
     }
 
-    /// Returns the frame that a frame's motion is best measured in: its ancestor `odom`, or otherwise the root of its
-    /// tree; `None` for unknown frames.
-    pub fn fixed_frame(&self, frame: &str) -> Option<String> {
-        let ancestors = self.ancestors(name_of(frame));
-        let continuous = ancestors.iter().find(|ancestor| **ancestor == CONTINUOUS);
-        continuous.or(ancestors.last()).filter(|_| self.is_known(name_of(frame))).map(|frame| (*frame).to_owned())
+    /// Returns a frame and all that were its ancestors at any time, up to `last`.
+    fn frames_above<'a>(&'a self, frame: &'a str, last: &str) -> BTreeSet<&'a str> {
+        let (mut found, mut open) = (BTreeSet::new(), vec![frame]);
+        while let Some(frame) = open.pop() {
+            if found.insert(frame) && frame != last {
+                let edge = self.edges.get(frame);
+                let samples = edge.into_iter().flat_map(|edge| edge.samples.values().chain(&edge.fixed));
+                let parents: BTreeSet<&str> = samples.map(|sample| &*sample.parent).collect();
+                open.extend(parents);
+            }
+        }
+        found
     }
 
-    fn is_known(&self, frame: &str) -> bool {
-        self.edges.contains_key(frame) || self.edges.values().any(|edge| edge.parent == frame)
+    /// Returns the frame that a frame's motion is best measured in: its ancestor `odom`, or otherwise the root of its
+    /// tree; `None` for unknown frames, and for those without a root.
+    pub fn fixed_frame(&self, frame: &str) -> Option<String> {
+        let ancestors = self.ancestors(name_of(frame), None);
+        let continuous = ancestors.iter().find(|ancestor| **ancestor == CONTINUOUS);
+        let root = ancestors.last().filter(|_| ancestors.len() <= DEEPEST && self.names.contains(name_of(frame)));
+        continuous.or(root).map(|frame| (*frame).to_owned())
     }
 
     /// Lists some of the known frames.
     fn some_names(&self) -> String {
         const MOST: usize = 12;
-        let names = self.edges.iter().flat_map(|(frame, edge)| [frame.as_str(), edge.parent.as_str()]);
-        let mut first: BTreeSet<&str> = names.take(2 * MOST).collect();
-        let more = if first.len() > MOST { ", ..." } else { "" };
-        while first.len() > MOST {
-            first.pop_last();
-        }
-        match first.is_empty() {
-            true => "no frames".to_owned(),
-            false => Vec::from_iter(first).join(", ") + more,
-        }
+        let first: Vec<&str> = self.names.iter().take(MOST).map(|name| &**name).collect();
+        let more = if self.names.len() > MOST { ", ..." } else { "" };
+        let names = if first.is_empty() { "no frames".to_owned() } else { first.join(", ") };
+        brief(&names) + more
     }
 
-    /// Returns a frame and its ancestors, up to the root.
-    fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
-        let parent = |frame: &&'a str| self.edges.get(*frame).map(|edge| edge.parent.as_str());
-        std::iter::successors(Some(frame), parent).take(DEEPEST).collect()
+    /// Returns a frame and its ancestors at a time, or the newest ones, up to the root. Of a chain without a root, or
+    /// of a longer one, the first [`DEEPEST`] and one more.
+    fn ancestors<'a>(&'a self, frame: &'a str, at_ns: Option<i64>) -> Vec<&'a str> {
+        let parent = |frame: &&'a str| Some(&**self.edges.get(*frame)?.parent(at_ns)?);
+        std::iter::successors(Some(frame), parent).take(DEEPEST + 1).collect()
     }
 
     /// Returns the frames whose transforms lead from `frame` and from `fixed` to their closest common ancestor.
-    fn paths<'a>(&'a self, frame: &'a str, fixed: &'a str) -> Result<(Vec<&'a str>, Vec<&'a str>), TransformError> {
-        let [mut up, mut down] = [frame, fixed].map(|frame| self.ancestors(name_of(frame)));
+    fn paths<'a>(&'a self, frame: &'a str, fixed: &'a str, at_ns: Option<i64>) -> Result<Paths<'a>, TransformError> {
+        let [mut up, mut down] = [frame, fixed].map(|frame| self.ancestors(name_of(frame), at_ns));
         let common =
             up.iter().find_map(|ancestor| down.iter().position(|other| other == ancestor).zip(Some(*ancestor)));
         let Some((length, common)) = common else {
             return Err(TransformError::NotConnected {
-                frame: frame.to_owned(),
-                fixed: fixed.to_owned(),
+                frame: brief(frame),
+                fixed: brief(fixed),
                 known: self.some_names(),
             });
         };
@@ -308,6 +350,9 @@ impl Transforms {
         Ok((up, down))
     }
 }
+
+/// The frames below the closest common ancestor of two frames.
+type Paths<'a> = (Vec<&'a str>, Vec<&'a str>);
 
 /// Returns the name of a frame without the leading slash of ROS 1.
 fn name_of(frame: &str) -> &str {
@@ -390,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn only_recent_transforms_are_kept_and_the_newest_parent_counts() {
+    fn only_recent_transforms_are_kept() {
         let mut transforms = Transforms::default().keeping_s(1.0);
         for k in 0..100 {
             transforms.add(&transform("base", "odom", 0.1 * f64::from(k), [f64::from(k), 0.0, 0.0], 0.0), false);
@@ -401,7 +446,26 @@ mod tests {
         transforms.add(&transform("base", "odom", 9.75, [97.5, 2.0, 0.0], 0.0), false);
         assert_eq!(transforms.len(), 12);
         assert_eq!(transforms.pose("base", "odom", at(9.75)).unwrap().position_m, [97.5, 2.0, 0.0]);
-        transforms.add(&transform("base", "map", 9.95, [0.0; 3], 0.0), false);
-        assert_eq!((transforms.len(), transforms.fixed_frame("base")), (1, Some("map".into())));
+    }
+
+    #[test]
+    fn a_parent_may_change_and_static_transforms_do_not_replace_those_over_time() {
+        let mut transforms = Transforms::default();
+        for k in 0..10 {
+            let parent = if k < 5 { "odom" } else { "map" };
+            transforms.add(&transform("base", parent, 0.1 * f64::from(k), [f64::from(k), 0.0, 0.0], 0.0), false);
+        }
+        transforms.add(&transform("odom", "map", 0.0, [100.0, 0.0, 0.0], 0.0), true);
+        transforms.add(&transform("base", "odom", 0.0, [7.0, 0.0, 0.0], 0.0), true);
+        assert_eq!(transforms.pose("base", "map", at(0.35)).unwrap().position_m, [103.5, 0.0, 0.0]);
+        assert_eq!(transforms.pose("base", "map", at(0.75)).unwrap().position_m, [7.5, 0.0, 0.0]);
+        // Between the two parents.
+        let error = transforms.pose("base", "map", at(0.45)).unwrap_err();
+        assert_eq!(error, TransformError::Unknown { frame: "base".into() });
+        assert_eq!(transforms.times("base", "map").unwrap().len(), 10);
+        assert_eq!((transforms.len(), transforms.fixed_frame("base")), (12, Some("map".into())));
+        // A chain without a root has no fixed frame.
+        transforms.add(&transform("map", "base", 0.0, [0.0; 3], 0.0), true);
+        assert_eq!(transforms.fixed_frame("base"), None);
     }
 }

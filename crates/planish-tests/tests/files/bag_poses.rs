@@ -67,6 +67,9 @@ fn recording(folder: &TempDir) -> (PathBuf, Vec<SensorPose>) {
     let mount = SensorPose::from_viewpoint(MOUNT).transform().unwrap();
     let fixed = TfMessage { transforms: vec![stamped("base_link", "optical", time(0.0), &mount)] };
     bag.add("/tf_static", "tf2_msgs/msg/TFMessage", time(0.0), &to_cdr(&fixed).unwrap());
+    // Another robot has a camera of the same name.
+    let other = TfMessage { transforms: vec![stamped("base_link", "optical", time(0.0), &RigidTransform::IDENTITY)] };
+    bag.add("/other/tf_static", "tf2_msgs/msg/TFMessage", time(1.0), &to_cdr(&other).unwrap());
     let mut sequence = Sequence::new(Event::MovingCamera, camera, DepthNoise::default(), 2);
     let mut poses = Vec::new();
     for number in 0..FRAMES {
@@ -166,11 +169,11 @@ fn poses_that_do_not_apply_are_refused_with_the_reason() {
     for (poses, settings, problem) in [
         (topic("/tf", None), "", "smoothing over time"),
         (topic("/tf", None), "track=true", "omit one of the two"),
-        (topic("/none", None), "temporal=steady", "poses are on /odom, /slam/pose, /tf, /tf_static"),
+        (topic("/none", None), "temporal=steady", "poses are on /odom, /other/tf_static, /slam/pose, /tf, /tf_static"),
         (topic("/depth/image", None), "temporal=steady", "has no poses"),
         (topic("/tf", Some("world")), "temporal=steady", "known are base_link, map, odom, optical"),
         (topic("/tf", Some("base_link")), "temporal=steady", "no transforms over time"),
-        (topic("/tf_static", None), "temporal=steady", "no messages"),
+        (topic("/tf_static", None), "temporal=steady", "only static transforms"),
     ] {
         let error = smooth(&path, Some(CameraPoses::Topic(poses.clone())), settings).unwrap_err().to_string();
         assert!(error.contains(problem), "{poses:?}: {error}");

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Codec, CompressedImage, field_of, in_one_row, type_of};
-use crate::ros::{CameraInfo, Header, Image, PointCloud2, Time, from_cdr, to_cdr};
+use crate::ros::{CameraInfo, Header, Image, PointCloud2, Time, few, from_cdr, to_cdr};
 use planish_core::FormatError;
 
 pub(super) struct Cdr;
@@ -36,6 +36,7 @@ struct PointCloud {
     position: [f64; 3],
     orientation: [f64; 4],
     point_stride: u32,
+    #[serde(deserialize_with = "few")]
     fields: Vec<PackedElementField>,
     #[serde(with = "serde_bytes")]
     data: Vec<u8>,

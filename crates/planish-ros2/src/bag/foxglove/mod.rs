@@ -12,6 +12,9 @@ use planish_core::FormatError;
 use planish_io::ReadOptions;
 use planish_io::internal::{decode_depth_png, encode_depth_png, quoted};
 
+/// Maximum number of fields of a cloud's points.
+const MOST_FIELDS: usize = 1000;
+
 /// Foxglove's numbers of the scalar types, in the order of ROS: i8, u8, i16, u16, i32, u32, f32, f64.
 const TYPES: [u8; 8] = [2, 1, 4, 3, 6, 5, 7, 8];
 

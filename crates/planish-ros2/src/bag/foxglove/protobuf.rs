@@ -1,6 +1,6 @@
 //! Messages in Protocol Buffers. Fields are read by their numbers in Foxglove's published schemas.
 
-use super::{Codec, CompressedImage, field_of, in_one_row, type_of};
+use super::{Codec, CompressedImage, MOST_FIELDS, field_of, in_one_row, type_of};
 use crate::ros::{CameraInfo, Header, Image, PointCloud2, PointField, Time};
 use planish_core::FormatError;
 
@@ -197,7 +197,12 @@ impl Codec for Protobuf {
                 (1, value, _) => cloud.header.stamp = value.time()?,
                 (2, value, _) => cloud.header.frame_id = value.text(),
                 (4, value, _) => cloud.point_step = value.u32(),
-                (5, Value::Bytes(bytes), _) => cloud.fields.push(point_field(bytes)?),
+                (5, Value::Bytes(bytes), _) => {
+                    if cloud.fields.len() == MOST_FIELDS {
+                        return Err(FormatError::Malformed(format!("the points have more than {MOST_FIELDS} fields")));
+                    }
+                    cloud.fields.push(point_field(bytes)?);
+                }
                 (6, value, _) => cloud.data = value.bytes(),
                 _ => {}
             }

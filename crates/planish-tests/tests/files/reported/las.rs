@@ -38,7 +38,7 @@ fn las_headers_with_wrong_counts_are_read_with_a_note() {
     set(&mut records, 100, 1u32.to_le_bytes());
     let (cloud, notes) = cloud_as("a.las", &records);
     assert_eq!(cloud.len(), 40);
-    assert_eq!(notes, ["the header states 1 records before the points, but the file has 0"]);
+    assert_eq!(notes, ["the number of records before the points is 0, but the header states 1"]);
 
     let mut legacy = las(4, 1);
     set(&mut legacy, 107, 7u32.to_le_bytes());

@@ -141,3 +141,56 @@ fn a_file_with_several_images_plays_once_and_a_folder_plays_its_files_in_order()
     let all = [of_file("1"), of_file("2"), vec![("3".to_owned(), 900)]].concat();
     assert_eq!(played(folder.path()), all);
 }
+
+#[test]
+fn a_truncated_file_ends_with_an_error_and_is_not_repeated() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = tiff();
+    let options = SourceOptions::default().with_camera(Some(Camera::kinect_v1().with_shape((0, 0))));
+    let mut found = Vec::new();
+    for cut in [whole.len() - 10, whole.len() / 2] {
+        let path = write(folder.path(), "cut.tiff", &whole[..cut]);
+        let notes = io::read_file(&path, &ReadOptions::default()).unwrap().notes;
+        assert!(notes.iter().any(|note| note.contains("truncated after image")), "{notes:?}");
+        let mut source = source::open(path.to_str().unwrap(), &options).unwrap();
+        let mut frames = 0;
+        let error = loop {
+            match source.next_frame() {
+                Ok(Some(_)) => frames += 1,
+                Ok(None) => panic!("no error after {frames} frames"),
+                Err(error) => break error.to_string(),
+            }
+            assert!(frames < PAGES, "{frames}");
+        };
+        assert!(error.contains(&format!("truncated after image {frames}")), "{error}");
+        assert!(source.next_frame().unwrap().is_none());
+        found.push(frames);
+    }
+    assert_eq!(found, [2, 1]);
+}
+
+#[test]
+fn directories_of_pages_that_overlap_are_refused_at_once() {
+    // Each page's directory has 65,535 entries, and the next one begins one entry later.
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.resize(1 << 20, 0);
+    for page in 0..2000u32 {
+        let at = 8 + 12 * page as usize;
+        bytes[at..at + 2].copy_from_slice(&u16::MAX.to_le_bytes());
+        let end = at + 2 + 12 * usize::from(u16::MAX);
+        bytes[end..end + 4].copy_from_slice(&(8 + 12 * (page + 1)).to_le_bytes());
+    }
+    let error = read_as("a.tiff", &bytes).unwrap_err();
+    assert!(error.contains("overlap"), "{error}");
+}
+
+#[test]
+fn all_images_of_a_file_count_as_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(folder.path(), "a.npy", &npy(false, false));
+    let read = |limit| io::read_with(&path, &ReadOptions::default().with_max_memory_bytes(limit));
+    // Three images of 960 bytes each, one of which is decoded.
+    assert!(read(3 * 960 + 4000).is_ok());
+    let error = read(3 * 960 + 500).unwrap_err().to_string();
+    assert!(error.contains("the limit is 3 KiB"), "{error}");
+}
