@@ -149,8 +149,8 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     Ok(recovered(false, end.dropped))
 }
 
-/// Extends a file of `bytes` bytes to `length` bytes, if that is more. If the disk is full, the file stays as it is: what
-/// is overwritten afterwards would be lost.
+/// Extends a file of `bytes` bytes to `length` bytes, if that is more. If the disk is full, the file stays unchanged:
+/// records that are overwritten before would be lost.
 fn reserve(file: &mut File, bytes: u64, length: u64) -> Result<(), FormatError> {
     let Some(more) = length.checked_sub(bytes).filter(|more| *more > 0) else { return Ok(()) };
     file.seek(SeekFrom::Start(bytes))?;
