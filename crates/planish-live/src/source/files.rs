@@ -87,6 +87,8 @@ impl Source for FileSource {
         let Some(file) = self.files.get(self.next) else { return Ok(None) };
         // Advanced first, so that a caller that continues after an error gets the next file.
         self.next += 1;
+        // The last file leaves memory before the next one is read.
+        self.stack = None;
         self.stack =
             if self.read.image.is_none() { Stack::open(file, &self.read)?.map(|stack| (stack, 0)) } else { None };
         if self.stack.is_some() {
