@@ -283,11 +283,14 @@ impl Transforms {
     /// # Errors
     /// If the frames are not connected.
     pub fn times(&self, frame: &str, fixed: &str) -> Result<Vec<Time>, TransformError> {
-        self.paths(frame, fixed, None)?;
         let mut between = self.frames_above(name_of(frame), name_of(fixed));
         if !between.remove(name_of(fixed)) {
+            let others = self.frames_above(name_of(fixed), name_of(frame));
+            if between.is_disjoint(&others) {
+                return Err(self.not_connected(frame, fixed));
+            }
             // Transforms above both frames move neither against the other.
-            between = &between ^ &self.frames_above(name_of(fixed), name_of(frame));
+            between = &between ^ &others;
         }
         let edges = between.into_iter().filter_map(|frame| self.edges.get(frame));
         let times: BTreeSet<i64> = edges.flat_map(|edge| edge.samples.keys().copied()).collect();
@@ -317,6 +320,10 @@ impl Transforms {
         continuous.or(root).map(|frame| (*frame).to_owned())
     }
 
+    fn not_connected(&self, frame: &str, fixed: &str) -> TransformError {
+        TransformError::NotConnected { frame: brief(frame), fixed: brief(fixed), known: self.some_names() }
+    }
+
     /// Lists some of the known frames.
     fn some_names(&self) -> String {
         const MOST: usize = 12;
@@ -339,11 +346,7 @@ impl Transforms {
         let common =
             up.iter().find_map(|ancestor| down.iter().position(|other| other == ancestor).zip(Some(*ancestor)));
         let Some((length, common)) = common else {
-            return Err(TransformError::NotConnected {
-                frame: brief(frame),
-                fixed: brief(fixed),
-                known: self.some_names(),
-            });
+            return Err(self.not_connected(frame, fixed));
         };
         down.truncate(length);
         up.truncate(up.iter().position(|ancestor| *ancestor == common).unwrap_or_default());
@@ -463,6 +466,11 @@ mod tests {
         let error = transforms.pose("base", "map", at(0.45)).unwrap_err();
         assert_eq!(error, TransformError::Unknown { frame: "base".into() });
         assert_eq!(transforms.times("base", "map").unwrap().len(), 10);
+        // Only earlier transforms lead to this frame.
+        let mut earlier = transforms.clone();
+        earlier.edges.remove("odom");
+        assert_eq!(earlier.times("base", "odom").unwrap().len(), 10);
+        assert!(earlier.pose("base", "odom", at(0.3)).is_ok() && earlier.pose("base", "odom", at(0.7)).is_err());
         assert_eq!((transforms.len(), transforms.fixed_frame("base")), (12, Some("map".into())));
         // A chain without a root has no fixed frame.
         transforms.add(&transform("map", "base", 0.0, [0.0; 3], 0.0), true);

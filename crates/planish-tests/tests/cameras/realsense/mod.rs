@@ -265,7 +265,7 @@ fn a_recording_whose_colour_stops_plays_on_and_what_needs_colour_ends_with_the_r
                 Err(error) => break error.to_string(),
             }
         };
-        assert!(found + 1 >= at_start && (said.contains("--align none") || found == 40), "{name}: {found}, {said}");
+        assert!(found + 1 >= at_start && (said.contains("align none") || found == 40), "{name}: {found}, {said}");
         assert!(next(&mut source).unwrap().is_none());
     });
 }
