@@ -129,7 +129,7 @@ pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a st
     if pointer.is_null() {
         return failure(PLANISH_NULL, format!("{what} is null"));
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     let text = unsafe { CStr::from_ptr(pointer) };
     text.to_str().or_else(|_| failure(PLANISH_ARGUMENT, format!("{what} is not UTF-8")))
 }
@@ -152,7 +152,7 @@ pub(crate) unsafe fn write_text(text: &str, buffer: *mut c_char, capacity: usize
         }
     }
     if !length.is_null() {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { length.write(text.len()) };
     }
 }

@@ -30,7 +30,7 @@ mod with_cuda {
         kind: u32,
         cuda: *mut *mut planish_cuda,
     ) -> Done<()> {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (cuda, settings, camera) =
             unsafe { (writable("cuda", cuda)?, settings_from(settings)?, camera_of(camera)?) };
         let is_metres = match kind {
@@ -73,7 +73,7 @@ mod with_cuda {
             return failure(PLANISH_NULL, "the depth or the result is null");
         }
         with(cuda, |smoother| {
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             unsafe { smoother.smooth(depth.addr() as u64, row_stride, result.addr() as u64, stream.addr()) }?;
             Ok(())
         })
@@ -88,7 +88,7 @@ mod with_cuda {
             return failure(PLANISH_NULL, "the depth is null");
         }
         with(cuda, |smoother| {
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             unsafe { smoother.submit(depth.addr() as u64, row_stride, stream.addr()) }?;
             Ok(())
         })
@@ -103,17 +103,17 @@ mod with_cuda {
         if result.is_null() {
             return failure(PLANISH_NULL, "the result is null");
         }
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let place = unsafe { writable("received", received)? };
         with(cuda, |smoother| {
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             *place = unsafe { smoother.receive(result.addr() as u64, stream.addr())? };
             Ok(())
         })
     }
 
     pub(super) unsafe fn channels(cuda: *const planish_cuda, channels: *mut usize) -> Done<()> {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let place = unsafe { writable("channels", channels)? };
         with(cuda, |smoother| {
             *place = smoother.channels();
@@ -186,7 +186,7 @@ pub unsafe extern "C" fn planish_cuda_new(
     kind: u32,
     cuda: *mut *mut planish_cuda,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| unsafe { with_cuda::new(settings, camera, kind, cuda) })
 }
 
@@ -206,7 +206,7 @@ pub unsafe extern "C" fn planish_cuda_smooth(
     result: *mut f32,
     stream: *mut c_void,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| unsafe { with_cuda::smooth(cuda, (depth, row_stride), result, stream) })
 }
 
@@ -223,7 +223,7 @@ pub unsafe extern "C" fn planish_cuda_submit(
     row_stride: usize,
     stream: *mut c_void,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| unsafe { with_cuda::submit(cuda, (depth, row_stride), stream) })
 }
 
@@ -239,7 +239,7 @@ pub unsafe extern "C" fn planish_cuda_receive(
     stream: *mut c_void,
     received: *mut bool,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| unsafe { with_cuda::receive(cuda, result, stream, received) })
 }
 
@@ -249,7 +249,7 @@ pub unsafe extern "C" fn planish_cuda_receive(
 /// `channels` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_channels(cuda: *const planish_cuda, channels: *mut usize) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| unsafe { with_cuda::channels(cuda, channels) })
 }
 

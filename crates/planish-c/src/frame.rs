@@ -103,7 +103,7 @@ pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const
         return Ok(None);
     }
     Extent::new(what, pointer, align_of::<f64>(), (8 * N, 8 * N, 1))?;
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     Ok(Some(unsafe { pointer.cast::<[f64; N]>().read() }))
 }
 
@@ -112,7 +112,7 @@ pub(crate) unsafe fn doubles<const N: usize>(what: &'static str, pointer: *const
 /// # Safety
 /// The pointer must be null, or point to a camera whose own pointers are null or valid as its members state.
 pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     let given = unsafe { sized("the camera", pointer, size_of::<planish_camera>())? };
     let mut camera = Camera::new((given.width, given.height), [given.fx, given.fy], [given.cx, given.cy]);
     if given.depth_units_per_metre != 0.0 {
@@ -128,13 +128,13 @@ pub(crate) unsafe fn camera_of(pointer: *const planish_camera) -> Done<Camera> {
             0 => &[],
             count => {
                 Extent::new("distortion", given.distortion, align_of::<f64>(), (8 * count, 8, 1))?;
-                // SAFETY: as the caller promises.
+                // SAFETY: the caller upholds this function's contract.
                 unsafe { slice::from_raw_parts(given.distortion, count) }
             }
         };
         let model = match given.distortion_model.is_null() {
             true => "",
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             false => unsafe { text("distortion_model", given.distortion_model)? },
         };
         let distortion = Distortion::of_model(model, coefficients);
@@ -150,11 +150,11 @@ impl Given {
     /// # Safety
     /// The pointer must be null, or point to a frame whose own pointers are null or valid as its members state.
     pub(crate) unsafe fn new(pointer: *const planish_frame) -> Done<Self> {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let mut frame = unsafe { sized("the frame", pointer, size_of::<planish_frame>())? };
         let camera = match frame.camera.is_null() {
             true => None,
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             false => Some(unsafe { camera_of(frame.camera)? }),
         };
         let (width, height) = (frame.width, frame.height);
@@ -233,7 +233,7 @@ impl Given {
         let planish_frame { kind, width, height, data, row_stride, planes, .. } = self.frame;
         let bytes = self.extents.first().and_then(Extent::bytes).unwrap_or(0);
         if let (PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32, Some(camera)) = (kind, &self.camera) {
-            // SAFETY: the extents were checked, and the caller guarantees the memory.
+            // SAFETY: the extents were checked, and the caller guarantees that the memory has them.
             let view = unsafe {
                 if kind == PLANISH_DEPTH_U16 {
                     DepthView::with_row_stride(slice::from_raw_parts(data.cast(), bytes / 2), row_stride / 2, camera)?
@@ -277,7 +277,7 @@ impl Given {
                 view = view.with_camera(camera)?;
             }
         }
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (pose, origin_m) =
             unsafe { (doubles("pose", self.frame.pose)?, doubles("origin_m", self.frame.origin_m)?) };
         if let Some(pose) = pose {

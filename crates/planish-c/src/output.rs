@@ -122,7 +122,7 @@ impl Wanted {
     /// # Safety
     /// The pointer must be null, or point to an output whose own pointers are null or have room for `count` items.
     pub(crate) unsafe fn new(pointer: *const planish_output) -> Done<Self> {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let mut output = unsafe { sized("the output", pointer, size_of::<planish_output>())? };
         let count = output.count;
         let (mut extents, mut read) = (Vec::new(), Vec::new());
@@ -226,11 +226,11 @@ impl Wanted {
         /// # Safety
         /// The pointer must be null or have room for `count` values, for the lifetime of the result.
         unsafe fn slice<'a, T>(pointer: *mut T, count: usize) -> Option<&'a mut [T]> {
-            // SAFETY: as the caller promises.
+            // SAFETY: the caller upholds this function's contract.
             (!pointer.is_null()).then(|| unsafe { slice::from_raw_parts_mut(pointer, count) })
         }
         let vectors = |pointer: *mut f32, stride: usize| {
-            // SAFETY: the extents were checked, and the caller guarantees the memory.
+            // SAFETY: the extents were checked, and the caller guarantees that the memory has them.
             NonNull::new(pointer).map(|first| unsafe { StridedMut::from_raw(first, stride / 4, count) })
         };
         let out = &self.output;

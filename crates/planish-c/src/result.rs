@@ -78,7 +78,7 @@ pub unsafe extern "C" fn planish_result_get(result: *const planish_result, view:
         let smoothed = RESULTS.get(result)?;
         let bytes = size_of::<planish_view>();
         Extent::new("the view", view, align_of::<planish_view>(), (bytes, bytes, 1))?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { view.write(view_of(&smoothed)) };
         Ok(())
     })

@@ -81,7 +81,7 @@ fn settings_of(text: &str) -> Done<Settings> {
 pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
     match pointer.is_null() {
         true => Ok(Settings::default()),
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         false => settings_of(unsafe { text("settings", pointer)? }),
     }
 }
@@ -97,7 +97,7 @@ pub unsafe extern "C" fn planish_session_new(
     session: *mut *mut planish_session,
 ) -> planish_code {
     guarded(|| {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let session = unsafe { writable("session", session)? };
         // SAFETY: the same.
         let settings = unsafe { settings_from(settings)? };
@@ -157,7 +157,7 @@ pub unsafe extern "C" fn planish_session_set(
     value: *const c_char,
 ) -> planish_code {
     guarded(|| {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (name, value) = unsafe { (text("name", name)?, text("value", value)?) };
         let value = if value.is_empty() { SettingValue::None } else { SettingValue::from(value) };
         set(session, name, value)
@@ -174,7 +174,7 @@ pub unsafe extern "C" fn planish_session_set_number(
     name: *const c_char,
     value: f64,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| set(session, unsafe { text("name", name)? }, SettingValue::from(value)))
 }
 
@@ -188,7 +188,7 @@ pub unsafe extern "C" fn planish_session_set_bool(
     name: *const c_char,
     value: bool,
 ) -> planish_code {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     guarded(|| set(session, unsafe { text("name", name)? }, SettingValue::from(value)))
 }
 
@@ -208,7 +208,7 @@ pub unsafe extern "C" fn planish_session_settings(
         let held = SESSIONS.get(session)?;
         let json = serde_json::to_string(&held.lock()?.settings);
         let json = json.or_else(|error| failure(PLANISH_INTERNAL, error.to_string()))?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { write_text(&json, buffer, capacity, length) };
         Ok(())
     })
@@ -234,7 +234,7 @@ pub unsafe extern "C" fn planish_session_engine(
             Some(gpu) => format!("{name}: {gpu}"),
             None => name.to_owned(),
         };
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { write_text(&name, buffer, capacity, length) };
         Ok(())
     })
@@ -257,7 +257,7 @@ pub unsafe extern "C" fn planish_next_event(
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
         let text = state.events.front().cloned().unwrap_or_default();
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { write_text(&text, buffer, capacity, length) };
         if !buffer.is_null() && text.len() < capacity {
             state.events.pop_front();
@@ -296,7 +296,7 @@ pub unsafe extern "C" fn planish_session_set_camera_pose(
     pose: *const f64,
 ) -> planish_code {
     guarded(|| {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let pose = unsafe { crate::frame::doubles::<7>("pose", pose)? }.map(SensorPose::from_viewpoint);
         Ok(SESSIONS.get(session)?.lock()?.session.set_camera_pose(pose)?)
     })

@@ -94,7 +94,7 @@ pub unsafe extern "C" fn planish_output_shape(
     output_height: *mut usize,
 ) -> planish_code {
     guarded(|| {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let places = unsafe { [writable("output_width", output_width)?, writable("output_height", output_height)?] };
         let shape = SESSIONS.get(session)?.lock()?.output_shape(width, height);
         places.into_iter().zip(shape).for_each(|(place, size)| *place = size);
@@ -115,7 +115,7 @@ pub unsafe extern "C" fn planish_smooth(
     guarded(|| {
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (given, mut wanted) = unsafe { (Given::new(frame)?, Wanted::new(output)?) };
         let [width, height] = state.output_shape(given.width(), given.height());
         let is_decimated = (width, height) != (given.width(), given.height());
@@ -141,7 +141,7 @@ pub unsafe extern "C" fn planish_smooth_new(
     guarded(|| {
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (result, given) = unsafe { (writable("the pointer to the result", result)?, Given::new(frame)?) };
         let outputs: Outputs = outputs_of(outputs)?;
         state.check_idle()?;
@@ -172,7 +172,7 @@ pub unsafe extern "C" fn planish_submit(
     guarded(|| {
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let given = unsafe { Given::new(frame)? };
         let outputs = outputs_of(outputs)?;
         if state.settings.fill.is_some() || outputs.sigma {
@@ -205,7 +205,7 @@ pub unsafe extern "C" fn planish_receive(
     guarded(|| {
         let held = SESSIONS.get(session)?;
         let mut state = held.lock()?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         let (mut wanted, received) = unsafe { (Wanted::new(output)?, writable("received", received)?) };
         wanted.check_apart(&[])?;
         *received = false;
@@ -243,7 +243,7 @@ pub unsafe extern "C" fn planish_in_flight(
         let state = held.lock()?;
         for (place, value) in [(in_flight, state.session.in_flight()), (most, state.session.max_in_flight())] {
             if !place.is_null() {
-                // SAFETY: as the caller promises.
+                // SAFETY: the caller upholds this function's contract.
                 *unsafe { writable("the pointer to a number", place)? } = value;
             }
         }

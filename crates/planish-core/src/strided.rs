@@ -127,10 +127,10 @@ unsafe fn copy_values(from: NonNull<f32>, to: NonNull<f32>, count: usize) {
     /// `N` values must be valid for reads at `from` and for writes at `to`, and the two must not overlap.
     #[inline(always)]
     unsafe fn copy<const N: usize>(from: NonNull<f32>, to: NonNull<f32>) {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller upholds this function's contract.
         unsafe { to.cast::<[MaybeUninit<f32>; N]>().write(from.cast().read()) }
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller upholds this function's contract.
     unsafe {
         match count {
             4 => copy::<4>(from, to),

@@ -145,7 +145,7 @@ pub(super) struct Around<S: Simd> {
 /// The bend measured between the planes around a point, along the tangents of their mean normal.
 pub(super) struct Measured<S: Simd> {
     pub(super) bend: Bend<S>,
-    /// Mean position of the planes along the tangents, in metres; the mean normal applies there.
+    /// Mean position of the planes along the tangents, in metres. The mean normal is the normal at this position.
     pub(super) centre: [S::f32s; 2],
     /// Weighted sum, over the planes, of the bent surface's height at the point above each plane, in metres.
     pub(super) rise: S::f32s,

@@ -10,7 +10,7 @@ const NEWEST_SHARE: f64 = 0.2;
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
 /// Maximum time per frame of a device, as a share of the time in which the fastest device computes all frames in
-/// flight. Since results are in order, other devices would wait for a slower one, which is therefore tried only
+/// flight. Results are in order, so a slower device would make the others wait; it is therefore tried only
 /// occasionally.
 const SLOWEST_SHARE: f64 = 0.5;
 

@@ -27,7 +27,7 @@ const BESIDE_EXTENTS: f64 = 5.0;
 /// Range of the distance ratios that show that the origin is on the surface. On a surface, the 60th nearest of the
 /// sampled points is about 3.2 times as far away as the 6th, and likewise for the other [`NEAR_NEIGHBOURS`].
 const SURFACE_RATIOS: [f64; 2] = [2.4, 4.2];
-/// Ranks n of the nearest points for which the distance of the 10n-th is compared with that of the n-th. Ranks are
+/// Values of n for which the distance to the 10n-th nearest point is compared with the distance to the n-th. They are
 /// limited so that 10n is at most a quarter of the sample.
 const NEAR_NEIGHBOURS: [usize; 3] = [6, 24, 96];
 /// Maximum number of sampled points of an unorganized cloud.

@@ -16,8 +16,8 @@ const MEAN_DEVIATIONS: f64 = 1.262;
 const MIN_SAMPLES: usize = 1000;
 /// Ratio of the bounds of an interval of ranges.
 const INTERVAL_RATIO: f64 = 1.25;
-/// Minimum ratio of the farthest to the nearest range for a polynomial other than c2 z² alone; the ratio is squared
-/// for a polynomial with three coefficients.
+/// Minimum ratio of the farthest to the nearest range that a polynomial needs. `c2 z²` alone has no minimum; three
+/// coefficients need the square of this ratio.
 const RATIO_PER_COEFFICIENT: f64 = 1.8;
 /// Maximum ratio of the squared relative residuals at which a polynomial with more coefficients is preferred.
 const WORTHWHILE: f64 = 0.5;

@@ -167,9 +167,9 @@ fn item_bytes(item: &LazItem) -> usize {
     }
 }
 
-/// Returns an error if the file does not have the bytes or points of a chunk, or if a chunk's size differs from the
-/// sum of its layers, because the decoder allocates the stated sizes. From version 3 on, each chunk begins with a
-/// point, the number of points, and the sizes of the layers that contain the other points.
+/// Returns an error if a chunk states more bytes or points than the file has, or a size that differs from the sum of
+/// its layers: the decoder allocates the sizes that the file states. From version 3 on, each chunk begins with a point,
+/// the number of points, and the sizes of the layers that contain the other points.
 fn check_table(
     bytes: &(impl FileBytes + ?Sized),
     description: &LazVlr,

@@ -57,7 +57,7 @@ impl StreamOptions {
         let mut of_known_sensor = settings.clone();
         of_known_sensor.sensor = settings.known_sensor().map(SensorChoice::Known);
         of_known_sensor.frame_params()?;
-        // These steps need the sensor's noise before a frame is available from which the sensor could be estimated.
+        // These steps need the sensor's noise before there is a frame from which to estimate it.
         if settings.remove_floating == Some(true) || settings.decimate.is_some() {
             settings.frame_params()?;
         }

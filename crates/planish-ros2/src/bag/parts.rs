@@ -121,7 +121,7 @@ impl Numbers {
         Some(number)
     }
 
-    /// Counts the bytes of a schema or channel.
+    /// Adds the size of a schema or channel to the total, which must stay within the memory limit.
     fn count(&mut self, bytes: usize, options: &ReadOptions) -> Result<(), FormatError> {
         self.definitions += bytes;
         options.check(self.definitions, DEFINITION_COPIES)

@@ -60,7 +60,7 @@ impl Gathered {
         let around = bounds_of(p, reach.outer);
         let outer_squared = reach.outer * reach.outer;
         let inner_squared = (reach.inner * reach.inner).min(splat(simd, LARGEST_SQUARE));
-        // Lanes without a reach are ignored.
+        // Lanes whose reach is NaN are ignored.
         let idle: Mask<S> = reach.outer.simd_ne(reach.outer);
         index.for_each_leaf(
             simd,
