@@ -1,6 +1,7 @@
 //! Reads and writes depth images as grayscale TIFF: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in
 //! metres.
 
+use std::collections::HashSet;
 use std::io::{Cursor, Read, Seek, SeekFrom};
 
 use tiff::decoder::{Decoder, DecodingResult, Limits};
@@ -46,6 +47,9 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
     Ok(contents)
 }
 
+/// Maximum number of pages; the tag PageNumber has 16 bits.
+const MOST_PAGES: usize = u16::MAX as usize;
+
 /// The pages of a file.
 pub(super) struct Pages {
     /// The first bytes of the file, up to the offset of the first page.
@@ -63,7 +67,7 @@ impl Pages {
     /// Finds the pages. The decoder would read all directories up to a page, whatever their size.
     ///
     /// # Errors
-    /// If the directories overlap, or the file is not a TIFF.
+    /// If the directories overlap or are too many, or the file is not a TIFF.
     pub(super) fn of(bytes: &[u8]) -> Result<Self, FormatError> {
         let damaged = |text: &str| FormatError::Malformed(format!("damaged TIFF: {text}"));
         let (is_big_endian, is_big) = match bytes {
@@ -82,6 +86,11 @@ impl Pages {
         let mut next = number(first, offset_bytes).ok_or_else(|| damaged("it ends within its header"))?;
         let (mut offsets, mut used, mut is_cut) = (Vec::new(), 0u64, false);
         while next != 0 {
+            if offsets.len() == MOST_PAGES {
+                return Err(FormatError::Unsupported(format!(
+                    "a TIFF of more than {MOST_PAGES} pages; save it as several files"
+                )));
+            }
             let at = usize::try_from(next).unwrap_or(usize::MAX);
             let size = number(at, count_bytes).and_then(|count| count.checked_mul(entry));
             let end = size.and_then(|size| at.checked_add(count_bytes)?.checked_add(usize::try_from(size).ok()?));
@@ -90,10 +99,14 @@ impl Pages {
                 break;
             };
             used += size.unwrap_or_default() + (count_bytes + offset_bytes) as u64;
-            if used > bytes.len() as u64 {
-                return Err(damaged("its pages overlap"));
-            }
             offsets.push(next);
+            if used > bytes.len() as u64 {
+                // Some writers link the last page to the first.
+                let mut known = HashSet::new();
+                let repeated = offsets.iter().position(|offset| !known.insert(*offset));
+                offsets.truncate(repeated.ok_or_else(|| damaged("its pages overlap"))?);
+                break;
+            }
             next = after;
         }
         // The decoder describes what is wrong with the only page.

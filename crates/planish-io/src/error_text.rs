@@ -38,10 +38,18 @@ pub fn quoted(text: &str) -> String {
 /// Returns up to 160 characters of a message that may quote a file, on one line.
 pub fn brief(message: &str) -> String {
     const MOST: usize = 160;
-    let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
-    match message.char_indices().nth(MOST) {
-        Some((end, _)) => format!("{}...", &message[..end]),
-        None => message,
+    let words = message.split_whitespace().flat_map(|word| word.chars().chain([' ']));
+    let mut text: String = words.take(MOST + 2).collect();
+    match text.char_indices().nth(MOST) {
+        // A text of exactly this length ends with the space after its last word.
+        Some((end, _)) if text[end..] != *" " => {
+            text.truncate(end);
+            text + "..."
+        }
+        _ => {
+            text.truncate(text.trim_end().len());
+            text
+        }
     }
 }
 
@@ -63,5 +71,18 @@ mod tests {
         assert_eq!(printable("a\u{1b}[2Jb\r\u{9b}c\u{7f}"), "a\\u001b[2Jb\\u000d\\u009bc\\u007f");
         assert_eq!(printable("exe\u{202e}dcp"), "exe\\u202edcp");
         assert_eq!(printable_line("/a\n/b\tc"), "/a\\u000a/b\\u0009c");
+    }
+
+    #[test]
+    fn long_messages_are_cut_and_their_words_joined() {
+        assert_eq!((brief(""), brief(" a\n\tb  c ")), (String::new(), "a b c".to_owned()));
+        let words = "é ".repeat(80);
+        assert_eq!(brief(&words), words.trim_end());
+        assert_eq!(brief(&format!("{words}éé")), format!("{words}..."));
+        let whole = "é".repeat(160);
+        assert_eq!((brief(&whole), brief(&format!("{whole} ")), brief(&format!("{whole} b"))), {
+            (whole.clone(), whole.clone(), format!("{whole}..."))
+        });
+        assert_eq!(brief(&"é".repeat(1 << 20)), whole + "...");
     }
 }

@@ -336,8 +336,16 @@ impl File<'_> {
             if depth > DEEPEST || visits > MOST_PLACED {
                 return Err(malformed("the nodes form a loop, or are too many"));
             }
+            // Cameras, lights and joints place no points. A skinned mesh is placed by its joints; the transform of its
+            // node is ignored.
+            if node.children.is_empty() && (node.mesh.is_none() || node.skin.is_some()) {
+                found.extend(node.mesh.map(|mesh| (mesh, DMat4::IDENTITY)));
+                continue;
+            }
             let place = parent * node.place()?;
-            // A skinned mesh is placed by its joints; the transform of its node is ignored.
+            if !place.is_finite() {
+                return Err(malformed("the matrices of the nodes exceed the range of f64"));
+            }
             found.extend(node.mesh.map(|mesh| (mesh, if node.skin.is_some() { DMat4::IDENTITY } else { place })));
             open.extend(node.children.iter().map(|child| (*child, place, depth + 1)));
         }

@@ -201,7 +201,7 @@ impl ReadOptions {
     }
 
     /// Calls `decode` with the limit that `used` bytes leave. Its errors state the whole limit.
-    pub(crate) fn beside<T>(&self, used: usize, decode: impl FnOnce(&Self) -> FormatResult<T>) -> FormatResult<T> {
+    pub fn beside<T>(&self, used: usize, decode: impl FnOnce(&Self) -> FormatResult<T>) -> FormatResult<T> {
         let used = used as u64;
         let left = self.with_max_memory_bytes(self.max_memory_bytes.saturating_sub(used));
         decode(&left).map_err(|error| match error {

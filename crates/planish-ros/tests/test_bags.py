@@ -166,7 +166,7 @@ def test_clouds_of_depth_are_added_on_a_topic_of_their_own(bag, tmp_path):
 
 def test_what_is_wrong_is_said(bag, tmp_path):
     out = tmp_path / "out.mcap"
-    assert "--topic" in smooth(bag, out, code=2)
+    assert "choose one (topic)" in smooth(bag, out, code=2)
     assert "/nowhere" in smooth(bag, out, "--topic", "/nowhere", code=2)
     assert "--overwrite" in smooth(bag, bag, "--topic", IMAGE, code=2)
     assert "already has a topic /chatter" in smooth(bag, out, "--topic", IMAGE, "--points-topic", "/chatter", code=2)

@@ -240,7 +240,8 @@ pub(super) fn decode(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<String
             matches!(record.name, RecordName::CartesianInvalidState | RecordName::SphericalInvalidState)
         };
         let invalid: Vec<usize> = (0..scan.prototype.len()).filter(|&i| is_invalid(&scan.prototype[i])).collect();
-        notes.extend(check_pose(scan)?.map(str::to_owned));
+        let note = check_pose(scan)?.map(str::to_owned).filter(|note| !notes.contains(note));
+        notes.extend(note);
         let (rotation, translation) = pose_of(scan);
         let lacks_colour = marks_colourless && !has_colour(scan);
         let mut sources: Vec<Option<usize>> = vec![None; columns.len()];

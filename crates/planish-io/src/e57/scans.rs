@@ -52,7 +52,7 @@ pub(super) fn check_pose(scan: &e57::PointCloud) -> Result<Option<&'static str>,
     // False for a NaN.
     let is_unit = (length - 1.0).abs() <= LENGTH_TOLERANCE;
     match length {
-        0.0 if is_finite => Ok(Some("the rotation of a scan is zero; the scan is read without rotation")),
+        0.0 if is_finite => Ok(Some("scans whose rotation is zero are read without rotation")),
         _ if is_unit && is_finite => Ok(None),
         _ => {
             let problem = "the pose of a scan has a quaternion without unit length, or a position that is not finite";

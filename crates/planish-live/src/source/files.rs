@@ -67,11 +67,13 @@ impl FileSource {
             let text = format!("the file is truncated after image {}", stack.images());
             return (stack.is_cut() && !is_told).then(|| Err(malformed(file, text).into()));
         }
-        // The other images stay in memory.
-        let left = self.read.max_memory_bytes.saturating_sub(stack.bytes() as u64);
-        let read = self.read.with_max_memory_bytes(left);
-        let contents = stack.image(*image).map_err(IoError::at(file)).map_err(Error::from);
-        let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &read));
+        let contents = stack.image(*image).and_then(|contents| {
+            // The other images stay in memory.
+            self.read.beside(stack.bytes(), |left| left.check_work_on(Work::Stream, &contents))?;
+            Ok(contents)
+        });
+        let contents = contents.map_err(IoError::at(file)).map_err(Error::from);
+        let frame = contents.and_then(|contents| frame_of(file, contents, self.camera, &self.read));
         Some(frame.inspect(|frame| self.camera = self.camera.map(|camera| with_shape(camera, frame.shape()))))
     }
 }

@@ -85,7 +85,7 @@ impl Poses {
         let problem = match channels.values().find(|(found, _)| found == topic) {
             None => format!("the recording has no topic {} in CDR; {}", name(), told(&channels)),
             Some((_, None)) => format!("the topic {} has no poses; {}", name(), told(&channels)),
-            Some(_) if topic.ends_with(STATIC) => {
+            Some((_, Some(PoseKind::Transforms))) if is_static(topic) => {
                 format!("the topic {} has only static transforms; name the topic with the others, such as /tf", name())
             }
             Some(_) if messages == 0 => format!("the topic {} has no messages", name()),
@@ -150,10 +150,17 @@ pub fn camera_trajectory(
 /// The last part of the name of a topic with static transforms.
 const STATIC: &str = "tf_static";
 
+/// Returns true if a topic has static transforms.
+fn is_static(name: &str) -> bool {
+    name.rsplit('/').next() == Some(STATIC)
+}
+
 /// Returns true if a topic has the static transforms that belong to a topic with poses: it is in the same namespace, or
 /// in one around it. Other namespaces may be other robots.
 fn is_static_beside(name: &str, topic: &str) -> bool {
-    name.strip_suffix(STATIC).is_some_and(|namespace| namespace.ends_with('/') && topic.starts_with(namespace))
+    let [name, topic] = [name, topic].map(|name| name.trim_start_matches('/'));
+    let namespace = name.strip_suffix(STATIC).filter(|namespace| namespace.is_empty() || namespace.ends_with('/'));
+    namespace.is_some_and(|namespace| topic.starts_with(namespace))
 }
 
 /// Lists the topics with poses.
@@ -167,5 +174,27 @@ fn told(channels: &BTreeMap<u16, (String, Option<PoseKind>)>) -> String {
     match &names[..] {
         [] => "it has no topic with TFMessage, Odometry, PoseStamped or PoseWithCovarianceStamped".to_owned(),
         names => format!("poses are on {}", printable_line(&names.join(", "))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn static_transforms_belong_to_topics_of_their_namespace() {
+        for (name, topic, expected) in [
+            ("/tf_static", "/tf", true),
+            ("tf_static", "tf", true),
+            ("/tf_static", "odom", true),
+            ("/tf_static", "/robot/odom", true),
+            ("/robot/tf_static", "/robot/tf", true),
+            ("/robot/tf_static", "/robot2/tf", false),
+            ("/robot/tf_static", "/tf", false),
+            ("/my_tf_static", "/tf", false),
+        ] {
+            assert_eq!(is_static_beside(name, topic), expected, "{name} {topic}");
+        }
+        assert!(is_static("/tf_static") && is_static("tf_static") && !is_static("/my_tf_static") && !is_static("/tf"));
     }
 }

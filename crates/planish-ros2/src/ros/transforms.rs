@@ -285,12 +285,15 @@ impl Transforms {
     pub fn times(&self, frame: &str, fixed: &str) -> Result<Vec<Time>, TransformError> {
         let mut between = self.frames_above(name_of(frame), name_of(fixed));
         if !between.remove(name_of(fixed)) {
-            let others = self.frames_above(name_of(fixed), name_of(frame));
-            if between.is_disjoint(&others) {
+            let mut others = self.frames_above(name_of(fixed), name_of(frame));
+            if others.remove(name_of(frame)) {
+                between = others;
+            } else if between.is_disjoint(&others) {
                 return Err(self.not_connected(frame, fixed));
+            } else {
+                // Transforms above both frames move neither against the other.
+                between = &between ^ &others;
             }
-            // Transforms above both frames move neither against the other.
-            between = &between ^ &others;
         }
         let edges = between.into_iter().filter_map(|frame| self.edges.get(frame));
         let times: BTreeSet<i64> = edges.flat_map(|edge| edge.samples.keys().copied()).collect();
@@ -435,6 +438,14 @@ mod tests {
         // A cycle ends.
         transforms.add(&transform("map", "camera", 1.0, [0.0; 3], 0.0), true);
         assert!(transforms.pose("camera", "world", at(10.0)).is_err() && transforms.fixed_frame("base").is_some());
+        // Nothing moves between a camera and what is fixed to it, in either direction.
+        let mut transforms = robot();
+        transforms.add(&transform("tag", "camera", 0.0, [0.1, 0.0, 0.0], 0.0), true);
+        for (frame, fixed) in [("camera", "tag"), ("tag", "camera"), ("tag", "base"), ("base", "tag")] {
+            assert!(transforms.times(frame, fixed).unwrap().is_empty(), "{frame} in {fixed}");
+        }
+        assert_eq!(transforms.times("tag", "odom").unwrap(), transforms.times("odom", "tag").unwrap());
+        assert!(!transforms.times("odom", "tag").unwrap().is_empty());
     }
 
     #[test]

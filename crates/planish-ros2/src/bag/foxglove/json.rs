@@ -55,19 +55,32 @@ impl Serialize for Message<'_> {
     }
 }
 
-/// A time in JSON.
-#[derive(Deserialize)]
+/// A time in JSON. Writers may omit zeros, and write whole numbers with decimals.
+#[derive(Default, Deserialize)]
+#[serde(default)]
 struct Stamp {
-    sec: i64,
-    nsec: u32,
+    sec: f64,
+    nsec: f64,
 }
 
-/// A field of a cloud in JSON.
-#[derive(Serialize, Deserialize)]
+/// A field of a cloud in JSON, which may omit zeros.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(default)]
 struct PackedElementField {
     name: String,
+    #[serde(deserialize_with = "count")]
     offset: u32,
-    r#type: u64,
+    #[serde(deserialize_with = "count")]
+    r#type: u32,
+}
+
+/// Returns a whole number, which JavaScript may write with decimals.
+fn whole(value: f64) -> Option<u32> {
+    (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
+}
+
+fn count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(f64::deserialize(deserializer)?).ok_or_else(|| D::Error::custom("not a whole number below 2^32"))
 }
 
 fn unreadable(name: &str, text: &str, expected: &str) -> FormatError {
@@ -107,12 +120,10 @@ impl<'a> Message<'a> {
         self.read(name, "a text")
     }
 
-    /// Returns a count; JavaScript may write it with decimals.
     fn number(&self, name: &str) -> Result<u32, FormatError> {
         let expected = "a whole number below 2^32";
         let value: f64 = self.read(name, expected)?;
-        let is_count = value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value);
-        if is_count { Ok(value as u32) } else { Err(unreadable(name, &value.to_string(), expected)) }
+        whole(value).ok_or_else(|| unreadable(name, &value.to_string(), expected))
     }
 
     fn numbers(&self, name: &str) -> Result<Vec<f64>, FormatError> {
@@ -146,8 +157,9 @@ impl<'a> Message<'a> {
         let stamp = match self.read::<Option<Stamp>>("timestamp", expected)? {
             None => Time::default(),
             Some(Stamp { sec, nsec }) => {
-                let sec = i32::try_from(sec).map_err(|_| unreadable("timestamp", &sec.to_string(), expected))?;
-                Time { sec, nanosec: nsec }
+                let seconds = (sec.fract() == 0.0 && sec.abs() <= f64::from(i32::MAX)).then_some(sec as i32);
+                let time = seconds.zip(whole(nsec)).map(|(sec, nanosec)| Time { sec, nanosec });
+                time.ok_or_else(|| unreadable("timestamp", &format!("{sec} s and {nsec} ns"), expected))?
             }
         };
         Ok(Header { stamp, frame_id: self.text("frame_id")? })
@@ -191,7 +203,7 @@ impl Codec for Json {
         }
         in_one_row(PointCloud2 {
             header: message.header()?,
-            fields: fields.into_iter().map(|field| field_of(field.name, field.offset, field.r#type)).collect(),
+            fields: fields.into_iter().map(|field| field_of(field.name, field.offset, field.r#type.into())).collect(),
             point_step: message.number("point_stride")?,
             data: message.bytes("data")?,
             ..PointCloud2::default()
@@ -260,6 +272,11 @@ mod tests {
             let error = Json.camera(CAMERA.replace(before, after).as_bytes()).unwrap_err().to_string();
             assert!(error.contains(&format!("the field {field} ")), "{error}");
         }
+        let omitted = CAMERA.replace("\"sec\":7,\"nsec\":5", "\"sec\":7.0");
+        assert_eq!(Json.camera(omitted.as_bytes()).unwrap().header.stamp, Time { sec: 7, nanosec: 0 });
+        let cloud = r#"{"point_stride":8,"fields":[{"name":"x","type":7},{"name":"y","offset":4.0,"type":7}]}"#;
+        let fields = Json.cloud(cloud.as_bytes()).unwrap().fields;
+        assert_eq!(fields.iter().map(|field| field.offset).collect::<Vec<_>>(), [0, 4]);
         let error = Json.image(br#"{"data":"a=b"}"#).unwrap_err().to_string();
         assert!(error.contains("base64"), "{error}");
     }

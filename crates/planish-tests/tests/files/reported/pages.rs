@@ -185,6 +185,34 @@ fn directories_of_pages_that_overlap_are_refused_at_once() {
 }
 
 #[test]
+fn pages_that_form_a_loop_are_read_once_and_too_many_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = tiff();
+    let number = |at: usize| u32::from_le_bytes(whole[at..at + 4].try_into().unwrap());
+    let mut at = 4;
+    while number(at) != 0 {
+        let directory = number(at) as usize;
+        at = directory + 2 + 12 * usize::from(u16::from_le_bytes([whole[directory], whole[directory + 1]]));
+    }
+    // The last page links to the first.
+    let looped = [&whole[..at], &whole[4..8], &whole[at + 4..]].concat();
+    let images = |name: &str, bytes: &[u8]| {
+        Stack::open(&write(folder.path(), name, bytes), &ReadOptions::default()).unwrap().unwrap().images()
+    };
+    assert_eq!(images("looped.tif", &looped), images("whole.tif", &whole));
+
+    // Directories without entries.
+    let mut many = b"II*\0\x08\0\0\0".to_vec();
+    for page in 0..70_000u32 {
+        many.extend(0u16.to_le_bytes());
+        many.extend((8 + 6 * (page + 1)).to_le_bytes());
+    }
+    many.extend([0; 6]);
+    let error = read_as("a.tiff", &many).unwrap_err();
+    assert!(error.contains("65535 pages"), "{error}");
+}
+
+#[test]
 fn all_images_of_a_file_count_as_memory() {
     let folder = tempfile::tempdir().unwrap();
     let path = write(folder.path(), "a.npy", &npy(false, false));
