@@ -38,18 +38,11 @@ pub fn quoted(text: &str) -> String {
 /// Returns up to 160 characters of a message that may quote a file, on one line.
 pub fn brief(message: &str) -> String {
     const MOST: usize = 160;
-    let words = message.split_whitespace().flat_map(|word| word.chars().chain([' ']));
-    let mut text: String = words.take(MOST + 2).collect();
-    match text.char_indices().nth(MOST) {
-        // A text of exactly this length ends with the space after its last word.
-        Some((end, _)) if text[end..] != *" " => {
-            text.truncate(end);
-            text + "..."
-        }
-        _ => {
-            text.truncate(text.trim_end().len());
-            text
-        }
+    // As many words are more than enough.
+    let message = message.split_whitespace().take(MOST).collect::<Vec<_>>().join(" ");
+    match message.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}...", &message[..end]),
+        None => message,
     }
 }
 
