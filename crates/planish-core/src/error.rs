@@ -221,7 +221,7 @@ pub enum EngineError {
         reason: String,
     },
     /// The maximum number of frames is in flight: receive one first.
-    #[error("{in_flight} frames are in flight, which is the maximum; receive one before submitting the next")]
+    #[error("{in_flight} frames are in flight, the maximum; receive one before submitting the next")]
     Full {
         /// Number of frames in flight.
         in_flight: usize,

@@ -90,7 +90,7 @@ impl Plan {
         // The kernels are compiled for one window, so its size is decided here.
         let params = params.at_resolution_of(frame);
         let Some((width, height)) = frame.grid() else {
-            let reason = "WebGPU smooths only frames on a grid; use the CPU engine for unorganized clouds".to_owned();
+            let reason = "WebGPU smooths only organized frames; use the CPU engine for unorganized clouds".to_owned();
             return Err(EngineError::Unavailable { engine: "webgpu", reason }.into());
         };
         check_options(params.into(), &SmootherOptions::new(Engine::Gpu, outputs), Some((width, height)))?;

@@ -95,7 +95,7 @@ impl Field {
     pub(super) fn of(column: &Attribute) -> Result<Self, FormatError> {
         if column.name.is_empty() || column.name.contains(char::is_whitespace) {
             return Err(FormatError::Unsupported(format!(
-                "the field name {:?} is empty or has spaces, which PCD does not allow; rename the field",
+                "the field name {:?} is empty or has spaces; rename it for PCD",
                 column.name
             )));
         }
