@@ -124,7 +124,7 @@ pub mod internal {
     pub use crate::neighbours::NeighbourSearch;
     pub use crate::neighbours::halo::{self, NeededHalo, OWN_SHARE};
     pub use crate::neighbours::middle;
-    pub use crate::pose::RigidTransform;
+    pub use crate::pose::{LONGEST_POSE_GAP_S, RigidTransform};
     #[cfg(feature = "reference")]
     pub use crate::reference::temporal::TemporalReference;
     pub use crate::session::{GpuLosses, LIVE_IN_FLIGHT, Recovery, ResultFilter, ResultSight};

@@ -7,6 +7,9 @@ use crate::error::{FrameError, ParamError};
 /// Maximum deviation of a quaternion's length from 1: files round the components to a few digits.
 const LENGTH_TOLERANCE: f64 = 0.01;
 
+/// Maximum time between two poses of a moving sensor for interpolation between them, in seconds.
+pub const LONGEST_POSE_GAP_S: f64 = 0.2;
+
 /// Maximum absolute coordinate of a sensor's position in metres.
 const MAX_POSITION_M: f64 = 1e9;
 
@@ -76,6 +79,16 @@ impl SensorPose {
     pub fn from_transform(transform: &RigidTransform) -> Self {
         let quaternion = DQuat::from_mat3(&transform.rotation).normalize();
         Self::from_xyzw(transform.translation.to_array(), quaternion.to_array())
+    }
+
+    /// Returns the pose at a share of the way from this valid pose (0) to another one (1).
+    pub fn interpolated(&self, to: &Self, share: f64) -> Self {
+        let turn = |pose: &Self| {
+            let [w, x, y, z] = pose.orientation;
+            DQuat::from_xyzw(x, y, z, w).normalize()
+        };
+        let position = DVec3::from(self.position_m).lerp(to.position_m.into(), share);
+        Self::from_xyzw(position.to_array(), turn(self).slerp(turn(to), share).to_array())
     }
 
     /// Returns the transform from the sensor's frame to the cloud's.

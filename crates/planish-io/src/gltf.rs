@@ -457,7 +457,7 @@ impl Node {
     /// Returns the transform of the node.
     ///
     /// # Errors
-    /// If the matrix has values that are not finite or flattens everything, or the quaternion has no unit length.
+    /// If the matrix is zero or not finite, or the length of the quaternion is not 1.
     fn place(&self) -> FormatResult<DMat4> {
         const LENGTH_TOLERANCE: f64 = 0.01;
         let Self { matrix, translation, rotation, scale, .. } = self;

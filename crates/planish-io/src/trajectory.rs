@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
+use planish_core::internal::LONGEST_POSE_GAP_S;
 use planish_core::{FormatError, IoError, SensorPose};
 
 use super::{FormatResult, ReadOptions};
@@ -13,8 +14,6 @@ const HELP: &str = "expected poses as text: lines of time, x, y, z, qx, qy, qz, 
                     and a 4x4 matrix (trajectory.log)";
 /// Maximum size of a trajectory file in bytes.
 const MAX_BYTES: u64 = 1 << 28;
-/// Maximum time between two poses for interpolation between them, in seconds.
-const LONGEST_GAP_S: f64 = 0.2;
 
 /// The poses of a camera in the world, by time or by frame number.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,17 +89,11 @@ impl Trajectory {
         }
         let before = next.checked_sub(1)?;
         let (from_s, to_s) = (times_s[before], *times_s.get(next)?);
-        if to_s - from_s > LONGEST_GAP_S {
+        if to_s - from_s > LONGEST_POSE_GAP_S {
             return None;
         }
         let share = (at_s - from_s) / (to_s - from_s);
-        let [from, to] = [&self.poses[before], &self.poses[next]];
-        let position = DVec3::from(from.position_m).lerp(to.position_m.into(), share);
-        let turn = |pose: &SensorPose| {
-            let [w, x, y, z] = pose.orientation;
-            DQuat::from_xyzw(x, y, z, w).normalize()
-        };
-        Some(SensorPose::from_xyzw(position.to_array(), turn(from).slerp(turn(to), share).to_array()))
+        Some(self.poses[before].interpolated(&self.poses[next], share))
     }
 }
 

@@ -271,7 +271,7 @@ impl Gpu {
     fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
         {
             let mut free = lock(&self.free);
-            // Views may have returned slots of a device that is no longer used.
+            // Slots that views returned may belong to a device that is no longer used.
             free.retain(|slot| self.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu)));
             if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
                 return Ok(free.remove(at));

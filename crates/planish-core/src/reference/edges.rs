@@ -120,7 +120,7 @@ impl<N: Fn(DVec3) -> f64> FirstPlanes<'_, N> {
         // A flipped normal with the opposite tensor describes the same surface.
         let side = side_to_sensor(normal, p);
         let foot = height_m * normal;
-        // The curvature, and the extent by which the fit is scaled, are those of the cell's own window.
+        // The curvature and the extent that scales the fit are those of the cell's own window.
         let plane = Plane { normal: side * normal, foot, ..own_plane };
         let no_plane_fits = (1.0 - rises(vote.fitting, FITTING)) * rises(vote.turning, TURNING);
         let certainty = (vote.total - STAY_WEIGHT) / vote.total;

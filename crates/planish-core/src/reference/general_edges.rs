@@ -77,7 +77,7 @@ impl FirstPlane {
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();
         let normal = if normal.dot(from_sensor) > 0.0 { -normal.normalize() } else { normal.normalize() };
-        // The curvature, and the extent by which the fit is scaled, are those of the position's own neighbours.
+        // The curvature and the extent that scales the fit are those of the position's own neighbours.
         let plane = Plane { normal, foot, ..own_plane };
         Surface { plane: Some(plane), width_m: WIDTH * noise_squared.sqrt(), ..self.surface }
     }

@@ -7,7 +7,7 @@ use e57::{
     RecordValue,
 };
 use glam::{DQuat, DVec3};
-use planish_core::FormatError;
+use planish_core::{FormatError, SensorPose};
 
 /// Metadata of an E57 file.
 #[derive(Debug, Clone)]
@@ -41,24 +41,13 @@ impl PartialEq for Scans {
 /// Checks the pose of a scan. Returns a note for users if its rotation is unset.
 ///
 /// # Errors
-/// If the rotation is not a quaternion of length 1, or the position is not finite.
+/// If the pose is invalid.
 pub(super) fn check_pose(scan: &e57::PointCloud) -> Result<Option<&'static str>, FormatError> {
-    const LENGTH_TOLERANCE: f64 = 0.01;
     let Some(transform) = &scan.transform else { return Ok(None) };
-    let Quaternion { w, x, y, z } = transform.rotation;
-    let length = DQuat::from_xyzw(x, y, z, w).length();
-    let translation = &transform.translation;
-    let is_finite = [translation.x, translation.y, translation.z].iter().all(|value| value.is_finite());
-    // False for a NaN.
-    let is_unit = (length - 1.0).abs() <= LENGTH_TOLERANCE;
-    match length {
-        0.0 if is_finite => Ok(Some("scans whose rotation is zero are read without rotation")),
-        _ if is_unit && is_finite => Ok(None),
-        _ => {
-            let problem = "the pose of a scan has a quaternion without unit length, or a position that is not finite";
-            Err(FormatError::Malformed(problem.into()))
-        }
-    }
+    let (Quaternion { w, x, y, z }, at) = (&transform.rotation, &transform.translation);
+    let pose = SensorPose::from_xyzw([at.x, at.y, at.z], [*x, *y, *z, *w]);
+    pose.validate().map_err(|error| FormatError::Malformed(format!("a scan has an invalid pose: {error}")))?;
+    Ok((pose.orientation == [0.0; 4]).then_some("scans whose rotation is zero are read without rotation"))
 }
 
 /// Returns the transform from a scan's frame to the file's frame.

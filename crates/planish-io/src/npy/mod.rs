@@ -71,8 +71,7 @@ fn contents_of(array: &Array<'_>, options: &ReadOptions, notes: &mut Vec<String>
             validate_shape(width, height)?;
             let depth_m = floats(array);
             // f64 values beyond f32 have become infinite.
-            // The page has no room for this check.
-            if cfg!(not(target_family = "wasm"))
+            if crate::HAS_ROOM
                 && array.header.size == 8
                 && array
                     .values::<f64>()

@@ -237,8 +237,7 @@ impl SourceOptions {
 
 /// Opens a source by name: `kinect[:INDEX]`, `realsense[:SERIAL]`, `realsense:RECORDING`, `openni2[:URI]`,
 /// `synthetic[:SEED]`, a data set in TUM RGB-D layout, a libfreenect recording, a ROS 2 recording in MCAP (with the
-/// feature `mcap`), a folder of frames, or a single file, which is repeated endlessly unless
-/// it has several images.
+/// feature `mcap`), a folder of frames, or a single file, which is repeated endlessly unless it has several images.
 pub fn open(name: &str, options: &SourceOptions) -> Result<Box<dyn Source>, Error> {
     let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
     let &SourceOptions { camera, alignment, mode, fps, frames, .. } = options;

@@ -3,19 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::messages::{Header, Time};
 use planish_core::SensorPose;
+use planish_core::internal::{LONGEST_POSE_GAP_S, RigidTransform};
 use planish_io::internal::brief;
 
-/// Maximum time between two transforms for interpolation between them, in nanoseconds.
-const LONGEST_GAP_NS: i64 = 200_000_000;
-/// Maximum number of frames from a frame to the root of its tree. Longer chains are taken for cycles.
+/// Maximum number of frames from a frame to the root of its tree. Longer chains count as cycles.
 const DEEPEST: usize = 100;
-/// Maximum deviation of a quaternion's length from 1.
-const LENGTH_TOLERANCE: f64 = 0.01;
 /// The frame in which odometry is continuous, whereas `map` jumps when a robot corrects its position (ROS REP 105).
 const CONTINUOUS: &str = "odom";
 
@@ -97,7 +93,8 @@ pub enum TransformError {
         /// The known frames.
         known: String,
     },
-    /// The transform of a frame is newer or lacks values for 0.2 s around this time.
+    /// All transforms of the frame are later, those around this time are more than 0.2 s apart, or the frame's parent
+    /// changes there.
     #[error("the transform of the frame {frame:?} is unknown at this time")]
     Unknown {
         /// The frame.
@@ -111,35 +108,11 @@ pub enum TransformError {
     },
 }
 
-/// Rotation and translation from a frame to its parent.
-#[derive(Debug, Clone, Copy)]
-struct Rigid {
-    rotation: DQuat,
-    translation: DVec3,
-}
-
-impl Rigid {
-    const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
-
-    /// Returns the transform that applies `inner` first.
-    fn after(self, inner: Self) -> Self {
-        Self {
-            rotation: self.rotation * inner.rotation,
-            translation: self.rotation * inner.translation + self.translation,
-        }
-    }
-
-    fn inverse(self) -> Self {
-        let rotation = self.rotation.conjugate();
-        Self { rotation, translation: rotation * -self.translation }
-    }
-}
-
-/// A transform and the parent that it leads to.
+/// The pose of a frame in its parent; it is valid.
 #[derive(Debug, Clone)]
 struct Sample {
     parent: Arc<str>,
-    rigid: Rigid,
+    pose: SensorPose,
 }
 
 /// A frame's transforms to its parents.
@@ -159,28 +132,25 @@ impl Edge {
         sample.or(self.fixed.as_ref()).map(|sample| &sample.parent)
     }
 
-    /// Returns the transform of this edge's `frame`.
-    fn at(&self, at_ns: i64, frame: &str) -> Result<Rigid, TransformError> {
+    /// Returns the pose of this edge's `frame`.
+    fn at(&self, at_ns: i64, frame: &str) -> Result<SensorPose, TransformError> {
         let unknown = || TransformError::Unknown { frame: frame.to_owned() };
         let Some((newest_ns, _)) = self.samples.last_key_value() else {
-            return self.fixed.as_ref().map(|sample| sample.rigid).ok_or_else(unknown);
+            return self.fixed.as_ref().map(|sample| sample.pose).ok_or_else(unknown);
         };
         if at_ns > *newest_ns {
             return Err(TransformError::NotYet { frame: frame.to_owned() });
         }
         let (to_ns, to) = self.samples.range(at_ns..).next().ok_or_else(unknown)?;
         if *to_ns == at_ns {
-            return Ok(to.rigid);
+            return Ok(to.pose);
         }
         let (from_ns, from) = self.samples.range(..at_ns).next_back().ok_or_else(unknown)?;
-        if to_ns - from_ns > LONGEST_GAP_NS || from.parent != to.parent {
+        if (to_ns - from_ns) as f64 / 1e9 > LONGEST_POSE_GAP_S || from.parent != to.parent {
             return Err(unknown());
         }
         let share = (at_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
-        Ok(Rigid {
-            rotation: from.rigid.rotation.slerp(to.rigid.rotation, share),
-            translation: from.rigid.translation.lerp(to.rigid.translation, share),
-        })
+        Ok(from.pose.interpolated(&to.pose, share))
     }
 }
 
@@ -223,19 +193,18 @@ impl Transforms {
     }
 
     /// Adds a transform. A static transform is valid at all times, unless the frame has transforms over time. Returns
-    /// false, without adding it, if the transform is invalid: values that are not finite, a quaternion without unit
-    /// length, a frame without a name, or one that is its own parent.
+    /// false, without adding it, if the transform is invalid: a position that is not finite or beyond 1e9 m, a quaternion
+    /// without unit length, a frame without a name, or one that is its own parent.
     pub fn add(&mut self, transform: &TransformStamped, is_static: bool) -> bool {
         let TransformStamped { header, child_frame_id, translation, rotation } = transform;
         let (parent, frame) = (name_of(&header.frame_id), name_of(child_frame_id));
-        let [x, y, z, w] = *rotation;
-        let (rotation, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from_array(*translation));
-        let is_unit = (rotation.length() - 1.0).abs() <= LENGTH_TOLERANCE;
-        if !is_unit || !translation.is_finite() || parent == frame || frame.is_empty() || parent.is_empty() {
+        let pose = SensorPose::from_xyzw(*translation, *rotation);
+        let is_pose = pose.validate().is_ok() && *rotation != [0.0; 4];
+        if !is_pose || parent == frame || frame.is_empty() || parent.is_empty() {
             return false;
         }
         let (frame, parent) = (self.name(frame), self.name(parent));
-        let sample = Sample { parent, rigid: Rigid { rotation: rotation.normalize(), translation } };
+        let sample = Sample { parent, pose };
         let edge = self.edges.entry(frame).or_default();
         if is_static {
             self.count += usize::from(edge.fixed.replace(sample).is_none());
@@ -272,10 +241,12 @@ impl Transforms {
         let at_ns = time_ns(at);
         let (up, down) = self.paths(frame, fixed, Some(at_ns))?;
         let along = |path: &[&str]| {
-            path.iter().try_fold(Rigid::IDENTITY, |inner, frame| Ok(self.edges[*frame].at(at_ns, frame)?.after(inner)))
+            path.iter().try_fold(RigidTransform::IDENTITY, |inner, frame| {
+                let pose = self.edges[*frame].at(at_ns, frame)?;
+                Ok(pose.transform().unwrap_or(RigidTransform::IDENTITY).after(inner))
+            })
         };
-        let Rigid { rotation, translation } = along(&down)?.inverse().after(along(&up)?);
-        Ok(SensorPose::from_xyzw(translation.to_array(), rotation.normalize().to_array()))
+        Ok(SensorPose::from_transform(&along(&down)?.inverse().after(along(&up)?)))
     }
 
     /// Returns the times at which transforms between two frames are known; empty if all are static.
@@ -315,7 +286,7 @@ impl Transforms {
     }
 
     /// Returns the frame that a frame's motion is best measured in: its ancestor `odom`, or otherwise the root of its
-    /// tree; `None` for unknown frames, and for those without a root.
+    /// tree; `None` if the frame is unknown or its tree has no root.
     pub fn fixed_frame(&self, frame: &str) -> Option<String> {
         let ancestors = self.ancestors(name_of(frame), None);
         let continuous = ancestors.iter().find(|ancestor| **ancestor == CONTINUOUS);
@@ -336,8 +307,8 @@ impl Transforms {
         brief(&names) + more
     }
 
-    /// Returns a frame and its ancestors at a time, or the newest ones, up to the root. Of a chain without a root, or
-    /// of a longer one, the first [`DEEPEST`] and one more.
+    /// Returns a frame and its ancestors at a time, or the newest ones, up to the root. The list ends after
+    /// [`DEEPEST`] + 1 frames, so cycles end, too.
     fn ancestors<'a>(&'a self, frame: &'a str, at_ns: Option<i64>) -> Vec<&'a str> {
         let parent = |frame: &&'a str| Some(&**self.edges.get(*frame)?.parent(at_ns)?);
         std::iter::successors(Some(frame), parent).take(DEEPEST + 1).collect()
@@ -376,6 +347,8 @@ fn of_ns(time_ns: i64) -> Time {
 
 #[cfg(test)]
 mod tests {
+    use glam::{DQuat, DVec3};
+
     use super::*;
 
     fn at(seconds: f64) -> Time {
