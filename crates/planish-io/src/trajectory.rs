@@ -4,7 +4,6 @@
 
 use std::path::Path;
 
-use glam::{DQuat, DVec3};
 use planish_core::internal::LONGEST_POSE_GAP_S;
 use planish_core::{FormatError, IoError, SensorPose};
 

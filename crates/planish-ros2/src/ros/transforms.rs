@@ -193,8 +193,8 @@ impl Transforms {
     }
 
     /// Adds a transform. A static transform is valid at all times, unless the frame has transforms over time. Returns
-    /// false, without adding it, if the transform is invalid: a position that is not finite or beyond 1e9 m, a quaternion
-    /// without unit length, a frame without a name, or one that is its own parent.
+    /// false, without adding it, if the transform is invalid: a position that is not finite or is beyond 1e9 m, a
+    /// quaternion without unit length, a frame without a name, or one that is its own parent.
     pub fn add(&mut self, transform: &TransformStamped, is_static: bool) -> bool {
         let TransformStamped { header, child_frame_id, translation, rotation } = transform;
         let (parent, frame) = (name_of(&header.frame_id), name_of(child_frame_id));
