@@ -54,6 +54,29 @@ fn vertices_stand_where_their_nodes_place_them() {
 }
 
 #[test]
+fn only_the_transforms_that_place_points_must_be_valid() {
+    let replaced = |pairs: &[(&str, &str)]| {
+        let mut document = document(r#"{"byteLength":56}"#);
+        for (before, after) in pairs {
+            assert_eq!(document.matches(before).count(), 1, "{before}");
+            document = document.replace(before, after);
+        }
+        read(&glb(&document, &data()))
+    };
+    const TURN: &str = "[0,0,0.7071067811865476,0.7071067811865476]";
+    let light = TURN.to_owned() + r#"},{"rotation":[0,0,0,0]"#;
+    assert_eq!(replaced(&[(r#""nodes":[0,1]"#, r#""nodes":[0,1,3]"#), (TURN, &light)]).unwrap().len(), 4);
+
+    let error = replaced(&[(TURN, "[0,0,0,0]")]).unwrap_err().to_string();
+    assert!(error.contains("quaternion of length 1"), "{error}");
+    let large = r#""scale":[1e200,1e200,1e200]"#;
+    let inner = format!("{large},\"rotation\":{TURN}");
+    let rotation = format!("\"rotation\":{TURN}");
+    let error = replaced(&[(r#""scale":[2,2,2]"#, large), (&rotation, &inner)]).unwrap_err().to_string();
+    assert!(error.contains("range of f64"), "{error}");
+}
+
+#[test]
 fn chunks_may_lack_their_padding() {
     let mut json = document(r#"{"byteLength":56}"#);
     let padded = read(&glb(&json, &data())).unwrap();

@@ -206,6 +206,40 @@ fn arrays_that_name_the_same_are_all_kept() {
 }
 
 #[test]
+fn scans_with_invalid_poses_are_refused_and_a_rotation_of_zero_is_noted_once() {
+    let read = |w: f64, x_m: f64| {
+        let mut bytes = Cursor::new(Vec::new());
+        let mut writer = E57Writer::new(&mut bytes, "{file}").unwrap();
+        for scan in ["{a}", "{b}"] {
+            let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+            let axis = |name| Record { name, data_type: RecordDataType::Double { min: None, max: None } };
+            let mut scan = writer.add_pointcloud(scan, axes.map(axis).to_vec()).unwrap();
+            scan.set_transform(Some(Transform {
+                rotation: Quaternion { w, x: 0.0, y: 0.0, z: 0.0 },
+                translation: Translation { x: x_m, y: 0.0, z: 0.0 },
+            }));
+            scan.add_point([1.0, 2.0, 3.0].map(RecordValue::Double).to_vec()).unwrap();
+            scan.finalize().unwrap();
+        }
+        writer.finalize().unwrap();
+        drop(writer);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.e57");
+        std::fs::write(&path, bytes.into_inner()).unwrap();
+        io::read_file(&path, &io::ReadOptions::default()).map_err(|error| error.to_string())
+    };
+    assert_eq!(read(1.0, 5.0).unwrap().notes, Vec::<String>::new());
+    let unset = read(0.0, 5.0).unwrap();
+    assert_eq!(unset.notes, ["scans whose rotation is zero are read without rotation"]);
+    let io::Contents::General(cloud) = unset.contents else { panic!() };
+    assert_eq!(cloud.positions.get(1), Some([6.0, 2.0, 3.0]));
+    for (w, x_m, expected) in [(2.0, 5.0, "length 1"), (f64::NAN, 5.0, "length 1"), (1.0, f64::NAN, "position")] {
+        let error = read(w, x_m).unwrap_err();
+        assert!(error.contains("a scan has an invalid pose") && error.contains(expected), "{error}");
+    }
+}
+
+#[test]
 fn what_is_left_out_of_a_file_is_noted() {
     let folder = tempfile::tempdir().unwrap();
     let notes = |name: &str, bytes: &[u8]| {
