@@ -1,22 +1,18 @@
 //! Completes a truncated recording in place: whole records stay, and an index is appended.
 
 mod chunk;
+mod tail;
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::{Cursor, Read, Seek, SeekFrom, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use binrw::BinWrite;
-use mcap::McapError;
-use mcap::records::{
-    Channel, ChunkHeader, ChunkIndex, DataEnd, Footer, MessageIndex, MessageIndexEntry, Record, SchemaHeader,
-    Statistics, op,
-};
+use mcap::records::{Channel, ChunkIndex, MessageIndexEntry, Record, SchemaHeader, op};
 
+use super::MAGIC;
 use super::parts::{DEFINITION_COPIES, bytes_of_channel};
 use super::records::parse_record;
-use super::{MAGIC, of_mcap};
 use chunk::{Contents, contents_of, cut_contents, header_bytes, together};
 use planish_core::{FormatError, IoError};
 use planish_io::ReadOptions;
@@ -140,8 +136,9 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     }
     let tail = scan.tail(end.valid)?;
     let length = end.valid + tail.len() as u64;
-    reserve(file, bytes, length)?;
-    // The file is changed only from here on.
+    let lost_at = Some(end.valid).filter(|at| *at < bytes && scan.salvaged.is_none());
+    reserve(file, bytes, length, lost_at)?;
+    // The whole records are never changed; what follows them is changed only from here on.
     file.seek(SeekFrom::Start(end.valid))?;
     file.write_all(&tail)?;
     file.set_len(length)?;
@@ -149,17 +146,35 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     Ok(recovered(false, end.dropped))
 }
 
-/// Extends a file of `bytes` bytes to `length` bytes, if that is more. If the disk is full, the file stays unchanged:
-/// records that are overwritten before would be lost.
-fn reserve(file: &mut File, bytes: u64, length: u64) -> Result<(), FormatError> {
+/// Extends a file of `bytes` bytes with zeros to `length` bytes, if that is more. If the disk is full, the file stays
+/// unchanged.
+///
+/// `lost_at` is the offset of a cut record that cannot be kept. Its opcode is first replaced by 0, because the zeros
+/// would make the record look whole if this process were killed before the tail is written.
+fn reserve(file: &mut File, bytes: u64, length: u64, lost_at: Option<u64>) -> Result<(), FormatError> {
     let Some(more) = length.checked_sub(bytes).filter(|more| *more > 0) else { return Ok(()) };
+    let opcode = lost_at.map(|at| replace_byte(file, at, 0)).transpose()?;
     file.seek(SeekFrom::Start(bytes))?;
     let extended = std::io::copy(&mut std::io::repeat(0).take(more), file).and_then(|_| file.sync_all());
     if let Err(error) = extended {
         file.set_len(bytes)?;
+        if let (Some(at), Some(opcode)) = (lost_at, opcode) {
+            replace_byte(file, at, opcode)?;
+        }
         return Err(error.into());
     }
     Ok(())
+}
+
+/// Replaces the byte at an offset on the disk; returns the previous byte.
+fn replace_byte(file: &mut File, at: u64, byte: u8) -> std::io::Result<u8> {
+    let mut before = [0];
+    file.seek(SeekFrom::Start(at))?;
+    file.read_exact(&mut before)?;
+    file.seek(SeekFrom::Start(at))?;
+    file.write_all(&[byte])?;
+    file.sync_all()?;
+    Ok(before[0])
 }
 
 /// The end of the whole records of a recording, as offsets and sizes in bytes.
@@ -364,98 +379,6 @@ impl Scan {
         self.times = together(self.times, contents.times);
         Ok(())
     }
-
-    /// Returns the bytes to append at `at`: missing indices, messages of a chunk that was cut, and the summary.
-    fn tail(&self, at: u64) -> Result<Vec<u8>, FormatError> {
-        let mut tail = Vec::new();
-        let mut chunks = self.chunks.clone();
-        if let (Some(chunk), false) = (chunks.last_mut(), self.missing.is_empty()) {
-            index_messages(&mut tail, at, &self.missing, chunk)?;
-        }
-        if let Some(contents) = &self.salvaged {
-            let start = at + tail.len() as u64;
-            let (first, last) = contents.times.unwrap_or_default();
-            let size = contents.bytes.len() as u64;
-            let header = ChunkHeader {
-                message_start_time: first,
-                message_end_time: last,
-                uncompressed_size: size,
-                uncompressed_crc: 0,
-                compression: String::new(),
-                compressed_size: size,
-            };
-            let mut data = encoded(&header)?;
-            data.extend_from_slice(&contents.bytes);
-            record(&mut tail, op::CHUNK, &data);
-            let mut index = ChunkIndex {
-                message_start_time: first,
-                message_end_time: last,
-                chunk_start_offset: start,
-                chunk_length: RECORD_HEADER + data.len() as u64,
-                message_index_offsets: BTreeMap::new(),
-                message_index_length: 0,
-                compression: String::new(),
-                compressed_size: size,
-                uncompressed_size: size,
-            };
-            index_messages(&mut tail, at, &contents.index, &mut index)?;
-            chunks.push(index);
-        }
-        record(&mut tail, op::DATA_END, &encoded(&DataEnd { data_section_crc: 0 })?);
-
-        let summary_start = at + tail.len() as u64;
-        for (header, text) in self.schemas.values() {
-            let mut data = encoded(header)?;
-            data.extend((text.len() as u32).to_le_bytes());
-            data.extend(text);
-            record(&mut tail, op::SCHEMA, &data);
-        }
-        for channel in self.channels.values() {
-            record(&mut tail, op::CHANNEL, &encoded(channel)?);
-        }
-        let (first, last) = self.times.unwrap_or_default();
-        let statistics = Statistics {
-            message_count: self.counts.values().sum(),
-            schema_count: self.schemas.len() as u16,
-            channel_count: self.channels.len() as u32,
-            attachment_count: self.attachments,
-            metadata_count: self.metadata,
-            chunk_count: chunks.len() as u32,
-            message_start_time: first,
-            message_end_time: last,
-            channel_message_counts: self.counts.clone(),
-        };
-        record(&mut tail, op::STATISTICS, &encoded(&statistics)?);
-        for chunk in &chunks {
-            record(&mut tail, op::CHUNK_INDEX, &encoded(chunk)?);
-        }
-        // 0 means that there are no summary offset records, and no checksum.
-        record(&mut tail, op::FOOTER, &encoded(&Footer { summary_start, summary_offset_start: 0, summary_crc: 0 })?);
-        tail.extend(MAGIC);
-        Ok(tail)
-    }
-}
-
-/// Appends the message indices of a chunk to `to`, which begins at the offset `at` of the file.
-fn index_messages(
-    to: &mut Vec<u8>,
-    at: u64,
-    messages: &BTreeMap<u16, Vec<MessageIndexEntry>>,
-    chunk: &mut ChunkIndex,
-) -> Result<(), FormatError> {
-    for (&channel_id, records) in messages {
-        let before = to.len();
-        chunk.message_index_offsets.insert(channel_id, at + before as u64);
-        record(to, op::MESSAGE_INDEX, &encoded(&MessageIndex { channel_id, records: records.clone() })?);
-        chunk.message_index_length += (to.len() - before) as u64;
-    }
-    Ok(())
-}
-
-fn encoded<T: for<'a> BinWrite<Args<'a> = ()>>(value: &T) -> Result<Vec<u8>, FormatError> {
-    let mut bytes = Cursor::new(Vec::new());
-    value.write_le(&mut bytes).map_err(|error| of_mcap(McapError::Parse(error)))?;
-    Ok(bytes.into_inner())
 }
 
 /// Size in bytes of a footer record and the magic bytes after it.
@@ -485,8 +408,5 @@ fn is_zero(file: &mut File) -> Result<bool, FormatError> {
     }
 }
 
-fn record(to: &mut Vec<u8>, opcode: u8, data: &[u8]) {
-    to.push(opcode);
-    to.extend((data.len() as u64).to_le_bytes());
-    to.extend(data);
-}
+#[cfg(test)]
+mod tests;

@@ -6,7 +6,8 @@ use mcap::McapError;
 use mcap::records::{Channel, MessageIndexEntry, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::{RECORD_HEADER, record};
+use super::RECORD_HEADER;
+use super::tail::record;
 use crate::bag::decompress;
 use crate::bag::records::{most_records, parse_record};
 use planish_io::ReadOptions;
