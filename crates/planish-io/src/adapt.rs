@@ -20,11 +20,14 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
         }
         _ => {}
     }
-    let current = &mut cloud.position_columns.precision;
+    if precision == Some(Precision::F32) || precision.is_none() && to == Format::Pcd && read != Format::Pcd {
+        cloud.position_columns.precision = Precision::AsNeeded;
+    }
+    if precision == Some(Precision::F32) && matches!(to, Format::Pcd | Format::Ply) && cloud.is_written_in_f64() {
+        notes.push("coordinates are rounded to 32-bit floats (encoding f64 keeps their digits)".to_owned());
+    }
     if let Some(precision) = precision {
-        *current = precision;
-    } else if to == Format::Pcd && read != Format::Pcd {
-        *current = Precision::AsNeeded;
+        cloud.position_columns.precision = precision;
     }
     if to == Format::Pcd && precision.is_none() && cloud.is_written_in_f64() {
         notes.push(
@@ -82,7 +85,8 @@ mod tests {
         assert_eq!(written(near(), Format::Pcd, None), (true, 1));
         assert_eq!(written(near(), Format::Las, Some(Precision::F64)), (true, 0));
         assert_eq!(written(far(), Format::E57, None), (true, 1));
-        assert_eq!(written(far(), Format::E57, Some(Precision::F32)), (false, 0));
+        assert_eq!(written(far(), Format::E57, Some(Precision::F32)), (false, 1));
+        assert_eq!(written(near(), Format::E57, Some(Precision::F32)), (false, 0));
         // Other formats keep their precision.
         let mut kept = near();
         adapt_fields(&mut kept, Format::Las, Format::Ply, None);
