@@ -51,7 +51,9 @@ impl Document {
                 let from = from + start.len();
                 Ok([text[..from].to_owned(), text[to..].to_owned()])
             }
-            _ => bail!("{}: has no block for these results; add these lines once\n{start}\n{end}", self.path.display()),
+            _ => {
+                bail!("{}: must contain these lines exactly once, in this order:\n{start}\n{end}", self.path.display())
+            }
         }
     }
 
@@ -101,7 +103,7 @@ mod tests {
         fs::write(&file, "<!-- end of planish bench one -->\n<!-- planish bench one -->\n").unwrap();
         let error = Document::open(&file, &folder.path().join("docs/one")).err().unwrap().to_string();
         assert!(error.contains("B.md") && error.contains("<!-- planish bench one -->"), "{error}");
-        // Twice is as bad as not at all.
+        // A document with the block twice is refused as well.
         let block = "<!-- planish bench one -->\r\n<!-- end of planish bench one -->\r\n";
         fs::write(&file, block.repeat(2)).unwrap();
         assert!(Document::open(&file, &folder.path().join("one")).is_err());

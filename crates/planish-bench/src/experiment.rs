@@ -1,4 +1,4 @@
-//! Shared by all experiments: frames, comparison with the reference, and timing.
+//! The parts that all experiments share: frames, comparison with the reference, and timing.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};

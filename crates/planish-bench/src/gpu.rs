@@ -180,7 +180,7 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Calls `one` repeatedly after a warm-up, and returns the spread of the measurements that it returns.
+    /// Calls `one` repeatedly after a warm-up. Returns the spread of the measurements, one from each call.
     fn spread(&self, mut one: impl FnMut() -> Result<f64>) -> Result<Spread> {
         let start = Instant::now();
         while start.elapsed() < WARM_UP {

@@ -1,5 +1,5 @@
-//! The experiments behind `planish bench`: measures the engines on this machine, after comparing each result with the
-//! reference. The command converts its arguments and calls this crate.
+//! The experiments behind `planish bench`, which measure the engines on this machine after comparing each result with
+//! the reference. The command converts its arguments and calls this crate.
 
 mod connectivity;
 mod document;

@@ -1,4 +1,4 @@
-//! Standard output and standard error of a command; `println!` would panic if they are closed or full.
+//! Standard output and standard error of a command. `println!` would panic if they were closed or full.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};

@@ -90,7 +90,7 @@ mod tests {
         assert!(!noisy(outlier));
         assert!(noisy((0..20).map(|i| if i < 10 { 10.0 } else { 11.0 }).collect()));
         assert!(noisy((0..20).map(|i| if i % 5 == 0 { 16.0 } else { 10.0 }).collect()));
-        assert!(!noisy(vec![1.0, 2.0]), "two say nothing");
+        assert!(!noisy(vec![1.0, 2.0]), "two values are too few");
         assert_eq!(Timing::of(steady).cell(), "10.01");
         assert_eq!(
             (milliseconds(0.1234), milliseconds(5.0), milliseconds(1234.5)),

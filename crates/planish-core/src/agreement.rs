@@ -25,8 +25,8 @@ pub const RADIUS_M: f64 = 0.25;
 /// Tolerance for 99.99 % of positions in metres.
 pub const POSITION_9999_M: f64 = 1e-4;
 
-/// Tolerance for all positions in metres: a neighbourhood of few points that deviate from a plane almost equally in
-/// two directions has a badly determined normal.
+/// Tolerance for all positions in metres. It is larger because the normal of a neighbourhood of few points is badly
+/// determined if they deviate from a plane almost equally in two directions.
 pub const POSITION_WORST_M: f64 = 6e-4;
 
 /// Factor for all position tolerances if edges are kept and windows have nine samples. So few samples hardly
@@ -53,9 +53,8 @@ impl Agreement {
         Self { nine_samples: params.window == 1 && params.cell_px() > 1, ..Self::default() }
     }
 
-    /// Adds the result for a frame. If a result lacks points or status, all pixels count as disagreeing. Distances
-    /// between points with a larger range than [`RANGE_M`] or a larger radius than [`RADIUS_M`] are scaled down to
-    /// these.
+    /// Adds the result for a frame. If a result lacks points or status, all pixels count as disagreeing. The tolerances
+    /// hold up to [`RANGE_M`] and [`RADIUS_M`], so distances at larger ranges or radii are scaled down.
     pub fn add(&mut self, result: &Smoothed, reference: &Smoothed, radius_m: impl Fn(usize) -> f64) {
         let pixels = reference.width * reference.height;
         self.pixels += pixels;

@@ -130,7 +130,7 @@ impl Attribute {
 /// Absolute coordinate in metres beyond which 4 bytes lose more than 0.1 mm of precision.
 const FAR_M: f64 = 1000.0;
 
-/// Indices and precision of the columns x, y and z of a file, which let the file be written in the same layout.
+/// Indices and precision of the columns x, y and z of a file, for writing the file back in the same layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PositionColumns {
     /// Indices of x, y and z among all columns; the attributes fill the others in order.
@@ -188,8 +188,8 @@ pub struct PointCloud {
     pub position_columns: PositionColumns,
     /// The sensor's pose in the frame of the file (not relative to `origin_m`); the identity if unknown.
     pub pose: SensorPose,
-    /// The file's coordinates x, y and z in metres, if f32 would lose digits (empty for axes without such a loss).
-    /// Unmoved points are written with these digits.
+    /// The file's coordinates x, y and z in metres, if f32 would lose digits (possibly empty for axes without such a
+    /// loss). Unmoved points are written with these digits.
     pub exact_m: Option<[Vec<f64>; 3]>,
     /// The steps of the coordinates x, y and z in the file. Unmoved points are written at the nearest step, without the
     /// rounding of f32.
@@ -291,8 +291,8 @@ impl PointCloud {
         self.exact(axis, i).unwrap_or(origin + f64::from(here))
     }
 
-    /// Returns true if coordinate `axis` of point `i` is known to be unchanged since the file was read. Without
-    /// [`exact_m`](Self::exact_m) and [`steps`](Self::steps), it is not known.
+    /// Returns true if coordinate `axis` of point `i` is known to be unchanged since the file was read. Always false if
+    /// neither [`exact_m`](Self::exact_m) nor [`steps`](Self::steps) is set.
     pub fn is_unmoved(&self, axis: usize, i: usize) -> bool {
         self.exact(axis, i).is_some()
     }
@@ -366,7 +366,8 @@ impl PointCloud {
         self.positions.as_slices().map(finite).map(|[low, high]| (high - low).max(0.0))
     }
 
-    /// Estimates the mean number of points within `radius_m` of a point, itself included, from a sample of points.
+    /// Estimates, from a sample of points, the mean number of points within `radius_m` of a point, including the point
+    /// itself.
     pub fn mean_neighbours(&self, radius_m: f32) -> f64 {
         const QUERIES: usize = 32;
         let [x, y, z] = self.positions.as_slices();

@@ -33,9 +33,9 @@ impl PointCloud {
         Some(r?.iter().zip(g?).zip(b?).map(|((&r, &g), &b)| [r, g, b]).collect())
     }
 
-    /// Returns the colour of each point in 8 bits per channel; `None` for a cloud without colours. 16-bit colours
-    /// (LAS) contribute their upper 8 bits, or their lower 8 bits if no value in the cloud exceeds 255. Fractions
-    /// (Open3D) are multiplied by 255.
+    /// Returns the colour of each point in 8 bits per channel; `None` for a cloud without colours. For 16-bit colours
+    /// (LAS), the upper 8 bits are returned, or the lower 8 bits if no value in the cloud exceeds 255. Fractions from 0
+    /// to 1 (Open3D) are multiplied by 255.
     pub fn shown_rgb(&self) -> Option<Vec<[u8; 3]>> {
         self.rgb().or_else(|| self.wide_rgb())
     }

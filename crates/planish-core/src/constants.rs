@@ -4,15 +4,15 @@
 /// Minimum number of neighbours for a plane (docs/method.md, section 2).
 pub(crate) const LEAST_NEIGHBOURS: f32 = 3.0;
 
-/// Maximum ratio l1/l2, the second to the first variance of a neighbourhood, at which the neighbourhood is a line
-/// (docs/method.md, section 4).
+/// Maximum ratio l1/l2 (second-largest to largest variance) at which a neighbourhood counts as a line (docs/method.md,
+/// section 4).
 pub(crate) const DEGENERATE_RATIO: f32 = 1e-4;
 /// sqrt(log2 e). Lengths are measured in units of B/sqrt(log2 e), where B is the bandwidth, so that the weight is a
 /// power of two: exp(-x²) = 2^(-x² log2 e).
 pub(crate) const SQRT_LOG2_E: f32 = 1.201_122_4;
 
-/// Steepness of the gate's fade (docs/method.md, equation 2.1): a neighbour at distance d has the weight 0.5 + 16 (1
-/// - d²/r²), clamped to 0 to 1.
+/// Steepness of the gate's fade (docs/method.md, equation 2.1): a neighbour at distance d has the weight 0.5 + 16 (1 -
+/// d²/r²), clamped to the range from 0 to 1.
 pub(crate) const GATE_FADE: f32 = 16.0;
 
 /// Cosine of the angle of incidence below which a point moves less and less along its ray (docs/method.md, section
@@ -30,7 +30,7 @@ pub(crate) const MAX_RADIUS_RATIO: f32 = 1.5;
 /// Maximum doubt of a plane, l2/(l1 - l0). Larger values have no further effect; the square of this limit fits f32.
 pub(crate) const MAX_DOUBT: f32 = 1e6;
 /// Sum of the gate weights of a plane's points up to which the plane does not count (docs/method.md, equation 10.2).
-/// A sum larger by 1 counts fully.
+/// With a sum larger by 1, the plane counts fully.
 pub(crate) const MIN_TOTAL: f32 = 5.0;
 /// Minimum standard deviation of the noise, as a share of the radius.
 pub(crate) const MIN_NOISE: f32 = 0.01;
@@ -52,13 +52,13 @@ pub(crate) const MIN_BLOCK_WEIGHT: f32 = 0.02;
 /// (docs/method.md, equation 10.6), of the plane's own variance for unorganized clouds (10.22). A disc has a doubt of
 /// 1.
 pub(crate) const DOUBT_WEIGHT: f32 = 0.01;
-/// Cosine of the angle of incidence up to which a plane does not count (docs/method.md, equation 10.2). No camera
-/// sees such an oblique surface; the points are a row across a large step.
+/// Cosine of the angle of incidence up to which a plane does not count (docs/method.md, equation 10.2). No camera sees
+/// a surface this oblique; such points are a row across a large step.
 pub(crate) const MIN_INCIDENCE_COSINE: f32 = 0.05;
 /// Excess of the cosine of incidence over [`MIN_INCIDENCE_COSINE`] from which a plane counts fully.
 pub(crate) const COSINE_FADE: f32 = 0.01;
-/// Weight of a zero displacement in the mean over the planes around a point, of which a perfect fit has weight 1
-/// (docs/method.md, equation 10.8). Also the weight of a point's own normal in the mean over surfaces (10.21).
+/// Weight of a zero displacement in the mean over the planes around a point, where a perfectly fitting plane has weight
+/// 1 (docs/method.md, equation 10.8). Also the weight of a point's own normal in the mean over surfaces (10.21).
 pub(crate) const STAY_WEIGHT: f32 = 1e-3;
 /// Weight of the normal of a point's own window, which defines a normal where no plane is near (docs/method.md,
 /// equation 10.8).
@@ -88,8 +88,8 @@ pub(crate) const CLOSE: [f32; 2] = [0.3, 0.8];
 /// Sum of the weights of the surfaces around a point up to which the point is on none of them (docs/method.md,
 /// equation 10.20).
 pub(crate) const LEAST_SURFACE_WEIGHT: f32 = 1e-12;
-/// Distance between a point that was moved onto its own surface and another surface, in standard deviations of the
-/// noise, from which the other surface does not count (docs/method.md, equation 10.21).
+/// Distance, in standard deviations of the noise, from which another surface does not count for a point that was moved
+/// onto its own surface (docs/method.md, equation 10.21).
 pub(crate) const MEAN_WIDTH: f32 = 1.5;
 /// Cosine between the normals of a point's own surface and another one (docs/method.md, equation 10.21). Up to the
 /// first value, the other surface does not count; from the second value on, it counts fully.

@@ -23,7 +23,7 @@ const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 0.13..=20.0;
 /// Maximum number of sampled points.
 const SAMPLE: usize = 4096;
 
-/// An implausible property of a frame or its camera. [`Display`](fmt::Display) gives one line for a user.
+/// An implausible property of a frame or its camera. [`Display`](fmt::Display) formats it as one line for the user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Doubt {
@@ -78,8 +78,8 @@ pub fn doubt_about_lens(camera: &Camera) -> Option<Doubt> {
     (lost > FEW).then_some(Doubt::Lens { lost })
 }
 
-/// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since any scanner
-/// may have measured it. The camera's lens model is not checked here, but by [`doubt_about_lens`].
+/// Returns doubts about a frame. For an unorganized cloud, only the precision of f32 is checked, since the cloud may
+/// come from any scanner. The camera's lens model is checked by [`doubt_about_lens`] instead.
 pub fn doubts(frame: Frame<'_>) -> Vec<Doubt> {
     // WebAssembly builds omit this check.
     let coarse = match frame {
@@ -113,7 +113,7 @@ pub(crate) fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     const FINE_M: f32 = 1e-4;
     /// Ratio of a step of f32 to the distance between neighbours above which the step is too coarse.
     const SHARE_OF_DISTANCE: f64 = 0.1;
-    /// Share of points that may be too coarse without a warning.
+    /// Share of points whose coordinates may be too coarse without a warning.
     const FEW: f32 = 0.01;
     /// Rank of the neighbour that determines the spacing; not the nearest, which may be a duplicate.
     const NEIGHBOUR: usize = 4;
@@ -133,7 +133,7 @@ pub(crate) fn about_resolution(points: &PointsView<'_>) -> Option<Doubt> {
     }
     let looked_at: Vec<[f64; 3]> = far.iter().step_by(far.len().div_ceil(LOOKED_AT)).copied().collect();
     let stride = points.len().div_ceil(AMONG);
-    // Every stride-th point of a surface is farther from its neighbours by this factor.
+    // If only every `stride`-th point of a surface is kept, neighbours are farther apart by this factor.
     let sparser = (stride as f64).sqrt();
     let spacing_m = |of: &[f64; 3]| {
         let squares = (0..points.len()).step_by(stride).map(|i| {
@@ -199,8 +199,8 @@ impl fmt::Display for Doubt {
         match self {
             Self::UnitsPerMetre { units } => write!(
                 f,
-                "{units} depth units per metre are implausible; expected the number of units in a metre, 1000 for \
-                 millimetres, which is the inverse of librealsense's depth scale"
+                "{units} depth units per metre are implausible; expected the number of units in a metre (1000 for \
+                 millimetres), the inverse of librealsense's depth scale"
             ),
             Self::Range { median_m, units: Some(units) } => write!(
                 f,

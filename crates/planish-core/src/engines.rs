@@ -78,8 +78,8 @@ impl Engine {
         }
     }
 
-    /// Returns the capabilities of this engine. For `Auto`, they are those of all engines combined, except
-    /// `pipelined`.
+    /// Returns the capabilities of this engine. For `Auto`, they are those of all engines combined, except that
+    /// `pipelined` is false.
     pub fn capabilities(self) -> Capabilities {
         let on_grids = Capabilities { grids: true, general: false, edges: true, depth_out: true, pipelined: false };
         match self {

@@ -28,15 +28,15 @@ const SPRING: f32 = 0.5;
 const STIFFEST: f32 = 100.0;
 /// Maximum offset of a point, in standard deviations of the noise.
 const FARTHEST: f32 = 1.5;
-/// Cosine between the normals of two points up to which the points are on different surfaces.
+/// Cosine between the normals of two points up to which the points count as being on different surfaces.
 const ONE_SURFACE: f32 = 0.7;
 /// Sine of the angle between the line through two points and the plane halfway between their tangent planes, above
-/// which the points are on different surfaces.
+/// which the points count as being on different surfaces.
 const STEEPEST: f32 = 0.5;
-/// Maximum distance that a point moves along its normal back onto the surface, as a share of its offset. The
-/// curvature of surfaces requires less.
+/// Maximum distance that a point moves along its normal back onto the surface, as a share of its offset. Curved
+/// surfaces require less.
 const MOST_CURVED: f32 = 0.25;
-/// Cosine between normals from which the weight of a neighbour's plane grows linearly from 0.
+/// Cosine between normals at which the weight of a neighbour's plane is 0; the weight grows linearly with the cosine.
 const ONE_PLANE: f32 = 0.5;
 
 /// Moves the points of a smoothed cloud along their surface so that they are spaced evenly. Points without a normal are
@@ -58,7 +58,7 @@ pub(crate) fn space_evenly(measured: &PointsView<'_>, smoothed: &mut Smoothed) {
     let neighbours: Vec<Neighbours> = map(&points, |place, point| nearest_of(&index, place, point));
     points = map(&points, |place, point| {
         let farthest = points[neighbours[place][SPACING_BY - 1] as usize].at.distance(point.at);
-        // A hexagonal grid of this spacing has as many points on a disk of this radius.
+        // A hexagonal grid with this spacing has `SPACING_BY` points on a disk of radius `farthest`.
         let spacing_m = farthest * (std::f32::consts::TAU / (SPACING_BY as f32 * 3f32.sqrt())).sqrt();
         Point { spacing_m, ..*point }
     });
@@ -98,9 +98,9 @@ impl Point {
         Self { at: Vec3::from_array(at), normal: Vec3::ZERO, variance: 0.0, spacing_m: 0.0, offset: Vec3::ZERO }
     }
 
-    /// Returns the point with noise variance and spacing averaged over the point and its neighbours. `most` limits
-    /// the variance, which is measured by how far smoothing moved the points: where smoothing distorts a surface,
-    /// points move farther than the noise.
+    /// Returns the point with noise variance and spacing averaged over the point and its neighbours. The variance is
+    /// measured by how far smoothing moved the points. Where smoothing distorts a surface, points move farther than the
+    /// noise, so `most` limits the variance.
     fn averaged(&self, neighbours: &[u32], points: &[Self], most: f32) -> Self {
         let Self { mut variance, mut spacing_m, .. } = *self;
         for &other in neighbours {
@@ -137,8 +137,8 @@ impl Point {
         Self { offset, ..*self }
     }
 
-    /// Returns the moved point, put back onto the surface: it moves along its normal by minus its mean height above the
-    /// planes halfway between its tangent plane and each neighbour's. Such planes cut a surface of constant curvature.
+    /// Returns the moved point, put back onto the surface. Its mean height above the planes halfway between its tangent
+    /// plane and each neighbour's is subtracted along its normal. Such planes cut a surface of constant curvature.
     fn on_surface(&self, neighbours: &[u32], points: &[Self]) -> Vec3 {
         let place = self.at + self.offset;
         let (mut height, mut weights) = (0.0, 0.0);

@@ -9,8 +9,8 @@ use crate::sensor::SensorModel;
 
 /// Maximum range difference between a pixel and a neighbour that supports it, in standard deviations of the noise.
 const SUPPORT_DEVIATIONS: f64 = 6.0;
-/// Range difference up to which a neighbour always supports a pixel, as a share of the range. It allows for slopes of
-/// surfaces: up to 69° at a focal length of 170 pixels, 83° at 525 pixels.
+/// Range difference up to which a neighbour always supports a pixel, as a share of the range. It allows for surface
+/// slopes of up to 69° at a focal length of 170 pixels, and 83° at 525 pixels.
 const SUPPORT_SHARE: f64 = 0.015;
 /// Number of supporting neighbours, of eight, below which a pixel may float. A pixel on a straight edge has four, one
 /// on a wire has two, and one at the end of a wire has one.
@@ -48,12 +48,12 @@ struct Image<'a> {
 }
 
 impl Image<'_> {
-    /// Returns the largest difference in metres between ranges of one surface.
+    /// Returns the largest difference in metres at which two ranges count as the same surface.
     fn same_m(&self, range_m: f64) -> f64 {
         (SUPPORT_DEVIATIONS * self.sensor.sigma_m(range_m)).max(SUPPORT_SHARE * range_m)
     }
 
-    /// Returns the pixels within a distance of a pixel, in rows and columns, including itself.
+    /// Returns the pixels that are at most `distance_px` rows and columns away from pixel `i`, including `i` itself.
     fn around(&self, i: usize, distance_px: usize) -> impl Iterator<Item = usize> + use<> {
         let (width, (u, v)) = (self.width, (i % self.width, i / self.width));
         let columns = u.saturating_sub(distance_px)..(u + distance_px + 1).min(width);

@@ -11,8 +11,8 @@ use crate::sensor::SensorModel;
 /// Maximum deviation of a surface's ranges from the median of their block, in standard deviations of the noise.
 const SAME_SURFACE_DEVIATIONS: f64 = 4.0;
 
-/// Deviation from the median of a block up to which ranges always belong to the same surface, as a share of the median,
-/// since surfaces slope.
+/// Deviation from the median of a block, as a share of the median, up to which ranges always count as the same surface.
+/// It allows for sloping surfaces.
 const SAME_SURFACE_SHARE: f64 = 0.01;
 
 /// Maximum side of a block in pixels.
@@ -49,7 +49,7 @@ impl Preparation {
         *self == Self::default()
     }
 
-    /// Refuses invalid ranges, a maximum that does not exceed the minimum, and blocks of other sizes than 2 to 8.
+    /// Refuses invalid ranges, a maximum that does not exceed the minimum, and block sizes other than 2 to 8.
     pub fn validate(&self) -> Result<(), ParamError> {
         for (field, range_m) in [("min_range_m", self.min_range_m), ("max_range_m", self.max_range_m)] {
             if let Some(range_m) = range_m.filter(|range_m| !(range_m.is_finite() && *range_m >= 0.0)) {
@@ -190,8 +190,8 @@ impl Blocks {
         (v + self.k / 2) * self.width + u + self.k / 2
     }
 
-    /// Returns the pixel with the median range of each block, and the mean of the ranges on the same surface; `None`
-    /// for a block of which more than half of the pixels are holes.
+    /// Returns the pixel with the median range of each block, and the mean of the ranges on the same surface; `None` if
+    /// more than half of the block's pixels are holes.
     fn means(&self, range_m: &(impl Fn(usize) -> f64 + Sync), sensor: &SensorModel) -> Vec<Option<(usize, f64)>> {
         let of_block = |block: usize| {
             let mut found: Vec<(f64, usize)> =
@@ -216,7 +216,7 @@ impl Blocks {
             height: self.rows,
             fx: camera.fx / k,
             fy: camera.fy / k,
-            // Pixel centres are at whole numbers.
+            // Pixel centres are at integer coordinates.
             cx: (camera.cx + 0.5) / k - 0.5,
             cy: (camera.cy + 0.5) / k - 0.5,
             ..*camera
@@ -263,7 +263,8 @@ mod tests {
         let expected = half.deproject().unwrap();
         assert_eq!((cloud.width(), cloud.height(), cloud.camera), (4, 3, Some(half.camera)));
         for (found, expected) in cloud.positions().iter().zip(expected.positions().iter()) {
-            // Raw values are rounded to millimetres; points of sloping blocks are off the middle.
+            // Raw values are rounded to millimetres, and the mean point of a block may be off the ray through its
+            // middle.
             assert!((found[2] - expected[2]).abs() < 1e-3 && (found[0] - expected[0]).abs() < 0.06, "{found:?}");
         }
         assert!(cloud.points.attribute("rgb").is_some_and(|rgb| rgb.values.len() == 12));

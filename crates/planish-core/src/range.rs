@@ -4,7 +4,8 @@
 use crate::frame::{FrameGeometry, RangeRule, assumed_range_m};
 use crate::params::{EngineParams, Radius};
 
-/// Ratio of the sensor radius to the half-width of a window; more than 1 because of surfaces that are seen obliquely.
+/// Ratio of [`Radius::Sensor`] to the half-width of a window; more than 1 to allow for surfaces that are seen
+/// obliquely.
 const REACHES: f64 = 2.0;
 
 /// Maximum radius in metres, larger than any scene; its square fits f32. Without a limit, a coordinate of 1e30 would

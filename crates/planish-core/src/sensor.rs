@@ -1,4 +1,4 @@
-//! Sensor models: how depth steps and noise grow with range. Metres throughout.
+//! Sensor models: how depth steps and noise grow with range. All values are in metres.
 //!
 //! Steps and noise are polynomials c0 + c1 z + c2 z² in the range z. In triangulating sensors (structured light,
 //! stereo) they grow with z²; in time-of-flight sensors and lidars they grow nearly linearly from an offset.
@@ -44,10 +44,9 @@ impl SensorModel {
     pub const REALSENSE_D435: Self = Self::realsense_d400(0.050, 424.0);
     /// RealSense D455 at 848x480: baseline 95 mm, focal length 424 px (90°).
     pub const REALSENSE_D455: Self = Self::realsense_d400(0.095, 424.0);
-    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has its sensor: the polynomial through standard
-    /// deviations of 0.61 mm at 0.8 m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors
-    /// 21(2):413). These three figures are unverified; only the paper's bound of 17 mm for all modes and ranges was
-    /// verified.
+    /// Azure Kinect (NFOV unbinned) and Orbbec Femto Bolt, which has the same sensor: the polynomial through standard
+    /// deviations of 0.61 mm at 0.8 m, 0.89 mm at 1.5 m and 1.78 mm at 3 m (Tölgyessy et al. 2021, Sensors 21(2):413).
+    /// These three figures are unverified; only the paper's bound of 17 mm for all modes and ranges was verified.
     pub const AZURE_KINECT: Self = Self::from_noise([4.1e-4, 1.8e-4, 9.3e-5]);
     /// RealSense L515: the line through standard deviations of 2.5 mm at 1 m and 15.5 mm at 9 m on 95 % reflectivity
     /// (Intel's product page, quoted in librealsense issue 5808).

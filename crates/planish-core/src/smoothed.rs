@@ -121,8 +121,8 @@ impl Smoothed {
         }
     }
 
-    /// Returns the number of valid points of the frame that became holes; 0 without status, points or depth, which
-    /// would show holes.
+    /// Returns the number of valid points of the frame that became holes; 0 if the result has no status, points or
+    /// depth that could show holes.
     pub fn lost_points(&self, frame: Frame<'_>) -> usize {
         if let Some(counts) = self.status_counts() {
             return counts[Status::TooFew as usize];
@@ -138,8 +138,8 @@ impl Smoothed {
         frame.valid_points().saturating_sub(left)
     }
 
-    /// Returns a note on the points that the output `depth` cannot store, because they are nearer than 1 or farther
-    /// than 65534 of the camera's depth units, with their number; `None` if there are none, or without status or depth.
+    /// Returns the number of points that the output `depth` cannot store, and a note on them; `None` if there are none,
+    /// or without status or depth. Such points are nearer than 1 or farther than 65534 of the camera's depth units.
     pub fn out_of_depth(&self, camera: &Camera) -> Option<(usize, String)> {
         let (status, depth) = (self.status.as_ref()?, self.depth.as_ref()?);
         let lost = status.iter().zip(depth).filter(|(status, raw)| status.has_point() && **raw == 0).count();
@@ -270,10 +270,10 @@ impl Outputs {
 
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
-    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are
-    /// kept, except normals and curvature of the measured points, which are wrong for the moved points and are
-    /// removed unless replaced ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of
-    /// several scans, normals face the scanner of each point.
+    /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
+    /// except normals and curvature. Those of the measured points are wrong for the moved points, so they are removed
+    /// unless replaced ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of several
+    /// scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         let fields = fields.with_status(fields.status || (!ONE_THREAD && smoothed.has_filled()));

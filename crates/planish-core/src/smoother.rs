@@ -171,10 +171,9 @@ impl Smoother {
     /// Opens the GPU engine on a device and a queue that belong to the host program.
     ///
     /// The device must not be polled by another thread while this smoother is in use. Its error callbacks are not
-    /// replaced, so validation errors reach the host program. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`],
-    /// frames need no copies; with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS`, they
-    /// can be timed. The signature contains types of wgpu, so each new version of wgpu is a breaking change of this
-    /// function.
+    /// replaced, so validation errors reach the host program. With [`wgpu::Features::MAPPABLE_PRIMARY_BUFFERS`], frames
+    /// need no copies; with [`wgpu::Features::TIMESTAMP_QUERY`] and `TIMESTAMP_QUERY_INSIDE_ENCODERS`, they can be
+    /// timed. The signature contains types of wgpu, so each new version of wgpu is a breaking change to this function.
     ///
     /// # Errors
     /// Same as [`open_with`](Self::open_with).
@@ -320,9 +319,9 @@ impl Smoother {
         self.opened.timings()
     }
 
-    /// Returns the progress of the frame being smoothed, for use by another thread; `None` for the CPU and GPU
-    /// engines for frames on a grid, which are always fast. The engines for unorganized clouds, and the reference,
-    /// may take long.
+    /// Returns the progress of the frame being smoothed, for use by another thread; `None` for the CPU and GPU engines
+    /// for frames on a grid, which are always fast. The engines for unorganized clouds, and the reference, can take a
+    /// long time.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.opened.progress()
     }

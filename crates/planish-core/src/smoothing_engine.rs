@@ -23,8 +23,8 @@ pub(crate) struct AdmittedFrame<'a> {
     pub(crate) step: VideoStep,
 }
 
-/// A video that an engine may smooth over time by itself (docs/method.md, section 16). The ranges of its frames are
-/// depths, seen by a sensor at the origin.
+/// A video that an engine may smooth over time by itself (docs/method.md, section 16). Its frames are seen by a sensor
+/// at the origin, and their ranges are depths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Video {
     pub(crate) params: TemporalParams,

@@ -25,7 +25,7 @@ pub enum Status {
     /// With smoothing over time, the value of this pixel jumped, but not those around it. For one frame, the pixel
     /// keeps the value of the previous frame (docs/method.md, section 16). The normal is this frame's.
     Carried = 7,
-    /// A hole without a measurement that was filled with the surface around it (docs/method.md, section 18).
+    /// A pixel without a measurement that was filled with the surface around it (docs/method.md, section 18).
     Filled = 8,
 }
 

@@ -52,8 +52,8 @@ impl<'a> StridedMut<'a> {
     ///
     /// # Safety
     /// `first` must be the first vector of a buffer with the same stride and number of vectors. In both buffers, all
-    /// values from the first vector to `stride` values after the last one must be valid, and accessed by nothing else
-    /// for `'a`, except that the other buffer may be read.
+    /// values from the first vector to `stride` values after the start of the last one must be valid, and accessed by
+    /// nothing else for `'a`, except that the other buffer may be read.
     #[cfg(not(target_family = "wasm"))]
     pub unsafe fn with_gaps_from(self, first: NonNull<f32>) -> Self {
         Self { gaps: Some(first), ..self }
@@ -117,7 +117,7 @@ impl<'a> StridedMut<'a> {
     }
 }
 
-/// Copies values that need not be initialized. The sizes of usual structs are inlined.
+/// Copies values that need not be initialized. Copies are inlined for the sizes of common structs.
 ///
 /// # Safety
 /// `count` values must be valid for reads at `from` and for writes at `to`, and the two must not overlap.

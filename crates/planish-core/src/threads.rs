@@ -13,8 +13,8 @@ pub(crate) const ONE_THREAD: bool = cfg!(target_family = "wasm");
 /// Maximum number of threads in a pool. More threads than any machine has cores would take minutes to start.
 const MAX_THREADS: usize = 1024;
 
-/// Starts the threads shared by all parallel work of this process, unless they are running: one per core, or the number
-/// in the environment variable `RAYON_NUM_THREADS`.
+/// Starts the threads shared by all parallel work of this process, unless they are already running: one per core, or
+/// the number in the environment variable `RAYON_NUM_THREADS`.
 ///
 /// Without this call, the first parallel work starts the threads, and panics if the system allows no more threads.
 ///
@@ -26,7 +26,7 @@ pub fn start_shared_threads() -> Result<(), EngineError> {
     if let Err(error) = ThreadPoolBuilder::new().build_global()
         && let Some(reason) = std::error::Error::source(&error)
     {
-        // An error without a source means that the threads are running.
+        // An error without a source means that the threads are already running.
         let threads = thread::available_parallelism().map_or(1, usize::from);
         return Err(EngineError::Threads { threads, reason: reason.to_string() });
     }
@@ -59,7 +59,7 @@ impl Threads {
     /// `None`.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
         let Some(threads) = threads else { return start_shared_threads().map(|()| Self(None)) };
-        // Rayon's global pool then works on the calling thread.
+        // On WebAssembly, Rayon's global pool works on the calling thread.
         if ONE_THREAD {
             return Ok(Self(None));
         }

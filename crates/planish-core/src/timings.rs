@@ -5,7 +5,7 @@ use std::time::Duration;
 #[cfg(not(target_family = "wasm"))]
 use std::time::Instant;
 
-/// Time per stage of one frame or batch, on a GPU's device or in the CPU engine.
+/// Time per stage of one frame or batch, on a GPU or in the CPU engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct FrameTimings {

@@ -25,7 +25,7 @@ pub struct Comparison {
     pub matching: Matching,
     /// The unit of all distances: `m`, or `raw` for depth images whose unit is unknown.
     pub unit: &'static str,
-    /// Number of valid points, which are not holes, in each input.
+    /// Number of valid points (those that are not holes) in each input.
     pub valid: [usize; 2],
     /// Number of pixels or points that are valid only in the first input, and only in the second; 0 for
     /// [`Matching::Nearest`].
@@ -38,7 +38,7 @@ pub struct Comparison {
     pub fields: Vec<FieldDifference>,
 }
 
-/// Statistics of distances, in [`Comparison::unit`]; NaN (null in JSON) without distances.
+/// Statistics of distances, in [`Comparison::unit`]; NaN (null in JSON) if there are none.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Distances {

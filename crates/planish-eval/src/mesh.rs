@@ -17,8 +17,8 @@ pub struct FrameMesh {
     pub events: Vec<SessionEvent>,
 }
 
-/// Smooths a frame and connects its pixels to triangles ([`TriangleMesh::of`]). If `raw`, connects the measured points
-/// instead.
+/// Smooths a frame and connects its pixels into triangles ([`TriangleMesh::of`]). If `raw`, connects the measured
+/// points instead.
 ///
 /// # Errors
 /// If the settings are invalid or do not fit the frame, or the engine fails.

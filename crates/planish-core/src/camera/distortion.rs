@@ -28,7 +28,7 @@ pub enum Distortion {
 /// Maximum number of Newton steps to find a pixel's ray; starting from the distorted position, wide lenses need about
 /// ten.
 const MAX_STEPS: usize = 50;
-/// Number of steps from the centre to a ray at which the image is checked for a fold.
+/// Number of steps, from the centre outwards, in which the image is checked for a fold.
 const FOLD_SAMPLES: u32 = 24;
 /// Maximum residual of a ray in focal lengths; at a focal length of 1000 pixels, a millionth of a pixel.
 const RESIDUAL: f64 = 1e-9;
@@ -134,7 +134,7 @@ impl Distortion {
     }
 
     pub(super) fn validate(&self) -> Result<(), FrameError> {
-        // Every frame is checked, so the check allocates no list of the coefficients.
+        // The check runs for every frame, so it avoids allocating a list of the coefficients.
         let are_finite = match self {
             Self::Rational { radial, tangential } => radial.iter().chain(tangential).all(|c| c.is_finite()),
             Self::Equidistant(all) => all.iter().all(|c| c.is_finite()),
@@ -159,8 +159,8 @@ impl Distortion {
         }
     }
 
-    /// Returns x and y of the direction (x, y, 1) that is seen at an image position, which is in focal lengths from
-    /// the principal point. `None` outside the image circle, where the model is not invertible.
+    /// Returns x and y of the direction (x, y, 1) that is seen at an image position, given in focal lengths from the
+    /// principal point. `None` outside the image circle, where the model is not invertible.
     pub fn undistort(&self, seen: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Rational { radial, tangential } => undistort_rational(radial, tangential, seen),
@@ -228,8 +228,8 @@ fn equidistant([k1, k2, k3, k4]: &[f64; 4], angle: f64) -> (f64, f64) {
 /// Returns the angle in radians that is seen at a distance from the principal point, in focal lengths; `None` beyond
 /// [`WIDEST`] and where the image folds over itself.
 fn angle_seen_at(k: &[f64; 4], radius: f64) -> Option<f64> {
-    // Up to the fold or the widest angle, the radius grows with the angle, so one angle fits. Newton's method finds
-    // it, with bisection as a fallback.
+    // Up to the fold or the widest angle, the radius grows with the angle, so the angle is unique. Newton's method
+    // finds it, with bisection as a fallback.
     let grows = |i: &u32| equidistant(k, WIDEST * f64::from(*i) / f64::from(FOLD_SAMPLES)).1 > 0.0;
     let growing = (1..=FOLD_SAMPLES).take_while(grows).last().unwrap_or(0);
     let mut bounds = [0.0, WIDEST * f64::from(growing) / f64::from(FOLD_SAMPLES)];
@@ -253,8 +253,9 @@ fn angle_seen_at(k: &[f64; 4], radius: f64) -> Option<f64> {
 }
 
 impl Distortion {
-    /// Fits the model with five coefficients that maps directions (x, y, 1) to observed positions, by least squares.
-    /// Returns the model and its largest error in focal lengths; `None` if the pairs do not determine the model.
+    /// Fits the model with five coefficients to pairs of a direction (x, y, 1) and its observed position, by least
+    /// squares. Returns the model and its largest error in focal lengths; `None` if the pairs do not determine the
+    /// model.
     pub fn fit(pairs: &[([f64; 2], [f64; 2])]) -> Option<(Self, f64)> {
         // The model is linear in k1, k2, k3, p1, p2.
         let (mut a, mut t) = ([[0.0; 5]; 5], [0.0; 5]);

@@ -76,8 +76,7 @@ impl Camera {
         Self { width, height, ..self }
     }
 
-    /// Refuses invalid intrinsics, including any with which a depth value could become a point that is not finite in
-    /// f32.
+    /// Refuses invalid intrinsics, including those that could turn a depth value into a non-finite f32 point.
     pub fn validate(&self) -> Result<(), FrameError> {
         validate_shape(self.width, self.height)?;
         let within = |field, value: f64, range: std::ops::RangeInclusive<f64>, allowed| {
@@ -132,8 +131,8 @@ impl Camera {
         const SAMPLE: usize = 4096;
         /// Minimum number of points in the sample.
         const LEAST: usize = 100;
-        /// Maximum root mean square distance of the projected points from the centres of their pixels, along x and
-        /// along y, in pixels.
+        /// Maximum RMS distance in pixels between the projected points and the centres of their pixels, separately
+        /// along x and y.
         const MOST_OFF_PX: f64 = 0.1;
         let step = (width * height).div_ceil(SAMPLE).max(1);
         // Avoids a sample of a single column.
@@ -156,10 +155,10 @@ impl Camera {
         Some(Self::new((width, height), [fx, fy], [cx, cy])).filter(|camera| camera.validate().is_ok())
     }
 
-    /// Returns the camera of a cropped and binned image: a region of (columns, rows) pixels at `offset_px`, whose
-    /// blocks of `block_px` pixels became one pixel each.
+    /// Returns the camera of an image that was cropped to (columns, rows) pixels at `offset_px`, and then binned so
+    /// that each block of `block_px` pixels became one pixel.
     pub fn of_region(self, offset_px: [usize; 2], (columns, rows): (usize, usize), block_px: [usize; 2]) -> Self {
-        // Pixel centres are at whole numbers, and a block is centred between its pixels.
+        // Pixel centres are at integer coordinates, and the centre of a block is the mean of its pixels' centres.
         let centre = |c: f64, offset: usize, block: usize| (c - offset as f64 + 0.5) / block as f64 - 0.5;
         let [block_x, block_y] = block_px;
         Self {

@@ -6,10 +6,9 @@ use super::Camera;
 #[derive(Debug, Clone, Default)]
 pub struct Rays {
     camera: Option<Camera>,
-    /// X/Z for each column, or with lens distortion for each pixel; NaN for pixels for which the lens model has no
-    /// ray.
+    /// X/Z per column, or per pixel with lens distortion; NaN where the lens model has no ray.
     pub x: Vec<f32>,
-    /// Y/Z for each row, or with lens distortion for each pixel; NaN for pixels for which the lens model has no ray.
+    /// Y/Z per row, or per pixel with lens distortion; NaN where the lens model has no ray.
     pub y: Vec<f32>,
 }
 

@@ -18,7 +18,8 @@ pub use steps::{CleanCounts, CleanSteps};
 pub use voxels::voxel_downsample;
 
 /// Marks the points outside the box from `low` to `high`, in metres in the frame of the points; points on its border
-/// are inside. Points of a `PointCloud` are relative to its origin; use [`cloud_outside_box`] for its file's frame.
+/// are inside. Points of a `PointCloud` are relative to its origin; use [`cloud_outside_box`] if the box is in the
+/// frame of its file.
 ///
 /// # Errors
 /// If a lower bound exceeds the upper bound, or a bound is NaN.

@@ -1,7 +1,7 @@
 //! Detection of points that are far from all other points.
 //!
-//! Both tests visit the leaves of a [`PointIndex`]. The leaves around each leaf are gathered once for its 16 points,
-//! whose distances to all gathered points are computed with the machine's SIMD instructions.
+//! Both tests visit the leaves of a [`PointIndex`]. For each leaf, the surrounding leaves are gathered once for all of
+//! its 16 points. The distances from these points to all gathered points are then computed with SIMD instructions.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -214,7 +214,7 @@ impl<'a> Search<'a> {
         }
         self.nearest.truncate(within);
         if self.has_repeated {
-            // Each position counts as often as it has points.
+            // A position shared by several points counts once per point.
             for (&square, &count) in self.squares.iter().zip(&self.counts).filter(|(square, _)| **square <= most) {
                 self.nearest.extend(std::iter::repeat_n(square, (count as usize - 1).min(neighbours)));
             }

@@ -66,7 +66,7 @@ impl CleanSteps {
             let is_outside = cloud_outside_box(points, low, high).map_err(named(|_| "crop"))?;
             counts.outside_box = Some(remove(points, &is_outside, grid.is_some()));
         }
-        // Clouds with more points than a view can have are cropped and thinned too.
+        // A cloud with too many points for a view skips this check, so that it can still be cropped and thinned.
         let view = PointsView::from_cloud(points).ok();
         if let Some(doubt) = view.as_ref().and_then(about_resolution) {
             return Err(FrameError::TooCoarse(doubt.to_string()).into());

@@ -10,7 +10,7 @@ use crate::cloud::PointCloud;
 use crate::error::ParamError;
 use crate::neighbours::Bounds;
 
-/// Maximum number of voxels along an axis, which 21 bits can count.
+/// Maximum number of voxels along an axis, so that an index fits in 21 bits.
 const MOST_ALONG_AXIS: f64 = (1u32 << 21) as f64;
 
 /// Number of points per task.
@@ -19,8 +19,8 @@ const POINTS_OF_A_TASK: usize = 1 << 14;
 /// The key of holes. The keys of voxels begin at 1.
 const NO_VOXEL: u64 = 0;
 
-/// Typical number of points per voxel in clouds that are worth thinning. Hash tables are allocated for this number,
-/// and grow if needed.
+/// Typical number of points per voxel in clouds that are worth thinning. Hash tables are sized for this density, and
+/// grow if needed.
 const POINTS_OF_A_VOXEL: usize = 8;
 
 /// Maximum number of shards. Each shard reads all keys, which is wasteful if a shard has few points.
@@ -47,7 +47,7 @@ struct Grid {
     along: [u64; 3],
 }
 
-/// The voxels for one share of the keys, which one task finds.
+/// The voxels for one share of the keys, found by a single task.
 #[derive(Default)]
 struct Shard {
     found: HashMap<u64, u32, BuildHasherDefault<KeyHasher>>,
@@ -199,8 +199,8 @@ impl Grid {
         }
     }
 
-    /// Returns the key of a position in voxels. The position must be within the grid, where it is not negative, so
-    /// that a cast rounds down.
+    /// Returns the key of a position in voxels. The position must be within the grid, so it is not negative and the
+    /// cast rounds down.
     fn key_at(&self, place: [f64; 3]) -> u64 {
         1 + place.iter().zip(self.along).fold(0, |key, (&at, along)| key * along + at as u64)
     }
@@ -342,7 +342,7 @@ mod tests {
         for i in 0..27 {
             assert_eq!(map.at(cloud.positions.get(i)), Some(i));
         }
-        // Linear interpolation of the centres is the point itself.
+        // Linear interpolation of the centres yields the point itself.
         let p = [0.3, -0.2, 1.1f32];
         let around: Vec<(usize, f64)> = map.around(p).collect();
         assert_eq!(around.len(), 8);

@@ -7,7 +7,7 @@ use crate::cloud::{Attribute, AttributeValues, PointCloud};
 use crate::error::ParamError;
 use crate::xyz::Xyz;
 
-/// The rule by which the value of a field for a voxel is computed from the voxel's points.
+/// The rule for computing a voxel's value of a field from the values of its points.
 #[derive(Clone, Copy, PartialEq)]
 enum Merge {
     /// The mean, in the field's own type.
@@ -82,7 +82,7 @@ fn how_to_merge(attribute: &Attribute) -> Merge {
         "rgb" | "rgba" if crate::colour::packed(attribute).is_some() => Merge::Colour,
         "red" | "green" | "blue" | "alpha" | "intensity" | "i" | "nir" => Merge::Mean,
         "normal_x" | "normal_y" | "normal_z" | "nx" | "ny" | "nz" if is_float => Merge::Mean,
-        // Text and lidar files hold labels and rings as floats too.
+        // Text and lidar files may store labels and rings as floats, so whole numbers are not averaged.
         _ if is_float && !is_whole(&attribute.values) => Merge::Mean,
         _ => Merge::Nearest,
     }

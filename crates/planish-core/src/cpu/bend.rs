@@ -222,7 +222,7 @@ impl<S: Simd> Around<S> {
     pub(super) fn bend(&self, simd: S, turn: &Turn<S>, (u, v): (Vec3<S>, Vec3<S>), radius: S::f32s) -> Measured<S> {
         let (zero, one, tiny) = (splat(simd, 0.0), splat(simd, 1.0), splat(simd, f32::MIN_POSITIVE));
         let per_total = turn.per_total;
-        // Lengths are in units of the radius, whose square may be as small as 1e-24 m².
+        // Lengths are in units of the radius, since its square may be as small as 1e-24 m².
         let per_radius = one / radius;
         let scale = per_total * per_radius;
         // The mean position t and the mean slope s of the planes. A slope is the sine of an angle; on a circle of

@@ -149,7 +149,7 @@ fn across_line<S: Simd>(simd: S, m: &Symmetric<S>, axis: Vec3<S>) -> Smallest<S>
     let (uu, uv, vv) = (u.dot(mu), u.dot(mv), v.dot(mv));
     let (half_sum, half_difference) = ((uu + vv) * splat(simd, 0.5), (uu - vv) * splat(simd, 0.5));
     let spread = half_difference.mul_add(half_difference, uv * uv).sqrt();
-    // The eigenvector of the smaller eigenvalue, from the longer normal of the two rows.
+    // The eigenvector of the smaller eigenvalue, from the longer of the two rows' normals.
     let reach = half_difference.abs() + spread;
     let u_larger: Mask<S> = half_difference.simd_ge(splat(simd, 0.0));
     let (a, b) = (u_larger.select(uv, -reach), u_larger.select(-reach, uv));

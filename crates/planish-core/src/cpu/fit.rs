@@ -1,4 +1,5 @@
-//! The final fit, in bands of rows: sections 5 to 7 of docs/method.md, over the surfaces from earlier passes.
+//! The final fit, in bands of rows (docs/method.md, sections 5 to 7). Its surfaces come from earlier passes, or are the
+//! planes of the pixels' own windows.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdMask};
 

@@ -5,8 +5,9 @@ use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat};
 
 use super::vector::splat;
 
-/// Returns 2^-x for x >= 0 with a relative error below 4e-6, which suffices for weights: it changes a point by that
-/// share of its residual. Above 126, the limit of f32, the result is at most 2^-126. On x86, NaN gives a finite number.
+/// Returns 2^-x for x >= 0 with a relative error below 4e-6, which suffices for weights: the error changes a point by
+/// that share of its residual. Above 126, the limit of f32, the result is at most 2^-126. On x86, NaN gives a finite
+/// number.
 #[inline(always)]
 pub(super) fn exp2_neg<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // Adding 1.5 * 2^23 rounds to whole numbers and leaves them in the low bits.

@@ -1,13 +1,13 @@
 //! The CPU engine for organized clouds: the method of docs/method.md in f32, on vectors of adjacent pixels.
 //! [`general`] smooths unorganized clouds.
 //!
-//! Each stage has its own file, named as in the reference, and is written once for all SIMD levels ([`SimdLevel`]).
-//! The frame is copied into a padded buffer ([`padded`]), and each task processes a band of rows ([`row_tasks`],
+//! Each stage has its own file, named as in the reference, and is written once for all SIMD levels ([`SimdLevel`]). The
+//! frame is copied into a padded buffer ([`padded`]), and each task processes a band of rows ([`row_tasks`],
 //! [`output`]). [`fit`] takes each vector of pixels through [`window`], [`plane`] with [`eigen`], [`polynomial`],
-//! [`solve`] and [`project`]. If blocks are averaged or edges kept, [`pixels`], [`blocks`] and [`edges`] add up to
-//! four passes before it and one after it. Coordinates are in the cloud's frame; [`sensor`] supplies everything that
-//! depends on the sensor. A pass reads only the results of earlier passes, so results are bit-identical for any
-//! number of threads.
+//! [`solve`] and [`project`]. If blocks are averaged or edges kept, there are further passes of [`pixels`], [`blocks`]
+//! and [`edges`]: up to four before the fit and one after it. Coordinates are in the cloud's frame; [`sensor`] supplies
+//! everything that depends on the sensor. A pass reads only the results of earlier passes, so results are bit-identical
+//! for any number of threads.
 
 // In unrolled loops, conditions on constants are always true or always false in each copy.
 #![allow(clippy::absurd_extreme_comparisons)]

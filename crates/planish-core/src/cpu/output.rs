@@ -114,7 +114,7 @@ impl<'a> OutputRows<'a> {
         if let Some(out) = &mut self.out.curvature {
             let out = &mut out[at.clone()];
             put(curvature, out);
-            // Curvature is finite exactly for points with a normal.
+            // Only points with a normal have a finite curvature.
             for (value, &status) in out.iter_mut().zip(projected.status.as_slice()) {
                 if !(3.0..6.0).contains(&status) {
                     *value = f32::NAN;

@@ -27,7 +27,7 @@ pub(super) struct Plane<S: Simd> {
     pub(super) extent_squared: S::f32s,
     /// Surface variation l0/(l0+l1+l2).
     pub(super) curvature: S::f32s,
-    /// Relative excess of the second extent over that of a line, l1/(1e-4 l2) - 1.
+    /// Excess of l1 over its limit for a line, relative to the limit: l1/(1e-4 l2) - 1.
     pub(super) off_line: S::f32s,
     /// True if the neighbours lie on a line; the other fields are then meaningless.
     pub(super) degenerate: Mask<S>,

@@ -2,8 +2,8 @@
 //!
 //! The weight is g 2^-(a² + b² + f²), with the gate g, and narrower across the surface if edges are kept. a and b are
 //! the in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). The reference
-//! divides a and b by h; this unit saves a multiplication, and the ridge is converted. [`moments`](super::moments) sums
-//! the normal equations.
+//! divides a and b by h; this unit saves a multiplication, and the ridge is converted to it.
+//! [`moments`](super::moments) sums the normal equations.
 
 use std::ops::Range;
 

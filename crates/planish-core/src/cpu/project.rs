@@ -84,9 +84,8 @@ pub(super) fn project<S: Simd, const D: usize>(
     }
 }
 
-/// Returns the distance from the ray's end to the tangent plane along the ray, in ray lengths. Along `normal`, the
-/// plane is `height` from the ray's end. With c the cosine of the angle of incidence, 1/c is replaced by
-/// c/max(c², 0.2²).
+/// Returns the distance along the ray, in ray lengths, from its end to the tangent plane, which is `height` from the
+/// ray's end along `normal`. With c the cosine of the angle of incidence, 1/c is replaced by c/max(c², 0.2²).
 #[inline(always)]
 pub(super) fn along_ray<S: Simd>(simd: S, height: S::f32s, normal: Vec3<S>, ray: Vec3<S>, radius: S::f32s) -> S::f32s {
     // A lower bound, since a point at the sensor has no ray.

@@ -14,7 +14,7 @@ use crate::constants::{MONOMIALS, RIDGE_WEIGHTS, coefficient_count};
 pub(super) struct Solution<S: Simd> {
     /// c_00, c_10 and c_01.
     pub(super) c: [S::f32s; 3],
-    /// Reduction of (6.1) in docs/method.md by the polynomial, from sum(w f²) to its minimum.
+    /// Amount by which the polynomial lowers the objective, (6.1) in docs/method.md, from sum(w f²) to its minimum.
     pub(super) explained: S::f32s,
 }
 
@@ -91,7 +91,7 @@ pub(super) fn solve<S: Simd, const D: usize>(
         const J: usize = 9 - R;
         if J < count {
             c[J] = y[J] * inverse[J];
-            // The most recent c comes last, so that as little as possible waits for it.
+            // The most recent c comes last, so that as few operations as possible wait for it.
             unroll!(Q in 10 {
                 const I: usize = 9 - Q;
                 if I > J && I < count {

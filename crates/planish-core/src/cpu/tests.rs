@@ -80,7 +80,7 @@ fn the_smallest_eigenvector_is_as_good_as_f32_allows() {
     fn test<S: Simd>(simd: S, level: &str) {
         let mut random = Random::new(11, 1);
         for case in 0..20_000 {
-            // From a plane through a line to a ball, at the scales of a window.
+            // Planes, lines, balls and shapes in between, at the scales of a window.
             let l2 = 10f64.powf(random.between(-10.0, 0.0));
             let l1 = l2 * 10f64.powf(random.between(-3.0, 0.0));
             let l0 = l1 * if case % 5 == 0 { 0.0 } else { random.between(0.0, 0.9) };
@@ -203,7 +203,7 @@ fn the_solver_finds_the_polynomial_and_damps_what_is_not_supported() {
         for (cubic, quadratic) in of_nine.iter().zip(quadratic) {
             assert!((cubic - quadratic[0]).abs() < 1e-6, "{level}: {cubic} {}", quadratic[0]);
         }
-        // A large ridge leaves the plane: height alone, no slopes.
+        // A large ridge suppresses the slopes and leaves only the height.
         assert!(stiff[1].abs() < 1e-3 && stiff[2].abs() < 1e-3, "{level}");
         // Without any weight, all coefficients are 0 rather than NaN.
         assert_eq!(of_nothing, [0.0; 3], "{level}");

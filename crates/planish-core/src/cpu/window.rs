@@ -75,8 +75,8 @@ pub(super) trait Candidates<S: Simd>: Copy {
     /// Returns the number of candidates in a row.
     fn row_len(&self) -> usize;
 
-    /// Visits the candidates of some rows in order, each with its slot: its offset from p (zero outside the gate),
-    /// its gate weight, and the number of neighbours that it counts as.
+    /// Visits the candidates of some rows in order. `visit` receives each candidate's slot, its offset from p (zero
+    /// outside the gate), its gate weight, and the number of neighbours that it counts as.
     ///
     /// `slots` must have one element for each candidate. Slots avoid bounds checks on an array of results.
     fn neighbours<T>(
@@ -217,7 +217,7 @@ impl<S: Simd> Candidates<S> for Window<'_> {
         for (row, slots) in self.offsets[rows].iter().zip(slots.chunks_exact_mut(self.offsets.len())) {
             let start = self.centre.wrapping_add_signed(row * row_len);
             for (column, slot) in self.offsets.iter().zip(slots) {
-                // SAFETY: the part extends to the last column and row, and no other is farther from the centre.
+                // SAFETY: the part extends as far from the centre as the last column and row, which are the farthest.
                 let q = unsafe { part.vector(simd, 0, start.wrapping_add_signed(*column)) };
                 let (e, weight, near) = gate.apply(simd, q.sub(p));
                 visit(slot, e, weight, near.select(one, zero));

@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(choose(&[(fast, 5), (unknown, 1)]), Some(0));
         assert_eq!(choose(&[(unknown, 2), (unknown, 1)]), Some(1));
         assert_eq!(choose(&[]), None);
-        // The fast device finishes 12 frames in flight in 12 ms: 10 ms for one frame are too long.
+        // The fast device finishes 12 frames in flight in 12 ms, so 10 ms for one frame is too long.
         assert_eq!(among(&[(slow, 0), (fast, 11)], 12), Some(1));
         assert_eq!(among(&[(slow, 3)], 12), Some(0));
     }

@@ -15,7 +15,7 @@ pub enum FleetDevice {
 }
 
 impl FleetDevice {
-    /// Parses a list of devices separated by commas: GPU indices or parts of GPU names, `all` for every discrete,
+    /// Parses a comma-separated list of devices: GPU indices or parts of GPU names, `all` for every discrete,
     /// integrated or virtual GPU, and `cpu` for the CPU.
     ///
     /// # Errors

@@ -159,7 +159,7 @@ impl Fleet {
         let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
         let workers = smoothers.into_iter().enumerate().map(start).collect::<Result<_, _>>();
-        // If a worker fails to start, stop the threads that have started, which would wait forever.
+        // If a worker fails to start, stop the threads that have started, which would otherwise wait forever.
         let workers = workers.inspect_err(|_| shared.close())?;
         let scratch = GeometryScratch::default();
         Ok(Self { shared, workers, grid, room: window, undecided: None, size: None, scratch, next_in: 0, next_out: 0 })

@@ -39,7 +39,8 @@ impl Job {
 
 pub(super) struct Shared {
     state: Mutex<State>,
-    /// One for each device. Signals that a frame is waiting for the device, or that its thread must end.
+    /// One condition variable per device, which signals that a frame is waiting for the device, or that its thread must
+    /// end.
     given: Vec<Condvar>,
     /// Signals that a result is available.
     done: Condvar,
@@ -215,7 +216,7 @@ impl State {
     }
 }
 
-#[expect(clippy::large_enum_variant, reason = "moved once a frame")]
+#[expect(clippy::large_enum_variant, reason = "moved once per frame")]
 enum Next {
     Frame(Arc<dyn SharedFrame>, Option<Smoothed>, Option<WindowSize>),
     Nothing,

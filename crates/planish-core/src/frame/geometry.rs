@@ -21,8 +21,8 @@ const MAX_EXTENTS: f64 = 1000.0;
 /// Maximum distance in metres of an unorganized cloud's centre from the origin at which the origin may be its sensor.
 /// Larger coordinates are taken to be map coordinates.
 const MAX_ORIGIN_M: f64 = 20_000.0;
-/// Maximum distance from a cloud's centre at which an origin that is not clearly on one side of the cloud's plane may
-/// be its sensor, in extents of the cloud.
+/// Maximum distance of the origin from a cloud's centre, in extents of the cloud, at which the origin may be its sensor
+/// although it is not clearly on one side of the cloud's plane.
 const BESIDE_EXTENTS: f64 = 5.0;
 /// Range of the distance ratios that show that the origin is on the surface. On a surface, the 60th nearest of the
 /// sampled points is about 3.2 times as far away as the 6th, and likewise for the other [`NEAR_NEIGHBOURS`].
@@ -48,7 +48,7 @@ impl FrameGeometry {
 
     /// Finds the geometry of points without a grid.
     fn of_general(points: &PointsView<'_>, scratch: &mut GeometryScratch) -> Self {
-        // For a part of a cloud, the pose is that assumed for the whole cloud.
+        // A part of a cloud uses the pose that was assumed for the whole cloud.
         let assumed = points.extent_m().is_none().then(|| assumed_transform(points, scratch)).flatten();
         let transform = assumed.unwrap_or_else(|| points.transform());
         Self::new(transform, RangeRule::Depth { pitch_at_1m: None })
@@ -324,7 +324,7 @@ mod tests {
         let (rule, sensor) = rule_of(terrain(DVec3::ZERO), SensorPose::IDENTITY);
         let RangeRule::Constant { spacing_m } = rule else { panic!("{rule:?}") };
         assert!((spacing_m - 0.5).abs() < 0.01 && sensor.z > 5.0, "{spacing_m} {sensor}");
-        // At its corner, at a height, and with values that encode missing data.
+        // With the origin beside a corner, with the origin far below, and with values that encode missing data.
         let (beside, sensor) = rule_of(terrain(DVec3::new(20.0, 15.0, 0.0)), SensorPose::IDENTITY);
         assert!(!matches!(beside, RangeRule::Depth { .. }) && sensor.z >= 0.0, "{beside:?} {sensor}");
         let northwards = |p: DVec3| DVec3::new(p.x, -p.y, p.z);
@@ -375,7 +375,7 @@ mod tests {
         let (beside, _) = seen_from(&wall, map, SensorPose::IDENTITY);
         let off = beside - map - DVec3::new(19.0, 0.3, 9.5);
         assert!(off.y.abs() > 0.95 * off.length(), "{off}");
-        // In the coordinates of a site, and about the middle of the slope.
+        // In site coordinates, and with the origin near the middle of the slope.
         for moved in [DVec3::new(900.0, -2500.0, 10.0), DVec3::new(-200.0, -200.0, -30.0)] {
             let (position, is_assumed) = seen_from(&slope, moved, SensorPose::IDENTITY);
             assert!(is_assumed && position.z > moved.z + 400.0, "{position}");

@@ -182,7 +182,7 @@ impl Lines {
         }
         let mut apart: Vec<f64> = lines.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let unit = spacing_of(&apart);
-        // Numbers also count the lines without a point.
+        // The numbering also counts lines without a point.
         let mut numbers = vec![0.0];
         for apart in &mut apart {
             let steps = (*apart / unit).round();
@@ -247,7 +247,8 @@ mod tests {
     use super::*;
     use crate::neighbours::tests::Random;
 
-    /// Returns points of a wavy surface seen by a camera with holes, in random order, rounded to `digits` decimals.
+    /// Returns the points of a wavy surface as a camera sees them: with holes, in random order, rounded to `digits`
+    /// decimals.
     fn seen(width: usize, height: usize, holes: f32, digits: i32) -> Vec<[f32; 3]> {
         let mut random = Random(7);
         let mut points = Vec::new();
@@ -315,12 +316,12 @@ mod tests {
         };
         let (little, far) = (moved(1e-4), moved(0.02));
         assert!(!none(&little) && none(&far));
-        // Evenly spaced from above is not from a camera.
+        // Points that are evenly spaced when seen from above do not come from a camera.
         let field =
             |i: usize| [(i % 80) as f32, (i / 80) as f32, 30.0 + (i as f32 * 0.37).sin()].map(|value| 0.1 * value);
         assert!(none(&(0..6400).map(field).collect::<Vec<_>>()));
         assert!(none(&[]) && none(&frame[..100]));
-        // A tenth of the pixels is too few for windows, and pixels of a large image may be in its corners.
+        // Too few pixels have a point: a tenth at random, or a frame that fills only one corner of a large image.
         assert!(none(&seen(64, 48, 0.9, 9)));
         let mut corners = frame.clone();
         corners.push([40.0, 40.0, 1.0]);

@@ -56,7 +56,7 @@ pub struct PointsView<'a> {
     grid: Option<(usize, usize)>,
     /// The sensor's pose in the frame of the file, not relative to `origin_m`.
     pose: SensorPose,
-    /// The offset that is added to a result to return to the frame of the file.
+    /// The offset to add to a result to convert it back to the frame of the file.
     origin_m: DVec3,
     /// The offset that is subtracted from the positions. The origin of a [`PointCloud`] is not subtracted, because
     /// its positions are already relative to it.
@@ -116,7 +116,7 @@ impl<'a> PointsView<'a> {
         Self::from_bytes(bytemuck::cast_slice(points), layout, (points.len(), 1))
     }
 
-    /// Borrows points from bytes in any layout, which may be unaligned. (width, height) is the grid; a height of 1
+    /// Borrows points from bytes in any layout; the bytes may be unaligned. (width, height) is the grid; a height of 1
     /// means that there is no grid, as in ROS and PCL.
     pub fn from_bytes(
         bytes: &'a [u8],
@@ -241,7 +241,7 @@ impl<'a> PointsView<'a> {
     }
 
     pub(super) fn colours(&self) -> Option<Colours<'a>> {
-        // WebAssembly fills no holes.
+        // WebAssembly builds do not fill holes, so they need no colours.
         if ONE_THREAD { None } else { self.cloud.and_then(Colours::of_cloud) }
     }
 

@@ -21,8 +21,8 @@ pub enum RangeRule {
         /// is larger.
         pitch_at_1m: f64,
     },
-    /// The rule for an unknown sensor position: every point has the range at which the pixels of a Kinect v1 are as
-    /// far apart as these points, at most 5 m.
+    /// The rule for an unknown sensor position: every point is assigned the range at which the pixels of a Kinect v1
+    /// would be as far apart as these points, but at most 5 m.
     Constant {
         /// Distance between neighbouring points in metres.
         spacing_m: f64,

@@ -176,7 +176,8 @@ impl Sample<'_, '_> {
         quantile(pitches, 0.5)
     }
 
-    /// Collects the pairs of points in the sampled rows that are `columns` and `rows` apart.
+    /// Collects the pairs of points that are `columns` columns and `rows` rows apart, with the first point in a sampled
+    /// row.
     pub(super) fn neighbours(&self, pairs: &mut Vec<NeighbourPair>, [columns, rows]: [usize; 2]) {
         pairs.clear();
         let lag = columns + rows;

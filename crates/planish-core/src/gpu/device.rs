@@ -46,7 +46,7 @@ pub(super) enum Purpose {
 
 /// An open adapter.
 pub(super) struct OpenAdapter {
-    /// The devices: at least one, one per queue. They share one fault record.
+    /// The devices, one per queue; there is at least one. They share one fault record.
     pub(super) devices: Vec<Arc<GpuDevice>>,
 }
 

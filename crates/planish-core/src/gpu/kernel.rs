@@ -111,8 +111,8 @@ impl KernelKey {
         let keeps_results = pass == Pass::Smooth && cell > 1;
         let of_pixels = pass == Pass::Pixels || (cell > 1 && of_blocks);
         let reads_input = pass == Pass::of(params)[0] || of_pixels;
-        // Fields that the kernel does not depend on are normalized, so that settings that differ only in them share
-        // it.
+        // Fields that the kernel does not depend on are normalized, so that settings that differ only in these fields
+        // share the kernel.
         let kind = match kind {
             InputKind::DepthMetres if !reads_input => InputKind::Depth,
             kind => kind,

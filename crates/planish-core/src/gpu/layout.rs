@@ -87,8 +87,8 @@ impl InputKind {
     #[cfg(feature = "gpu")]
     pub(super) const ALL: [Self; 3] = [Self::Depth, Self::DepthMetres, Self::Points];
 
-    /// Returns the kind of samples as which a frame is uploaded. The host deprojects depth from a distorted lens,
-    /// which has one ray per pixel.
+    /// Returns the kind of samples that are uploaded for a frame. Depth from a distorted lens, which has one ray per
+    /// pixel, is deprojected by the host and uploaded as points.
     pub(super) fn of(frame: &Frame<'_>) -> Self {
         match frame {
             Frame::Depth(depth) if !depth.camera().distortion.is_none() => Self::Points,

@@ -12,7 +12,7 @@ pub(super) struct Mapped(Arc<Counts>);
 /// Number of buffers that are not mapped yet, and whether a mapping has failed.
 ///
 /// The callbacks that update it run on any thread that calls the device, possibly a little after another thread has
-/// seen the submission finish. A thread that needs the buffers therefore waits for the count.
+/// seen the submission finish. A thread that needs the buffers therefore waits until the count is 0.
 #[derive(Default)]
 struct Counts {
     missing: Mutex<(usize, bool)>,

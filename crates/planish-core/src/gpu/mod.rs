@@ -1,8 +1,8 @@
 //! The GPU engine: docs/method.md in f32, with one thread per pixel, on Vulkan, Metal or DirectX 12 through wgpu.
 //!
 //! For each combination of settings, a kernel ([`kernel`], shaders/*.wgsl, with the reference's stage names) computes
-//! the requested outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute its
-//! points and planes. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These modules are
+//! the requested outputs from depth or points. If blocks are averaged or edges kept, earlier kernels compute the points
+//! and planes that it reads. [`layout`] describes uploads ([`upload`]) and results ([`results`]). These modules are
 //! independent of wgpu: [`plan`] exports them to other WebGPU hosts, and [`cuda`] runs them in the memory of CUDA
 //! programs.
 //!

@@ -16,9 +16,9 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    /// Creates a curve over the box of a sample of the points, without stray points, extended on each side by half
-    /// the box's width. Points outside are moved to the border, which affects only the order. Also returns the box's
-    /// diagonal before the extension, in metres.
+    /// Creates a curve over the bounding box of a sample of the points, excluding stray points. The box is extended on
+    /// each side by half its width. Points outside are moved to the border, which affects only the order. Also returns
+    /// the box's diagonal before the extension, in metres.
     pub(super) fn of(raw: &[Vec<f32>; 3]) -> (Self, f64) {
         let middle = raw.each_ref().map(|values| middle(values.len(), |i| f64::from(values[i])).unwrap_or_default());
         let extent_m = middle.iter().map(|[low, high]| (high - low).powi(2)).sum::<f64>().sqrt();

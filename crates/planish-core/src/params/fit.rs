@@ -40,7 +40,7 @@ impl Fit {
     }
 }
 
-/// Implements the setters of [`Fit`]'s fields for a struct that has one.
+/// Implements the setters of [`Fit`]'s fields for a struct with a field `fit`.
 macro_rules! fit_setters {
     () => {
         /// Sets the highest degree of the polynomial, 1 to 3.

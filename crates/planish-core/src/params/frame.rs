@@ -9,7 +9,7 @@ use crate::sensor::SensorModel;
 
 /// Range in metres at which the noise of sensors is compared.
 const TUNED_RANGE_M: f64 = 1.5;
-/// Noise at a range of 1 m, in metres, below which a sensor needs no wide windows, because it is no larger than the
+/// Noise at a range of 1 m, in metres, below which a sensor needs no wide windows. Such noise is no larger than the
 /// rounding of depth to millimetres.
 const LITTLE_SIGMA_M: f64 = 3e-4;
 

@@ -1,4 +1,4 @@
-//! The parameters of both kinds of input.
+//! The parameters for either kind of input.
 
 use super::cloud::CloudParams;
 use super::frame::FrameParams;

@@ -1,7 +1,7 @@
 //! The parameters of the method: a struct for frames on a grid, one for unorganized clouds, and one shared by both.
 //!
-//! Parameters without effect on a kind of input are not fields of its type. Each default is written once, in the
-//! constructors of [`FrameParams`] and [`CloudParams`].
+//! A parameter without effect on a kind of input is not a field of that kind's struct. Each default is defined once, in
+//! the constructors of [`FrameParams`] and [`CloudParams`].
 
 mod cloud;
 mod engine;

@@ -50,8 +50,8 @@ impl Strength {
         WindowSize { half_width, stride: (stride.round() as u32).clamp(1, 8) }
     }
 
-    /// Returns the window for a sensor without noise: half widths of 2, 5 and 7 pixels at 0, 0.5 and 1, and whole
-    /// numbers in between.
+    /// Returns the window for a sensor without noise: half-widths of 2, 5 and 7 pixels at strengths 0, 0.5 and 1, and
+    /// whole numbers in between.
     pub(super) fn exact_window(self) -> WindowSize {
         let half_px = if self.0 < 0.5 { 2.0 + 6.0 * self.0 } else { 3.0 + 4.0 * self.0 };
         WindowSize { half_width: half_px.round() as u32, stride: 1 }

@@ -37,7 +37,7 @@ pub(super) const PLANE_REACH: f64 = 2.0;
 /// planes that are poorly determined by their points count as noisier.
 pub(super) const DOUBT_WEIGHT: f64 = 0.01;
 
-/// Minimum cosine of the angle of incidence. What looks like a steeper surface is a row of points far apart.
+/// Minimum cosine of the angle of incidence. An apparently steeper surface is only a row of points that are far apart.
 const MIN_INCIDENCE_COSINE: f64 = 0.05;
 /// Excess of the cosine over [`MIN_INCIDENCE_COSINE`] from which a plane counts fully.
 const COSINE_FADE: f64 = 0.01;

@@ -66,7 +66,7 @@ impl FirstPlane {
             let from_mean_m = to_plane_m - mean.dot(plane.normal);
             let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
             let weight = gate(offset) * (1.0 + residual / noise_squared).powi(-4);
-            // Normals on the opposite side to that of p's own plane are flipped.
+            // Normals that point the opposite way to that of p's own plane are flipped.
             let facing = (plane.normal.dot(own_plane.normal) / FACING_COSINE).clamp(-1.0, 1.0);
             normal += weight * facing * plane.normal;
             height_m += weight * facing * to_plane_m;

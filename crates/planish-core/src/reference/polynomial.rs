@@ -100,7 +100,7 @@ impl Polynomial {
 #[derive(Clone, Copy)]
 struct Fitting<'a> {
     plane: &'a Plane,
-    /// Bend of the paraboloid over the plane from which heights are measured, in 1/m.
+    /// Bend, in 1/m, of the paraboloid over the plane. Heights are measured from the paraboloid.
     bend: DMat3,
     /// Distance from the paraboloid, in metres, over which the weight of neighbours falls off.
     width_m: f64,

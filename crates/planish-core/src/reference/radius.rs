@@ -12,7 +12,7 @@ const MIN_RADIUS_M: f64 = 1e-12;
 pub(super) fn radius_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // Frames on a grid are never opened with this radius.
+        // `FrameRadius`, for frames on a grid, does not offer this radius.
         Radius::Neighbours { .. } => MIN_RADIUS_M,
         Radius::Sensor => {
             let reach_m = f64::from(params.window * params.stride) * spacing_m(geometry, p);

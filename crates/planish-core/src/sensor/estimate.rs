@@ -106,7 +106,7 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     }
     let measure = |samples: &[(f64, f64)]| {
         let range_m = median(&mut samples.iter().map(|&(range_m, _)| range_m).collect::<Vec<_>>());
-        // Relative to the squared range, so that ranges within the interval weigh alike.
+        // Values are divided by the squared range, so that all ranges within the interval have the same weight.
         let shares = samples.iter().map(|&(range_m, value_m)| value_m / (range_m * range_m));
         let share = typical(&mut shares.collect::<Vec<_>>());
         Interval { range_m, value_m: share * range_m * range_m, weight: (samples.len() as f64).sqrt() }
@@ -116,7 +116,7 @@ fn intervals(samples: &[(f64, f64)], min_samples: usize, typical: fn(&mut [f64])
     if found.is_empty() && !samples.is_empty() { vec![measure(samples)] } else { found }
 }
 
-/// Returns the polynomial with the fewest coefficients that fits the intervals, none of them negative. It tries c2
+/// Returns the polynomial with the fewest coefficients that fits the intervals; no coefficient is negative. It tries c2
 /// alone, c1 alone, c0 alone, pairs, and all three.
 fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
     let nearest = intervals.iter().map(|i| i.range_m).fold(f64::INFINITY, f64::min);
@@ -136,7 +136,7 @@ fn fit(intervals: &[Interval], max_at_1m: f64) -> Option<[f64; 3]> {
         }
     }
     let (coefficients, _) = best?;
-    // A frame of one wall at one depth has almost no gaps, and a frame of noise few distinct depths: bounds on the
+    // A frame of one wall at one depth has almost no gaps, and a frame of noise has few distinct depths. Bounds on the
     // coefficients keep both estimates usable.
     Some(coefficients.map(|c| c.min(max_at_1m)))
 }

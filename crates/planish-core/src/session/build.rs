@@ -55,14 +55,14 @@ impl Session {
         Self { devices, device: 0, ..self }
     }
 
-    /// Sets the index of the device that smooths frames one at a time, modulo the number of devices. For several
-    /// sessions that share a list of devices.
+    /// Sets the index of the device that smooths frames one at a time, modulo the number of devices. Use this if
+    /// several sessions share a list of devices.
     pub fn with_device(self, index: usize) -> Self {
         let device = if self.devices.is_empty() { 0 } else { index % self.devices.len() };
         Self { device, ..self }
     }
 
-    /// Adds an event for each doubt about a frame that was not reported before.
+    /// Adds an event for each new doubt about a frame.
     pub(super) fn doubt(&mut self, frame: Frame<'_>) {
         let camera = frame.camera().copied();
         // WebAssembly builds have no text for this doubt.

@@ -11,7 +11,7 @@ use crate::sensor::SensorModel;
 use crate::threads::ONE_THREAD;
 
 /// The parameters for an unorganized cloud, chosen by planish where the settings do not give them.
-/// [`Display`](fmt::Display) gives one line for a user.
+/// [`Display`](fmt::Display) formats them as one line for the user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -54,7 +54,7 @@ fn serialize_edges<S: serde::Serializer>(edges: &Edges, serializer: S) -> Result
     serializer.serialize_str(edges.name())
 }
 
-/// An estimate, choice or fault that a session reports. [`Display`](fmt::Display) gives one line for a user.
+/// An estimate, choice or fault that a session reports. [`Display`](fmt::Display) formats it as one line for the user.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {
@@ -75,9 +75,9 @@ pub enum SessionEvent {
     },
     /// The frame is implausible for a depth camera. It was smoothed anyway.
     Doubtful(Doubt),
-    /// The motion of the camera should be compensated over time, but no camera fits the points of the frames.
+    /// The motion of the camera cannot be compensated as requested, because no camera fits the points of the frames.
     CameraUnknown,
-    /// Holes should be filled, but the points are not on the pixels of a camera.
+    /// Holes cannot be filled as requested, because the points are not on the pixels of a camera.
     NotFilled,
     /// A cloud did not fit the GPU that `Auto` chose; clouds are smoothed on the CPU from now on.
     TooLargeForGpu {
@@ -124,7 +124,7 @@ impl fmt::Display for SessionEvent {
         match self {
             Self::SensorEstimated { sensor } => {
                 let SensorModel { step, sigma } = sensor;
-                write!(f, "estimated the sensor from the first frame: step {step:?}, sigma {sigma:?}")
+                write!(f, "estimated the sensor from a frame: step {step:?}, sigma {sigma:?}")
             }
             Self::NeighboursChosen(choice) => choice.fmt(f),
             Self::GridRebuilt { width, height } => {

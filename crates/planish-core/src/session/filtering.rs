@@ -36,8 +36,8 @@ pub(super) struct Filtering {
 }
 
 impl Filtering {
-    /// Smooths a result in place, and adds the outputs derived from others. Returns true if the motion of the camera
-    /// is needed but no camera fits the points, but only once per video.
+    /// Smooths a result in place, and adds the outputs derived from others. Returns true, at most once per video, if
+    /// the motion of the camera is needed but no camera fits the points.
     pub(super) fn filter(
         &mut self,
         sight: &Sight,
@@ -86,8 +86,8 @@ impl Begun {
         Ok(Self { sight, filter, threads, camera, has_no_camera: false, tracking, last_pose, motion })
     }
 
-    /// Finds the camera if its motion matters. Returns true if the motion is needed but no camera fits the points,
-    /// but only once per video.
+    /// Finds the camera if its motion matters. Returns true, at most once per video, if the motion is needed but no
+    /// camera fits the points.
     fn find_camera(&mut self, sight: &Sight, smoothed: &Smoothed) -> bool {
         let needs_camera = sight.is_tracked || sight.pose.is_some();
         if !needs_camera || self.camera.is_some() || self.has_no_camera {
@@ -97,7 +97,7 @@ impl Begun {
         self.camera = sight.camera.or_else(|| sight.camera_of(smoothed)).filter(|_| is_of_camera);
         let tracked = self.camera.filter(|_| sight.is_tracked);
         self.tracking = tracked.map(|camera| (Tracker::new(camera, sight.sensor), Surface::default()));
-        // A frame of holes shows no camera; the next one may.
+        // Whether a camera fits cannot be decided from a frame of holes; the next frame may have points.
         let has_points = smoothed.points.z().iter().any(|z| z.is_finite());
         self.has_no_camera = self.camera.is_none() && has_points;
         self.has_no_camera && (sight.is_tracked || !sight.is_pose_of_file)

@@ -24,7 +24,7 @@ pub(super) struct Finish {
     estimates_sigma: bool,
 }
 
-/// Access to the buffers and threads for finishing results. As a trait object that WebAssembly never creates, it
+/// Access to the buffers and threads for finishing results. WebAssembly builds never create this trait object, which
 /// keeps its code out of the module.
 pub(super) trait Finishing: Send {
     fn buffers(&mut self) -> &mut FinishBuffers;

@@ -35,7 +35,7 @@ impl Session {
         result.map(|()| true)
     }
 
-    /// Smooths a frame or cloud; a noisy cloud is smoothed after a first pass.
+    /// Smooths a frame or cloud; a noisy cloud gets a first pass beforehand.
     pub(super) fn smooth_in_passes(&mut self, frame: Frame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let points = match frame {
             Frame::Points(points) if self.smooth_first(frame)? => points,

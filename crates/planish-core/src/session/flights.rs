@@ -1,4 +1,4 @@
-//! The frames in flight of a session: submission, receipt, and smoothing again if their device is lost.
+//! The frames in flight of a session: how they are submitted, received, and smoothed again if their device is lost.
 
 use std::sync::Arc;
 
@@ -15,9 +15,9 @@ use crate::threads::ONE_THREAD;
 use crate::view::SmoothedView;
 
 impl Session {
-    /// Submits a frame; [`receive`](Self::receive) returns the results in the order of submission. If its device is
-    /// lost, the frame is smoothed again. Unorganized clouds in flight are smoothed in one pass, with the parameters
-    /// of [`Settings::cloud_params`](crate::Settings::cloud_params).
+    /// Submits a frame; [`receive`](Self::receive) returns the results in the order of submission. If a device is lost,
+    /// its frames are smoothed again. Unorganized clouds in flight are smoothed in one pass, with the parameters of
+    /// [`Settings::cloud_params`](crate::Settings::cloud_params).
     ///
     /// # Errors
     /// If the maximum number of frames is in flight, the frame is malformed, or the engine fails and no other may
@@ -79,8 +79,8 @@ impl Session {
         ParamError { field, value, allowed }
     }
 
-    /// Opens the smoother or fleet for this frame among others in flight. Unorganized clouds are not examined: a new
-    /// number of neighbours would reopen the engine, after waiting for all frames in flight.
+    /// Opens the smoother or fleet for a frame in flight. Unorganized clouds are not examined, because a new number of
+    /// neighbours would reopen the engine after waiting for all frames in flight.
     fn open_in_flight<'a>(&mut self, frame: Frame<'a>, uses_fleet: bool) -> Result<AdmittedFrame<'a>, Error> {
         if self.to_space_evenly(frame).is_some() {
             let allowed = "only for clouds that are smoothed one by one, not for streams or rigs";
@@ -186,7 +186,7 @@ impl Session {
                 self.as_submitted(&before, |session| session.submit_now(&frame, Smoothed::default()));
             let finish = self.to_finish(frame.frame()?);
             self.options.outputs = outputs_now;
-            // The new engine may not smooth over time, so that the session must.
+            // If the new engine does not smooth over time, the session must do so.
             if let Some(pending) = self.pending.get_mut(self.ready.len()) {
                 (pending.on_receipt, pending.finish) = (on_receipt, finish);
             }

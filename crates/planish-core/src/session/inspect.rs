@@ -27,8 +27,8 @@ impl Session {
         self.estimated
     }
 
-    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use; `None` if
-    /// no such step is set.
+    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use. The sensor
+    /// is `None` if no such step is set.
     ///
     /// # Errors
     /// Same as [`Settings::resolve`](crate::Settings::resolve).
@@ -51,14 +51,14 @@ impl Session {
         self.cloud_estimate
     }
 
-    /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, and
-    /// after other frames.
+    /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, or if
+    /// the last frame was of another kind.
     pub fn cloud_choice(&self) -> Option<CloudChoice> {
         self.cloud_choice
     }
 
     /// Returns the width and height of the grid that was rebuilt for the last cloud; `None` if the cloud stayed
-    /// unorganized, and for frames.
+    /// unorganized, or if a frame on a grid followed.
     pub fn rebuilt_grid(&self) -> Option<(usize, usize)> {
         self.lattice.as_ref().map(Lattice::shape)
     }

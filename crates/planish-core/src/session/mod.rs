@@ -377,7 +377,7 @@ impl Session {
             let open = Open::new(wanted, devices)?;
             self.open = Some(open);
             self.video.leave_device();
-            // Finishing the frames in flight may have opened the engine for other frames, which overwrites this
+            // Finishing the frames in flight may have opened the engine for other frames, and so overwritten this
             // state.
             if !ONE_THREAD {
                 self.doubt(frame);
@@ -471,7 +471,7 @@ impl Session {
     }
 }
 
-/// Smooths one frame or cloud with an engine opened for this call. For several frames use a [`Session`].
+/// Smooths one frame or cloud with an engine opened for this call. To smooth several frames, use a [`Session`].
 ///
 /// ```
 /// use planish::{Camera, DepthView, Settings};

@@ -171,7 +171,7 @@ impl Open {
     }
 }
 
-/// Returns the process ID. In WebAssembly, where the standard library panics, returns a constant.
+/// Returns the process ID. In WebAssembly, where the standard library's function panics, returns a constant.
 pub(super) fn process_id() -> u32 {
     if cfg!(target_family = "wasm") { 0 } else { std::process::id() }
 }

@@ -53,7 +53,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Removes the requested buffers from a result.
+    /// Takes the buffers out of a result, and keeps only the requested ones.
     fn of(smoothed: &mut Smoothed, outputs: Outputs) -> Self {
         let (depth, frames) = (smoothed.depth.take(), smoothed.frames.take());
         Self { depth: depth.filter(|_| outputs.depth), frames: frames.filter(|_| outputs.frames) }
@@ -118,8 +118,7 @@ impl Session {
         }
     }
 
-    /// Returns the video of the last examined frame, for an engine that may smooth it over time itself; otherwise
-    /// `None`.
+    /// Returns the video of the last examined frame, if an engine may smooth it over time itself; otherwise `None`.
     pub(super) fn video_of_engine(&self, options: &SmootherOptions, uses_fleet: bool) -> Option<Video> {
         if ONE_THREAD {
             return None;
@@ -149,8 +148,8 @@ impl Session {
         self.sight.filter(|_| !self.is_over_time_on_device())
     }
 
-    /// If the session is to smooth the result over time, stores the buffers that engines do not fill until the result
-    /// is received.
+    /// If the session is to smooth the result over time, sets aside the buffers that engines do not fill. They are kept
+    /// until the result is received.
     pub(super) fn keep_buffers(&mut self, buffer: &mut Smoothed) {
         if ONE_THREAD {
             return;
@@ -186,7 +185,7 @@ impl Session {
     /// Returns the smoothing over time that the last submitted frame needs when it is received.
     pub(super) fn on_receipt(&self) -> OnReceipt {
         match (self.sight, self.is_over_time_on_device()) {
-            // Settings for videos are refused in a browser, to keep its module small.
+            // Settings for videos are refused in a browser, to keep the WebAssembly module small.
             _ if ONE_THREAD => OnReceipt::Nothing,
             (None, _) => OnReceipt::Nothing,
             (Some(sight), false) => OnReceipt::Filter(sight),

@@ -9,9 +9,9 @@ use crate::sensor::SensorModel;
 use crate::settings::{SensorChoice, Settings};
 
 impl Session {
-    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use; `None` if
-    /// no such step is set. Estimates values that the settings do not give, and reports each new estimate as an
-    /// event.
+    /// Returns the parameters for a frame, and the sensor whose noise model the steps before smoothing use. The sensor
+    /// is `None` if no such step is set. Estimates values that the settings do not give, and reports each new estimate
+    /// as an event.
     pub(super) fn resolve(&mut self, frame: Frame<'_>) -> Result<(Params, Option<SensorModel>), Error> {
         if let Some(params) = self.is_first {
             return Ok((params.into(), None));

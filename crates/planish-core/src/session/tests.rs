@@ -204,7 +204,7 @@ fn noisy_shape(is_cube: bool, count: usize, noise_m: f32) -> Vec<[f32; 3]> {
     let mut point = || {
         let p = [(); 3].map(|()| 2.0 * random.next() - 1.0);
         let normal = [(); 3].map(|()| (0..12).map(|_| random.next()).sum::<f32>() - 6.0);
-        // Normal deviates in three directions point to a uniform place on the sphere.
+        // A vector of three normal deviates has a uniformly distributed direction.
         let length = normal.map(|x| x * x).iter().sum::<f32>().sqrt();
         let on_sphere = normal.map(|x| x / length);
         let face = (3.0 * random.next()) as usize;

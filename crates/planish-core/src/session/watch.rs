@@ -13,8 +13,8 @@ impl ProgressWatch {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = progress;
     }
 
-    /// Returns the progress of the open engine; `None` if no engine is open, or if its frames are too short for it to
-    /// report progress.
+    /// Returns the progress of the open engine; `None` if no engine is open, or if the engine smooths frames too
+    /// quickly to report progress.
     pub fn progress(&self) -> Option<Arc<Progress>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }

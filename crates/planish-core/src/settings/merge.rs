@@ -1,4 +1,4 @@
-//! Merging of settings, such as options over those of a file.
+//! Merging of settings: for example, command-line options override the settings in a file.
 
 use super::{Settings, TemporalChoice};
 use crate::engines::Engine;

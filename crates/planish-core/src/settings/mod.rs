@@ -66,7 +66,7 @@ pub struct Settings {
     pub max_range_m: Option<f32>,
     /// Side in pixels of the blocks that become one pixel each before smoothing, 2 to 8.
     pub decimate: Option<u32>,
-    /// Maximum width in pixels of holes that are filled with the surface around them, and flagged, 1 to 64 [default:
+    /// Maximum width in pixels, 1 to 64, of holes that are filled with the surface around them and flagged [default:
     /// none]. Only for frames of a camera.
     pub fill: Option<u32>,
     /// Whether isolated points of unorganized clouds become holes [default: no].
@@ -83,7 +83,7 @@ pub struct Settings {
     /// Number of neighbours of a point in an unorganized cloud, 6 to 1000, instead of a radius [default: chosen by
     /// the cloud's noise and shape].
     pub neighbours: Option<u32>,
-    /// Number of passes over an unorganized cloud, 1 or 2. The first of two passes has 20 neighbours, which helps if
+    /// Number of passes over an unorganized cloud, 1 or 2. The first of two passes uses 20 neighbours, which helps if
     /// the noise exceeds half the spacing of the points [default: chosen from the noise; 1 if a radius or a number of
     /// neighbours is given].
     pub passes: Option<u32>,
@@ -93,9 +93,9 @@ pub struct Settings {
     /// to 1.5 standard deviations of the noise [default: no]. Not for frames in flight, files smoothed in tiles, or
     /// WebAssembly. Normals and curvature are not recomputed.
     pub even: Option<bool>,
-    /// Smoothing over time for the video of one camera, in the order in which the session receives the frames
-    /// [default: off]. The camera is stationary, or its motion is tracked or given. Not for unorganized clouds, rigs
-    /// or WebAssembly.
+    /// Smoothing over time for the video of one camera, in the order in which the session receives the frames [default:
+    /// off]. The camera must be stationary, or its motion tracked or given. Not for unorganized clouds, rigs or
+    /// WebAssembly.
     pub temporal: Option<TemporalChoice>,
     /// Whether the motion of the camera is estimated from frame to frame and compensated [default: no]. Enables
     /// smoothing over time. Needs the camera's intrinsics, which must be given unless they follow from organized
@@ -392,7 +392,7 @@ impl Settings {
         }
     }
 
-    /// Returns the devices that share the frames; empty if the setting `devices` is not given, so that one device is
+    /// Returns the devices that share the frames; empty if the setting `devices` is not given. A single device is then
     /// used.
     ///
     /// # Errors

@@ -73,8 +73,8 @@ impl Settings {
         self.cloud_params_by(None)
     }
 
-    /// Returns the parameters for a cloud with this estimate. The preset light halves the estimated number of
-    /// neighbours, strong doubles it.
+    /// Returns the parameters for a cloud with this estimate. The preset `light` halves the estimated number of
+    /// neighbours, and `strong` doubles it.
     ///
     /// # Errors
     /// Same as [`cloud_params`](Self::cloud_params).

@@ -5,10 +5,10 @@ pub(crate) const HALF_PX: usize = 4;
 /// Maximum absolute residual in standard deviations; larger residuals are clamped, so that a floating pixel does not
 /// count as noise.
 pub(crate) const CLIP: f32 = 6.0;
-/// Minimum deviation of residuals, as a share of the sensor's deviation: points have an error even where all pixels
-/// have the same raw value.
+/// Minimum deviation of residuals, as a share of the sensor's deviation, so that points have an error even where all
+/// pixels have the same raw value.
 pub(crate) const LEAST_DEVIATION: f32 = 0.1;
-/// Minimum standard deviation of the sensor in metres: points have an error even if the sensor is exact.
+/// Minimum standard deviation of the sensor in metres, so that points have an error even if the sensor is exact.
 pub(crate) const LEAST_DEVIATION_M: f32 = 1e-5;
 /// Maximum lag of the correlation, in pixels.
 pub(crate) const MOST_LAG_PX: usize = 6;

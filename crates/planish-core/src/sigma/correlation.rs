@@ -11,8 +11,8 @@ const PARTS: usize = 16;
 /// pairs of pixels.
 type Sums = [[[f64; 2]; MOST_LAG_PX]; 2];
 
-/// Returns the correlation area in pixels, A of (17.3) in docs/method.md: the number of pixels whose noise counts as
-/// that of one pixel.
+/// Returns the correlation area in pixels, A of (17.3) in docs/method.md: the number of pixels whose correlated noise
+/// counts as that of one pixel.
 pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usize)) -> f64 {
     let of_row = |v: usize| -> Sums {
         let row = |v: usize| [&values[v * width..(v + 1) * width], &counts[v * width..(v + 1) * width]];
@@ -40,7 +40,8 @@ pub(super) fn area(values: &[f32], counts: &[f32], (width, height): (usize, usiz
     along(0) * along(1)
 }
 
-/// Returns the sum of the products of two rows, and of their mean squares where both count.
+/// Returns the sum of the products of two rows' values, and the sum of their mean squares over the pixels that count in
+/// both rows.
 fn sums([a, a_counts]: [&[f32]; 2], [b, b_counts]: [&[f32]; 2]) -> [f64; 2] {
     let (mut products, mut squares) = ([0.0f32; PARTS], [0.0f32; PARTS]);
     let mut add = |k: usize, (a, b): (f32, f32), counts: f32| {

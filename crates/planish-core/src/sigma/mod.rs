@@ -138,7 +138,7 @@ impl Sigma {
     }
 }
 
-/// Factors from residuals to standard errors, as far as they depend only on the smoothing parameters.
+/// Factors that convert residuals to standard errors and depend only on the smoothing parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ErrorScale {
     /// Ratio of the standard error to the deviation of the residuals, for one neighbour and a correlation area of one

@@ -34,8 +34,8 @@ pub(crate) const LEAK: f32 = 0.25;
 /// Rate at which the variance of a tile, or of a pixel with the maximum number of frames, approaches the learnt
 /// value, as a share of the difference per frame.
 pub(crate) const LEARN: f32 = 1.0 / 16.0;
-/// Ratio of the learnt variance to the squared difference between the mean change and the bias, which is limited to
-/// three deviations.
+/// Ratio of the learnt variance to the squared difference between the mean change and the bias. The difference is
+/// limited to three deviations.
 pub(crate) const LEARNT: f32 = 0.875;
 /// Minimum variance of the mean change around a pixel, in squared sigmas.
 pub(crate) const LEAST_VARIANCE: f32 = 0.04;
@@ -74,10 +74,11 @@ pub(crate) const TILE_BIAS: f32 = 1.5;
 pub(crate) const PERSISTENT: f32 = 0.55;
 /// Ratio of the median bias of all tiles to their median change above which changes are not learnt as noise.
 pub(crate) const PERSISTENT_NOISE: f32 = 0.5;
-/// Distance between the tiles of a pair, in tiles. Their noise is independent, because windows are narrower.
+/// Distance between the tiles of a pair, in tiles. At this distance, their noise is independent, because windows are
+/// narrower.
 pub(crate) const PAIR: usize = 3;
-/// Share of the pairs of tiles that change alike, in excess of 0.5, that halves all weights. Noise gives at most
-/// 0.05, a moving camera up to 0.4.
+/// Excess over 0.5, in the share of the pairs of tiles that change alike, at which all weights are halved. Noise gives
+/// at most 0.05, a moving camera up to 0.4.
 pub(crate) const AGREEING: f32 = 0.12;
 /// Share of the pairs of tiles that change alike above which changes are not learnt as noise.
 pub(crate) const AGREEING_NOISE: f32 = 0.58;

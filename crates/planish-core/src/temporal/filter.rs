@@ -21,8 +21,9 @@ const CALM_TO_HOLD: f32 = 13.0;
 /// Smooths the depth of a video over time, frame by frame (docs/method.md, section 16).
 ///
 /// Each pixel becomes a mean of up to [`TemporalParams::frames`] frames. Fewer frames are averaged where the scene
-/// changes, so only objects just above their background leave short trails. Use one filter per stationary camera; a
-/// frame of another shape resets it. Smooth every frame in space first: the test for changes relies on it.
+/// changes, so only objects that are barely in front of their background leave trails, and those are short. Use one
+/// filter per stationary camera; a frame of another shape resets it. Smooth every frame in space first: the test for
+/// changes relies on it.
 ///
 /// ```
 /// use planish::{SensorModel, TemporalFilter, TemporalParams};

@@ -232,7 +232,7 @@ fn solve(level: Level, matches: &[Match], scale: f64) -> Option<RigidTransform> 
         sums.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
         sums
     });
-    // Row `a` of the upper triangle begins after the a longer rows above it.
+    // Row `a` of the upper triangle begins after the `a` longer rows above it.
     let entry = |a: usize, b: usize| sums[a * 6 - a * (a + 1) / 2 + b];
     let information: [[f64; 6]; 6] = std::array::from_fn(|a| std::array::from_fn(|b| entry(a.min(b), a.max(b))));
     let (values, vectors) = symmetric_eigen_of(information);

@@ -49,8 +49,8 @@ pub struct RangeReport {
     pub normal_median_deg: f64,
     /// Share of normals less than 10° from the true normal.
     pub normal_under_10_deg: f64,
-    /// Mean angle between the facets spanned by adjacent pixels and the true surface, in degrees. It is visible in
-    /// meshes and shaded renderings.
+    /// Mean angle between the facets spanned by adjacent pixels and the true surface, in degrees. This error is visible
+    /// in meshes and shaded renderings.
     pub facet_mean_deg: f64,
     /// 95th percentile of the angle between the facets and the true surface, in degrees.
     pub facet_95_deg: f64,

@@ -1,4 +1,5 @@
-//! Scenes of simple shapes and their noise-free images. Metres; world and camera axes are x right, y down, z forward.
+//! Scenes of simple shapes and their noise-free images. Lengths are in metres. World and camera axes are x right, y
+//! down, z forward.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -197,7 +198,7 @@ impl Pose {
         (self.world_from_camera * DVec3::from(point_m) + self.position).to_array()
     }
 
-    /// Converts to the pose type used by clouds and rigs, whose frame is then the world.
+    /// Converts to the pose type used by clouds and rigs; their frame is then the world's.
     ///
     /// # Errors
     /// If the matrix is not a rotation, or the position is not finite.

@@ -30,7 +30,7 @@ impl Scene {
                 axes: DMat3::from_rotation_y(random.between(-0.1, 0.1)).to_cols_array_2d(),
             },
         ];
-        // One object per cell of a 4 x 2 grid, so that they neither touch nor occlude each other much.
+        // One object per cell of a 4 x 2 grid, so that objects do not touch and hardly occlude each other.
         for cell in 0..8 {
             let x = -0.45 + 0.3 * f64::from(cell % 4) + random.between(-0.05, 0.05);
             let z = 0.85 + 0.32 * f64::from(cell / 4) + random.between(-0.05, 0.05);

@@ -286,7 +286,7 @@ impl FirstPlanes {
         let voting = Voting { measured, here, p, to_mean: mean.sub(p), per_variance: one / (noise * noise), gate };
         let mut plane = self.plane(simd, here);
         let count = self.count(simd, here);
-        // The values of holes and of points on a line are arbitrary.
+        // The planes stored for holes and for points on a line are arbitrary.
         let has_plane = valid & count.simd_ge(splat(simd, 3.0));
         let vote = self.vote(simd, &voting);
         let own_normal = plane.normal.scale(splat(simd, OWN_NORMAL_WEIGHT));

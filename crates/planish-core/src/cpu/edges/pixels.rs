@@ -35,21 +35,21 @@ const DEGENERATE: f32 = 2.0;
 /// Code of the status `Plane`, the smallest code of a status with a normal.
 const PLANE: f32 = 3.0;
 
-/// Offsets of the cells around a pixel from the pixel's own cell, along an axis, and their shares, which fall
-/// linearly to 0 at four pixels. The first entry is for a pixel at the start of its cell, the second for one at the
-/// end.
+/// The cells around a pixel along an axis: each cell's offset from the pixel's own cell, and its share, which falls
+/// linearly to 0 at a distance of four pixels. The first entry is for a pixel at the start of its cell, the second for
+/// one at the end.
 const SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 0.5), (0, 1.0), (1, 0.5)], &[(-1, 0.25), (0, 0.75), (1, 0.75), (2, 0.25)]];
-/// Like [`SHARES`], for finding the surface of the pixel's point: the shares fall to 0 at three pixels.
+/// Like [`SHARES`], for finding the surface of the pixel's point: the shares fall to 0 at a distance of three pixels.
 const FIND_SHARES: [&[(isize, f32)]; CELL_PX] =
     [&[(-1, 1.0 / 3.0), (0, 1.0), (1, 1.0 / 3.0)], &[(0, 2.0 / 3.0), (1, 2.0 / 3.0)]];
 /// Sum of the products of row and column [`SHARES`].
 const ALL_SHARES: f32 = 4.0;
-/// Like [`SHARES`], for averaging block means: the shares fall to 0 at two pixels.
+/// Like [`SHARES`], for averaging block means: the shares fall to 0 at a distance of two pixels.
 const MEAN_SHARES: [&[(isize, f32)]; CELL_PX] = [&[(0, 1.0)], &[(0, 0.5), (1, 0.5)]];
 
 impl SurfaceRows<'_> {
-    /// Replaces the vector of surfaces that starts at column u of row `row` in this band with results.
+    /// Stores results in place of the vector of surfaces that starts at column u of row `row` in this band.
     #[inline(always)]
     pub(in crate::cpu) fn keep<S: Simd>(
         &mut self,
@@ -71,7 +71,7 @@ impl SurfaceRows<'_> {
         self.store::<S>(CURVATURE, at, surface.plane.curvature);
     }
 
-    /// Replaces the vector of surfaces that starts at column u of row `row` in this band with holes.
+    /// Stores holes in place of the vector of surfaces that starts at column u of row `row` in this band.
     #[inline(always)]
     pub(in crate::cpu) fn keep_holes<S: Simd>(&mut self, simd: S, (u, row): (usize, usize)) {
         let at = self.index(row, u);
@@ -155,9 +155,9 @@ impl<S: Simd> PixelResults<S> {
     }
 }
 
-/// Returns the results of a vector of pixels in row v, one per cell, that starts at cell column u. `column` selects
+/// Returns the results of a vector of pixels in row v, one pixel per cell, starting at cell column u. `column` selects
 /// the first (0) or second (1) column of each cell.
-// Inlining propagates the constant `column`; web builds do not inline, because one copy is smaller.
+// Inlining propagates the constant `column`; web builds do not inline it, because a single copy is smaller.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn result_of_column<S: Simd>(

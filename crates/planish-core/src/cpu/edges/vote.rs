@@ -75,7 +75,7 @@ impl FirstPlanes {
         vote
     }
 
-    /// Returns the degree to which no plane fits: from 0, if the planes fit or hardly turn, to 1.
+    /// Returns the degree to which no plane fits: from 0, if the planes fit or their normals hardly differ, to 1.
     #[inline(always)]
     pub(super) fn no_plane_fits<S: Simd>(&self, simd: S, voting: &Voting<'_, S>, vote: &Vote<S>) -> S::f32s {
         let zero = splat(simd, 0.0);
@@ -85,7 +85,7 @@ impl FirstPlanes {
         if lacks.any_true() { lacking * self.turning(simd, voting.here, vote) } else { zero }
     }
 
-    /// Returns the degree to which the normals of the planes around points turn or planes are missing, from 0 to 1.
+    /// Returns the degree, from 0 to 1, to which the planes around points have different normals or are missing.
     #[inline(never)]
     fn turning<S: Simd>(&self, simd: S, here: usize, vote: &Vote<S>) -> S::f32s {
         simd.vectorize(

@@ -28,8 +28,8 @@ const LEAST_MOTION: f64 = 1e-4;
 const SAMPLE: usize = 2000;
 /// Minimum ratio of the mean radius to the RMS motion for neighbourhoods to count as wider than the noise.
 const CLEAR_RATIO: f64 = 3.2;
-/// Rise of the ratio of mean radius to RMS motion over its smallest value so far, as a factor, from which
-/// neighbourhoods also count as wider than the noise.
+/// Neighbourhoods also count as wider than the noise if the ratio of the mean radius to the RMS motion is at least this
+/// many times its smallest value so far.
 const CLEAR_RISE: f64 = 1.2;
 /// Number of coefficients of the polynomial: with K neighbours, the fit follows 6/K of the noise's variance.
 const COEFFICIENTS: f64 = 6.0;
@@ -48,14 +48,13 @@ const REACH: f32 = 12.0;
 /// Reduction of the mean square error, in standard errors, above which a smoothing counts as better than another.
 const SURE: f64 = 1.0;
 
-/// Shortfall of the kurtosis of the held-out points' distances below 3, the kurtosis of noise, above which the two
-/// sides of a wall count as merged.
+/// The two sides of a wall count as merged if the kurtosis of the held-out points' distances is below 3, the kurtosis
+/// of noise, by more than this and by more than [`FLAT_ERRORS`].
 const FLAT: f64 = 0.35;
-/// Shortfall of the kurtosis of the held-out points' distances below 3, in standard errors, above which the two sides
-/// of a wall count as merged.
+/// Counterpart of [`FLAT`] in standard errors of the kurtosis.
 const FLAT_ERRORS: f64 = 3.0;
-/// Ratio of the mean square distance with fewer neighbours to the smallest so far below which the fewer neighbours
-/// are chosen, to keep the sides of walls apart.
+/// Fewer neighbours are chosen, to keep the sides of walls apart, if the mean square distance with them is below this
+/// share of the smallest so far.
 const MUCH_LESS: f64 = 2.0 / 3.0;
 
 /// The estimated noise of an unorganized cloud, and the smoothing parameters that suit its noise and shape.
@@ -66,8 +65,8 @@ pub struct CloudEstimate {
     pub neighbours: u32,
     /// The edge handling: edges are kept if that reduces the error at held-out points.
     pub edges: Edges,
-    /// The number of neighbours of a first pass; `None` for a single pass. Noisy clouds need a first pass because
-    /// their points are too far from the surface to find all its detail at once.
+    /// The number of neighbours of a first pass; `None` for a single pass. Noisy clouds need a first pass because their
+    /// points are so far from the surface that a single pass cannot find all its detail.
     pub first_neighbours: Option<u32>,
     /// The standard deviation of the points across their surface, in metres.
     pub noise_m: f32,
@@ -280,8 +279,8 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the misses are distributed more evenly than noise, as from a surface between the two sides of
-    /// a wall.
+    /// Returns true if the misses are distributed more evenly than noise, as they are if the surface is between the two
+    /// sides of a wall.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);

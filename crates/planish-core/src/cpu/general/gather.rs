@@ -17,7 +17,7 @@ const LANES: [u32; LEAF] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15
 /// Copies of the candidates of a vector of points.
 #[derive(Default)]
 pub(super) struct Gathered {
-    /// Points of leaves that are fully within the gate of every lane, so that no gate is applied.
+    /// Points of leaves that are fully within the gate of every lane, so they need no gate.
     whole: Copied,
     /// Sums over the points of each leaf in `whole`.
     moments: Vec<LeafMoments>,

@@ -38,7 +38,7 @@ impl Miss {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FirstPass {
     pub(super) neighbours: u32,
-    /// Distance, in metres, around the leaves with held-out points within which points are smoothed.
+    /// Distance from the leaves with held-out points, in metres, within which other points are smoothed.
     pub(super) reach_m: f32,
 }
 
@@ -113,7 +113,7 @@ impl HeldOut {
         places.map(|place| smoothed[place / LEAF - first].on_surface(place % LEAF)).collect()
     }
 
-    /// Returns the squared distances of each held-out point, as measured, from its surface when smoothed with `way`.
+    /// Returns the squared distances between each held-out point, as measured, and its surface, as smoothed with `way`.
     pub(super) fn misses(&self, way: Way) -> Vec<Miss> {
         self.smoothed(way).iter().zip(&self.measured).map(|(surface, measured)| Miss::of(surface, *measured)).collect()
     }

@@ -47,7 +47,7 @@ impl Kernel<'_> {
         let outer = valid.select(radius * splat(simd, (1.0 + 0.5 / GATE_FADE).sqrt()), splat(simd, f32::NAN));
         let inner = match self.radii {
             Radii::Fixed(_) | Radii::Known(_) => radius * splat(simd, 0.999 * (1.0 - 0.5 / GATE_FADE).sqrt()),
-            // The limited radius is known only after the candidates were gathered.
+            // The limited radius is known only after the candidates have been gathered.
             Radii::Of(_) => splat(simd, 0.0),
         };
         gathered.fill(simd, self.index, p, Reach { outer, inner });

@@ -21,8 +21,7 @@ use crate::smoothed::Smoothed;
 use crate::threads::ONE_THREAD;
 use crate::xyz::Xyz;
 
-/// Interval between those leaves around the smoothed leaves in which first planes are fitted; it suffices for a
-/// comparison.
+/// First planes are fitted in one of this many leaves around the smoothed leaves, which suffices for a comparison.
 const ONE_LEAF_IN: usize = 4;
 /// Distance within which first planes are fitted, in radii: slightly more than the distance within which planes vote.
 const PLANES_REACH: f32 = 2.04;

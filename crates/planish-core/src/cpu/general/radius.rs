@@ -36,7 +36,7 @@ impl SplitRows for RadiusRows<'_> {
 /// Target density of a radius.
 #[derive(Clone, Copy)]
 pub(super) struct Density {
-    /// Half the number of neighbours within the radius on evenly spread points.
+    /// Half the number of neighbours that evenly spread points would have within the radius.
     pub(super) half: f32,
     /// Maximum radius, in metres.
     pub(super) largest_m: f32,
@@ -97,7 +97,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
         let radius = radius.min(splat(simd, density.largest_m));
         radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
         let lanes = &radius.as_slice()[..S::f32s::LEN.min(index.len() - place)];
-        // Ignore lanes far from all others: they are a poor estimate for the next vector.
+        // Ignore lanes with much larger radii than the smallest: they are a poor estimate for the next vector.
         let least = lanes.iter().copied().fold(f32::INFINITY, f32::min);
         let ordinary = lanes.iter().copied().filter(|radius| *radius <= 2.0 * least);
         last_m = Some(ordinary.fold(least, f32::max));
@@ -145,7 +145,7 @@ fn radii_within<S: Simd>(
     let (mut n, mut sum) = within(simd, squares, guess * guess);
     let mut enough: Mask<S> = n.simd_gt(half) & (sum / (n - half)).simd_le(furthest);
     if !enough.all_true() {
-        // No step leads from the guess to a radius within reach: start from the reach.
+        // In lanes in which no step leads from the guess to a radius within reach, start from the reach.
         let (all, total) = within(simd, squares, furthest);
         (n, sum) = (enough.select(n, all), enough.select(sum, total));
         enough |= ((all - half) * furthest).simd_ge(total);

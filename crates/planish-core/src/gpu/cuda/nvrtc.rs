@@ -171,5 +171,5 @@ impl Drop for Held<'_> {
 }
 
 fn check(code: c_int, what: &str) -> Result<(), String> {
-    if code == 0 { Ok(()) } else { Err(format!("{what}: NVRTC's error {code}")) }
+    if code == 0 { Ok(()) } else { Err(format!("{what}: NVRTC error {code}")) }
 }

@@ -1,5 +1,5 @@
 //! Translates a kernel to CUDA C++. naga translates WGSL to Metal's C++, and `metal.cuh` defines Metal's names for
-//! CUDA's compiler. The translation here covers the entry point, the suffixes of float literals, and constants.
+//! CUDA's compiler. This module adapts only the entry point, the suffixes of float literals, and constants.
 
 use std::fmt::Write;
 
@@ -57,7 +57,7 @@ pub(super) fn translate(wgsl: &str) -> Result<CudaSource, String> {
 
 /// Translates naga's Metal output to CUDA C++.
 fn of_metal(metal: &str, threads: [u32; 2]) -> Result<CudaSource, String> {
-    let unknown = |what: &str| format!("naga's Metal is not as expected: {what}");
+    let unknown = |what: &str| format!("naga generated unexpected Metal code: {what}");
     let (before, entry) = metal.split_once("kernel void ").ok_or_else(|| unknown("no kernel"))?;
     let (name, entry) = entry.split_once('(').ok_or_else(|| unknown("a kernel without parameters"))?;
     let (parameters, body) = entry.split_once("\n) {").ok_or_else(|| unknown("parameters without an end"))?;

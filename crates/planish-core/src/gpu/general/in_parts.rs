@@ -24,9 +24,9 @@ use crate::xyz::Xyz;
 
 /// Maximum share of a usual part's points that may reach beyond the halo before the halo is widened.
 const MAY_REACH_BEYOND: f64 = 0.01;
-/// Number of points beyond their halo that are recomputed together, unless [`FAR_SHARE`] gives a larger number.
+/// Number of points reaching beyond their halo that are recomputed together, unless [`FAR_SHARE`] gives more.
 const FAR_TOGETHER: usize = 64;
-/// Ratio of a usual part's points to the points beyond their halo that are recomputed together.
+/// Ratio of a usual part's points to the points reaching beyond their halo that are recomputed together.
 const FAR_SHARE: usize = 1024;
 /// Maximum number of runs per part of the initial division. Clouds that need more are left to other engines; scans
 /// need about four.
@@ -43,8 +43,8 @@ const MOST_WIDENING: f64 = 4.0;
 const SURELY_TOO_MANY: f64 = 2.0;
 /// Width in metres below which a halo is not narrowed further: points closer than this count as coincident.
 const LEAST_HALO_M: f64 = 1e-9;
-/// Ratio of a usual part's points to those of the largest small part. A small part's halo is narrowed instead of
-/// dividing the part further.
+/// Ratio of a usual part's points to those of the largest small part. A small part is not divided further; its halo is
+/// narrowed instead.
 const SMALL: usize = 64;
 /// Factor by which the halo of one point or of a small part is narrowed if it holds too many points.
 const NARROWER: f64 = 0.7;

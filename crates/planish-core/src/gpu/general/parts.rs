@@ -141,8 +141,8 @@ impl Parts {
         most as f64 * count as f64 / sample.len().max(1) as f64
     }
 
-    /// Writes the points of a part to `to`, then the points of its halo. Returns false if these are more than `most`
-    /// points.
+    /// Writes the points of a part to `to`, then the points of its halo. Returns false if there are more than `most`
+    /// points in total.
     ///
     /// `part` may be one of these parts or contain any subset of their points.
     pub(super) fn gather(&self, part: &Part, halo_m: f64, most: usize, to: &mut Xyz) -> bool {

@@ -223,7 +223,7 @@ impl Pass {
                 let _ = writeln!(text, "const DEGREE: u32 = {}u;", params.degree);
                 let _ = writeln!(text, "const KEEPS_EDGES: bool = {keeps_edges};");
                 let _ = writeln!(text, "const KEEPS_RESULTS: bool = false;");
-                // Only the surfaces of frames bend (docs/method.md, section 10).
+                // Bends are estimated only for frames (docs/method.md, section 10).
                 let _ = writeln!(text, "const BENDS: bool = false;");
                 text += shader!("../shaders/plane.wgsl");
                 text += shader!("../shaders/general/neighbours.wgsl");

@@ -15,7 +15,7 @@ fn block_gate(frame: u32, range: f32) -> f32 {
     return clamp(gate_m, MIN_GATE_M, MAX_RADIUS_M);
 }
 
-// Returns the mean around p. A point's weight decreases with its distance from a plane, in units of its width. With
+// Returns the mean around p. A point's weight decreases with its distance from a plane, measured in widths. With
 // `normal_per_width` and `height_in_widths` of 0, the plane has no effect.
 fn block_mean(window: WindowOrigin, p: vec3<f32>, gate: Gate, normal_per_width: vec3<f32>, height_in_widths: f32) -> vec3<f32> {
     var sum = vec3<f32>(0.0);

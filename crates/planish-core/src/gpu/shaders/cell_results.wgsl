@@ -1,6 +1,6 @@
 // The results of the cells around a tile of pixels, in workgroup memory (docs/method.md, section 10).
 
-// Number of cells that count before a pixel's own cell; two count after it.
+// Number of cells before a pixel's own cell, along an axis, that count. After it, two cells count.
 const BEFORE: u32 = 1u;
 const PITCH: u32 = TILE_WIDTH / CELL + 3u;
 const TILE_AREA: u32 = PITCH * (TILE_HEIGHT / CELL + 3u);

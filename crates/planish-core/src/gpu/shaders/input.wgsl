@@ -38,7 +38,7 @@ fn deproject(frame: u32, base: u32, x: i32, y: i32, z: f32) -> vec3<f32> {
     let ray_x = bitcast<f32>(input[base + u32(x)]);
     let ray_y = bitcast<f32>(input[base + batch.width + u32(y)]);
     let point = vec3<f32>(ray_x * z, ray_y * z, z);
-    // Given depth in metres may be near the limit of f32, so the product may overflow.
+    // Depth given in metres may be near the limit of f32, so the product may overflow.
     let is_point = is_finite(bitcast<u32>(point.x)) && is_finite(bitcast<u32>(point.y));
     return select(vec3<f32>(NO_POINT), point, is_point);
 }

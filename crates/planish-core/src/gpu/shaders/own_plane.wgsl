@@ -1,4 +1,4 @@
-// Computes the plane of a point from its window (docs/method.md, section 4).
+// Smooths a point over the plane of its window (docs/method.md, section 4).
 
 fn smooth_point(frame: u32, pixel: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let ray = ray_to(frame, p);

@@ -1,4 +1,4 @@
-// Loads the plane of a point, as found by the previous pass (docs/method.md, section 10).
+// Smooths a point over the surface that the previous pass found (docs/method.md, section 10).
 
 fn smooth_point(frame: u32, cell: vec2<u32>, window: WindowOrigin, p: vec3<f32>) -> PixelResult {
     let at = cell_index(cell);

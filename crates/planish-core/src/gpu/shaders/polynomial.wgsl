@@ -3,9 +3,9 @@
 // The weight is g 2^-(a² + b² + f²), with the gate g, and narrower across the surface if edges are kept. a and b are
 // the in-plane coordinates and f the height over the plane, in units of the bandwidth over sqrt(log2 e). Moments: m_ij
 // = sum w a^i b^j for i + j <= 2 DEGREE, t_ij = sum w f a^i b^j for i + j <= DEGREE, summed as outer products of the
-// powers of a and b. kernel.rs generates the struct Moments and replaces the lines that name them by the loop over the
-// candidates (e is a candidate's offset from p, count its number of points) and by the sums, one statement per moment.
-// Loops are not unrolled: the kernel would exceed the instruction cache.
+// powers of a and b. kernel.rs generates the struct Moments. It replaces the lines in capital letters by the loop over
+// the candidates (e is a candidate's offset from p, count its number of points) and by the sums, one statement per
+// moment. Loops are not unrolled: the kernel would exceed the instruction cache.
 
 struct Fit {
     moments: Moments,

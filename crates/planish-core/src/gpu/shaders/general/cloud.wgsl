@@ -26,7 +26,7 @@ struct Cloud {
     part_places: u32,
     // Index of the first node of each level; after the highest level, the total number of nodes.
     levels: array<vec4<u32>, 3>,
-    // Number of points of a part that need results, without its halo; they come first.
+    // Number of points that need results: those of a part without its halo. They come first.
     own_points: u32,
 }
 

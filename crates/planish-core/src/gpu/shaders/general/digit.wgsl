@@ -1,4 +1,4 @@
-// A digit of the keys, from the lowest on.
+// The digits of the keys; `part.number` selects one, starting from the lowest.
 
 const DIGITS: u32 = 16u;
 

@@ -12,7 +12,8 @@ fn fit_places(
     if in_part >= cloud.part_places || place >= atomicLoad(&state[PLACES]) {
         return;
     }
-    // The sort is stable: if any of the points at one position is the part's own, the first is.
+    // The part's own points come first, and the sort is stable. If any point at a position is one of them, so is the
+    // first point at that position.
     let point = order[firsts[place]];
     if point < cloud.own_points {
         store(point, smooth_place(place));

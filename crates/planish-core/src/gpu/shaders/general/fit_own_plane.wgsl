@@ -1,4 +1,4 @@
-// Computes the plane of a position from its neighbours (docs/method.md, section 4).
+// Smooths a position over the plane of its neighbours (docs/method.md, section 4).
 
 fn smooth_place(place: u32) -> PixelResult {
     let p = positions[place].xyz;

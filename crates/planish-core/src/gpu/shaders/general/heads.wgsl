@@ -1,4 +1,4 @@
-// The first of each run of equal positions among the sorted points.
+// Returns true for the first of each run of equal positions among the sorted points.
 
 fn is_head(i: u32) -> bool {
     if i >= cloud.points || all(keys[i] == HOLE_KEY) {

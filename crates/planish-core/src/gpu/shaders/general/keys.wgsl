@@ -6,8 +6,8 @@ const LOWEST_BITS: u32 = 0u;
 const CELL_BITS: u32 = 30u;
 // Number of cells from the middle of the curve's box to its border.
 const HALF: u32 = 1u << 29u;
-// Number of doublings of the distance that fit beyond most points. Cells grow with the distance there, so that stray
-// points do not coarsen the others.
+// Number of doublings of the distance that the cells cover beyond most points. There, cells grow with the distance, so
+// that stray points do not make the other cells coarser.
 const OCTAVES: f32 = 64.0;
 
 fn cell_of(p: vec3<f32>) -> vec3<u32> {
@@ -48,7 +48,7 @@ fn transposed(cell_: vec3<u32>) -> vec3<u32> {
     return cell ^ vec3<u32>(flips);
 }
 
-// Spreads the low 10 bits: each follows two zeros.
+// Spreads the low 10 bits, with two zeros between adjacent bits.
 fn spread(low: u32) -> u32 {
     var value = low;
     value = (value | (value << 16u)) & 0x030000ffu;
@@ -87,7 +87,7 @@ fn find_keys(
     bits = select(bits, vec3<u32>(0u), bits == vec3<u32>(0x80000000u));
     let p = bitcast<vec3<f32>>(bits);
     if any(abs(p) > vec3<f32>(MAX_RANGE_M)) {
-        // Squared distances from it may overflow f32.
+        // Squared distances from this point may overflow f32.
         keys[place] = HOLE_KEY;
         store(i, isolated(p, 1u));
         return;

@@ -76,8 +76,8 @@ fn fourth_squared(p: vec3<f32>, leaf: u32) -> f32 {
     return nearest.w;
 }
 
-// Returns the squared distance within which a whole node of the second level is, or the whole cloud if it has one
-// level.
+// Returns the smallest squared distance within which a whole node of the second level lies, or a whole leaf if the
+// cloud has only one level.
 fn crowd_squared(p: vec3<f32>) -> f32 {
     let level = min(1u, cloud.top);
     var nearest = NO_POINT * NO_POINT;
@@ -100,8 +100,8 @@ fn crowd_squared(p: vec3<f32>) -> f32 {
 fn radius_of(place: u32) -> f32 {
     let p = positions[place].xyz;
     let largest = cloud.largest_radius * cloud.largest_radius;
-    // Start with the density of the point's leaf, slightly enlarged, and at most the extent of the cloud. Starting from
-    // too large a radius makes the search slow.
+    // Start with a radius derived from the density of the point's leaf, slightly enlarged and at most the largest
+    // radius. Starting from too large a radius makes the search slow.
     let near = min(0.5 * cloud.half_count * min(fourth_squared(p, place / LEAF), largest), crowd_squared(p));
     var limit = clamp(near, 1e-12 * largest, largest);
     var found = within(p, limit);

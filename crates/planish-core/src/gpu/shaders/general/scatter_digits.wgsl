@@ -1,4 +1,4 @@
-// Moves the keys of a tile and their points to their sorted positions by one digit. Equal digits keep their order.
+// Sorts by one digit: moves a tile's keys and points to their sorted positions. Equal digits keep their order.
 
 // Number of keys by digit, then thread; later the number of preceding keys.
 var<workgroup> ranks: array<u32, DIGITS * SORT_THREADS>;

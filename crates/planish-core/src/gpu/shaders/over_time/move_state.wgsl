@@ -1,6 +1,6 @@
-// Moves the state into the view of a camera that has moved (equations 16.9 to 16.11). Each pixel looks up the
-// position of its point in the previous frame, and takes the mean of the pixels on the same surface among the four
-// there. Holes use their remembered range for the lookup.
+// Moves the state into the view of a camera that has moved (equations 16.9 to 16.11). Each pixel looks up the position
+// of its point in the previous frame. It takes the mean of those of the four pixels around that position that are on
+// the same surface. Holes use their remembered range for the lookup.
 
 fn rotated(v: vec3<f32>) -> vec3<f32> {
     return batch.rotation_x * v.x + batch.rotation_y * v.y + batch.rotation_z * v.z;

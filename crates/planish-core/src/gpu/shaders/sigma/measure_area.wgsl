@@ -7,7 +7,7 @@ const THREADS: u32 = PARTS * ROW_WORDS;
 
 var<workgroup> totals: array<f32, THREADS>;
 
-// Returns the sum of the correlations over the lags of both directions, up to the first small one.
+// Returns the sum of correlations over the lags in both directions along an axis, up to the first small correlation.
 fn along(axis: u32) -> f32 {
     var sum = 1.0;
     for (var k = 0u; k < MOST_LAG_PX; k++) {
