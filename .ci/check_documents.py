@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks the documents: links have targets, examples run, figures of the README equal those of BENCHMARK.md.
+"""Checks the documents: links have targets, examples run, and the README's figures equal those of BENCHMARK.md.
 
 Runs in an environment with the package planish and its command. Camera examples run on the simulator instead. If the input of a
 line is not prepared here (such as a camera's calibration), the command must at least accept its arguments.

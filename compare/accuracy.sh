@@ -17,7 +17,7 @@ frames=$work/frames
 rm -rf "$frames" "$work/results"
 "$planish" evaluate --export "$frames" --seeds "$seeds" >/dev/null
 
-others() { # NAME COMMAND..: runs the command on every frame, with the frame and the output put in for FRAME and OUTPUT
+others() { # NAME COMMAND..: runs the command on every frame, with FRAME and OUTPUT replaced by the paths of both files
   local name=$1 out=$work/results/$1
   shift
   mkdir -p "$out"

@@ -18,7 +18,7 @@ start, end = f"<!-- {command[0]} -->\n", f"<!-- end of {command[0]} -->"
 def around():
     text = document.read_text(encoding="utf-8")
     if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
-        sys.exit(f"{document}: no block for this text; add the lines, once\n{start}{end}")
+        sys.exit(f"{document}: expected these lines exactly once and in this order; add them:\n{start}{end}")
     return text[: text.index(start)] + start, text[text.index(end) :]
 
 
@@ -26,7 +26,7 @@ around()
 run = subprocess.run(command, stdout=subprocess.PIPE, encoding="utf-8")
 print(run.stdout, end="")
 if run.returncode != 0 or not run.stdout.strip():
-    sys.exit(f"{document}: {command[0]} failed; the block stays as it was")
+    sys.exit(f"{document}: {command[0]} failed; the block is unchanged")
 before, after = around()
 handle, name = tempfile.mkstemp(dir=document.resolve().parent)
 try:

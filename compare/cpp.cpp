@@ -1,8 +1,9 @@
-// planish in C++ beside PCL, and beside its own engine, in one process: cpp FILE.pcd RADIUS_M THREADS RUNS
+// Times planish in C++, PCL, and planish's engine alone in one process: cpp FILE.pcd RADIUS_M THREADS RUNS
 //
-// Prints medians of alternating runs. Unorganized: pcl::MovingLeastSquares with search::KdTree, its fastest way for clouds
-// without a grid, and planish::MovingLeastSquares, on the same finite points. Organized: planish::smooth of a
-// pcl::PointCloud<PointXYZRGB>, and the engine alone (points and results without gaps).
+// Prints median times. For unorganized clouds, compares pcl::MovingLeastSquares with planish::MovingLeastSquares on the
+// same finite points; PCL uses search::KdTree, its fastest search for clouds without a grid. For organized clouds,
+// compares planish::smooth of a pcl::PointCloud<PointXYZRGB> with the engine alone, on points and results without gaps,
+// in alternating runs.
 
 #include <algorithm>
 #include <chrono>

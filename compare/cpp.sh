@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# planish in C++ beside pcl::MovingLeastSquares: compare/cpp.sh RADIUS_M FILE.pcd... [THREADS=2] [RUNS=20]
+# Times planish in C++ and pcl::MovingLeastSquares: compare/cpp.sh RADIUS_M FILE.pcd... [THREADS=2] [RUNS=20]
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 work=$(mkdir -p "$here/../target/compare" && cd "$here/../target/compare" && pwd)

@@ -88,7 +88,7 @@ def libraries(frames):
     wide = torch.zeros((480, 700), dtype=torch.int16, device="cuda")
     wide[:, :640] = depth
     assert same(smoother.smooth(wide[:, :640]))
-    # Alternate between streams, of which one is slow and one ends.
+    # Alternate between the current stream and new, busy streams.
     for _ in range(20):
         stream = torch.cuda.Stream()
         with torch.cuda.stream(stream):
@@ -107,7 +107,7 @@ def libraries(frames):
     except TypeError:
         assert all(map(same, smoother.smooth_batch([depth] * 2)))
     else:
-        raise AssertionError("host memory was taken")
+        raise AssertionError("host memory was accepted")
     for kind in (Foreign(depth), Foreign(wide[:, :640])):
         array = smoother.smooth(kind)
         assert same(torch.from_dlpack(array)) and same(torch.as_tensor(array, device="cuda"))
@@ -181,7 +181,7 @@ def speed(frames):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="no times")
+    parser.add_argument("--quick", action="store_true", help="skip the timing")
     quick = parser.parse_args().quick
     simulated = [planish.simulate("room", seed=1), planish.simulate("table", seed=2)]
     print(f"planish {planish.__version__}, PyTorch {torch.__version__}, {torch.cuda.get_device_name(0)}\n")

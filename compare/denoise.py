@@ -15,7 +15,7 @@ import numpy
 import open3d
 
 NOISE = (0.01, 0.02, 0.03)
-# Candidate numbers of neighbours. For programs that do not choose the number, the truth selects the best.
+# Candidate numbers of neighbours. For programs that do not choose the number, the best one by the truth is used.
 NEIGHBOURS = (30, 60, 120, 240, 480)
 
 
@@ -91,7 +91,7 @@ def by_open3d(file, radius, _output):
 
 
 def radius_of(positions, neighbours):
-    """Returns a radius within which points have this many neighbours, in the median."""
+    """Returns the median of the radii within which points have this many neighbours."""
     tree = open3d.geometry.KDTreeFlann(open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions)))
     return numpy.median([numpy.sqrt(tree.search_knn_vector_3d(p, neighbours)[2][-1]) for p in positions[:: len(positions) // 200]])
 

@@ -1,10 +1,10 @@
-"""Fills the holes of depth images by other means, for `planish evaluate --fill N --results`.
+"""Fills the holes of depth images with librealsense and OpenCV, for `planish evaluate --fill N --results`.
 
 usage: fill.py FOLDER WORK
 
 FOLDER contains depth images in millimetres, or in metres (.npy). Writes WORK/<way>/NAME.npy, depth in metres, for each way: librealsense's
 hole filling in its three modes, and OpenCV's inpainting by Telea and by Navier-Stokes. They fill every hole, because neither librealsense
-nor OpenCV has a limit of the width.
+nor OpenCV can limit the width of the holes.
 """
 
 import sys

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Fills holes of simulated frames by planish and by other means, and measures all of them; see README.md in this folder.
+# Fills holes of simulated frames with planish, librealsense and OpenCV, and measures all results; see README.md in
+# this folder.
 # usage: fill.sh WIDTH_PX SENSOR SEEDS
 set -euo pipefail
 [ $# -eq 3 ] || { echo "usage: $0 WIDTH_PX SENSOR SEEDS" >&2; exit 2; }

@@ -1,4 +1,4 @@
-"""Prints the table of fill.sh: one row for planish and for each other way, measured by `planish evaluate --fill`."""
+"""Prints the table of fill.sh: one row for planish and for each other method, measured by `planish evaluate --fill`."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""Removes floating pixels of simulated frames by planish and by other means, and prints a table.
+"""Removes floating pixels from simulated frames with planish and with other methods, and prints a table.
 
 usage: floating.py PLANISH WORK [SEED ..]
 

@@ -1,4 +1,4 @@
-"""Organized clouds of 640x480 as PCD: the part of the format that the other programs here need."""
+"""Reads and writes organized PCD clouds of 640x480, as far as the other scripts in this folder need."""
 
 import numpy
 import open3d

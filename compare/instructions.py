@@ -1,7 +1,7 @@
 """Counts the instructions that the CPU engine executes for a frame or cloud.
 
 usage: instructions.py PLANISH FILE ..                     prints tables of all presets, and of the stages
-       instructions.py PLANISH --check COUNTS.json         fails if simulated inputs cost 3 % more or less than the file says
+       instructions.py PLANISH --check COUNTS.json         fails if a simulated input's count is off by over 3 %
        instructions.py PLANISH --update COUNTS.json        writes that file
 
 Counts are measured by callgrind, which supports AVX2 but not AVX-512, with one thread. A count is half the difference between three

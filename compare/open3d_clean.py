@@ -1,5 +1,5 @@
-"""Times Open3D's outlier filters and voxel grid: FRAME.pcd RADIUS_M VOXEL_M. Prints one line per operation and class of clouds: operation,
-median ms of 5 runs, remaining points, way."""
+"""Times Open3D's outlier filters and voxel grid: FRAME.pcd RADIUS_M VOXEL_M. Prints one line per operation and API
+(legacy or tensor): operation, median time of 5 runs in ms, number of remaining points, API."""
 
 import statistics
 import sys

@@ -1,5 +1,5 @@
-// PCL's outlier filters and voxel grid, timed: FRAME.pcd RADIUS_M VOXEL_M. Prints lines of: operation, median ms of 5,
-// points left, way; an operation that has several ways has a line for each.
+// Times PCL's outlier filters and voxel grid: FRAME.pcd RADIUS_M VOXEL_M. Prints one line per operation and search
+// method: operation, median time of 5 runs in ms, number of remaining points, search method (empty for the voxel grid).
 #include <pcl/filters/filter.h>
 #include <pcl/filters/radius_outlier_removal.h>
 #include <pcl/filters/statistical_outlier_removal.h>
@@ -37,7 +37,7 @@ int main(int argc, char **argv) {
   pcl::IndicesPtr finite(new pcl::Indices);
   pcl::removeNaNFromPointCloud(*organized, *cloud, *finite);
   const double radius = std::atof(argv[2]), voxel = std::atof(argv[3]);
-  // The filters search the image of an organized cloud, and a k-d tree otherwise.
+  // The filters search the pixels of an organized cloud directly, and other clouds with a k-d tree.
   const auto outliers = [&](const char *way, const Cloud::Ptr &input, const pcl::IndicesPtr &indices) {
     report("statistical", way, [&](Cloud &out) {
       pcl::StatisticalOutlierRemoval<Point> filter;

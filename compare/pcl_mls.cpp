@@ -1,11 +1,12 @@
-// PCL's MovingLeastSquares on a PCD file: prints the median time of some runs in milliseconds, and the points that are left.
+// Runs PCL's MovingLeastSquares on a PCD file. Prints the median time of the runs in milliseconds, and the number of
+// remaining points.
 //
 // usage: pcl_mls FILE organized|kdtree RADIUS_M DEGREE THREADS RUNS [OUTPUT.pcd]
 //
-// organized: search::OrganizedNeighbor over the grid, for the indices of its finite points: PCL's fastest way for such clouds.
-// kdtree: search::KdTree over the finite points, which are copied outside of the time.
-// With an output the result is put back on the grid of the input, by the indices that PCL keeps, with its normals. Use one thread
-// then: with several, PCL's points come in another order than its indices.
+// organized: smooths the finite points with search::OrganizedNeighbor on the grid, PCL's fastest search for these.
+// kdtree: smooths the finite points with search::KdTree; the time does not include copying these points.
+// With an output, the result and its normals are put back on the grid of the input, by the indices that PCL keeps. Use
+// one thread then, because with several, the order of PCL's points does not match its indices.
 
 #include <algorithm>
 #include <chrono>
@@ -71,7 +72,7 @@ int main(int argc, char** argv) {
     const auto& indices = mls.getCorrespondingIndices()->indices;
     for (std::size_t i = 0; i < smoothed.size(); ++i) {
       pcl::PointNormal point = smoothed[i];
-      // PCL leaves the sign of the normal open: towards the camera.
+      // PCL does not define the sign of the normal, so turn it towards the camera.
       if (point.getNormalVector3fMap().dot(point.getVector3fMap()) > 0) point.getNormalVector3fMap() *= -1;
       grid[organized ? indices[i] : (*finite)[indices[i]]] = point;
     }

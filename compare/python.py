@@ -1,9 +1,10 @@
-"""Times planish from Python, its library's own call, and Open3D's smooth_mls: numpy to numpy, on one frame, in alternating calls.
+"""Times planish from Python, the same call in its Rust library, and Open3D's smooth_mls, numpy to numpy, on one frame.
 
 usage: python.py FRAME.pcd [ROUNDS]
 
-The library's call is timed in the same process, with points and status written into reused buffers. Open3D gets the finite points, and its
-result is converted back to numpy. It runs in its fastest configuration: the tensor class, 3 cm, at most 30 neighbours.
+The library's call is timed in the same process, alternately with the calls from Python, and writes points and status
+into reused buffers. Open3D gets the finite points, and its result is converted back to numpy. It runs in
+its fastest configuration: the tensor class, 3 cm, at most 30 neighbours.
 """
 
 import statistics

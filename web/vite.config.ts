@@ -6,6 +6,6 @@ export default defineConfig({
   base: "./",
   build: { outDir: "../dist-page", emptyOutDir: true, target: "es2022", modulePreload: false },
   worker: { format: "es" },
-  // For servers of any origin, and so that the style applies to the page as a file.
+  // Remove crossorigin, so that any server can serve the page, and the style applies even if it is opened as a file.
   plugins: [{ name: "no-crossorigin", transformIndexHtml: (html) => html.replaceAll(" crossorigin", "") }],
 });

@@ -124,7 +124,7 @@ pub fn check_tum(bytes: &[u8]) {
     for list in ["depth.txt", "associations.txt"] {
         fs::write(folder.join(list), bytes).expect("a list");
         if let Ok(mut source) = open(folder.to_str().expect("a name in UTF-8"), &options) {
-            // The listed images do not exist, or another file does.
+            // A listed image may be missing, or may be a file of another kind.
             for _ in 0..4 {
                 let _ = source.next_frame();
             }

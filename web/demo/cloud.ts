@@ -22,11 +22,11 @@ export class CloudView {
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     const gl = canvas.getContext("webgl2");
-    if (!gl) throw new Error("this browser has no WebGL 2, which the turning cloud needs: look at the pictures instead");
+    if (!gl) throw new Error("the cloud view needs WebGL 2, which this browser lacks; use the pictures instead");
     this.gl = gl;
     this.setUp();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    // The context's programs and buffers are lost.
+    // The programs and buffers of the old context are lost, so create them again.
     canvas.addEventListener("webglcontextrestored", () => {
       this.setUp();
       if (this.shown) this.show(...this.shown);
@@ -53,7 +53,7 @@ export class CloudView {
     this.buffers = [gl.createBuffer(), gl.createBuffer()];
   }
 
-  /** Shows points with a colour each. */
+  /** Shows points, each in its own colour. */
   show(points: Float32Array<ArrayBuffer>, rgba: Uint8Array<ArrayBuffer>): void {
     const { gl } = this;
     this.shown = [points, rgba];

@@ -25,7 +25,7 @@ let hasGpu = false;
 let withoutGpu: string | undefined;
 /** Incremented with every change; results of older versions are dropped. */
 let version = 0;
-/** Incremented with every requested frame; only the newest request is shown, in whichever order files are read. */
+/** Incremented with every requested frame; only the newest request is shown, whichever file is read first. */
 let asked = 0;
 let isComputing = false;
 /** Last status of a frame, restored if another frame cannot be opened. */
@@ -58,9 +58,9 @@ function why(of: string, reason: string): void {
 /** Disables controls without effect, and explains why. */
 function explain(): void {
   const isGeneral = frame?.kind === "general";
-  const noGrid = isGeneral ? "Unorganized clouds have neither window nor sensor." : "";
-  why("strength", noGrid || (control("preset").value === "" ? "" : "The preset determines it; choose “by strength”."));
-  why("sensor", noGrid || (control("preset").value === "paper" && !control("edges").checked ? "The 2011 setting uses a fixed radius." : ""));
+  const noGrid = isGeneral ? "This setting has no effect on unorganized clouds." : "";
+  why("strength", noGrid || (control("preset").value === "" ? "" : "The preset determines the strength; to set it, choose the preset “by strength”."));
+  why("sensor", noGrid || (control("preset").value === "paper" && !control("edges").checked ? "The preset “paper” uses a fixed radius unless edges are kept." : ""));
   why("window", noGrid);
   why("edges", "");
   why("webgpu", isGeneral ? "The browser smooths unorganized clouds on the CPU." : hasGpu ? "" : (withoutGpu ?? ""));
@@ -75,7 +75,10 @@ function explain(): void {
   }
 }
 
-/** Sets the default: edges are kept, except with the preset "paper"; in clouds without a grid, where the command chooses by the data, they are not. */
+/**
+ * Sets the default: edges are kept, except with the preset "paper" and in clouds without a grid, for which the command
+ * decides from the data.
+ */
 function defaultEdges(): void {
   control("edges").checked = frame?.kind !== "general" && control("preset").value !== "paper";
 }
@@ -112,7 +115,7 @@ async function saveSettings(): Promise<void> {
   }
 }
 
-/** Applies a settings file: settings with a control are shown there, the others are kept unchanged. */
+/** Applies a settings file. Controls show the settings that they represent; all other settings are kept unchanged. */
 async function openSettings(file: File | undefined): Promise<void> {
   if (!file) return;
   try {
@@ -150,7 +153,7 @@ function takeFields(): void {
   if (!frame?.assumedCamera) return;
   const numbers = CAMERA_FIELDS.map((field) => [field, control(field).valueAsNumber] as const);
   const wrong = numbers.find(([, number]) => !Number.isFinite(number));
-  if (wrong) return fail(new Error(`${wrong[0] === "depthUnitsPerMetre" ? "units per metre" : wrong[0]} of the camera: a number is needed`));
+  if (wrong) return fail(new Error(`${wrong[0] === "depthUnitsPerMetre" ? "units per metre" : wrong[0]} of the camera must be a number`));
   const camera = { ...(given?.camera ?? frame.assumedCamera), ...Object.fromEntries(numbers) } as Camera;
   given = { camera, width: frame.width, height: frame.height };
   void update();
@@ -379,10 +382,10 @@ async function start(): Promise<void> {
   [hasGpu, withoutGpu] = [about.adapter !== undefined, about.withoutGpu];
   control("webgpu").defaultChecked = hasGpu && !about.isSoftware;
   control("sensor").replaceChildren(...about.sensors.concat("auto").map((sensor) => new Option(sensor, sensor)));
-  const gpu = about.isSoftware ? `a GPU in software, ${about.adapter}: WebAssembly is faster` : about.adapter;
+  const gpu = about.isSoftware ? `a software GPU (${about.adapter}); WebAssembly is faster` : about.adapter;
   const has = hasGpu ? `WebGPU: ${gpu}` : `No WebGPU (${about.withoutGpu}; Chrome, Edge, and recent Safari and Firefox support it)`;
   find("#about").textContent = `planish ${about.version}. ${has}.`;
-  // The URL of `planish view` lists its files.
+  // `planish view` passes the names of its files in the fragment of the URL.
   const named = location.hash.slice(1).split(",").filter(Boolean);
   if (named.length === 0) return void (await take(() => ask<Frame>({ method: "simulate", seed }), "simulated"));
   const get = async (file: string) => {

@@ -31,7 +31,7 @@ export interface Settings {
   degree?: number;
   /** Bandwidth of the Gaussian weights in metres [default: the radius]. */
   bandwidthM?: number;
-  /** Ridge of the fit, 1e-3 to 100. */
+  /** Damping of slopes and curvatures, 1e-3 (weak) to 100 (a plane). */
   ridge?: number;
   project?: "ray" | "normal";
 }
@@ -135,7 +135,7 @@ export class Planish {
     const given = options.wasm ?? new URL("./planish.wasm", import.meta.url);
     const isAddress = typeof given === "string" || given instanceof URL;
     const planish = new Planish(await Core.load(isAddress ? await fetched(given) : given));
-    if (options.webgpu === false) planish.withoutGpu = "WebGPU was not asked for";
+    if (options.webgpu === false) planish.withoutGpu = "WebGPU is disabled by the option webgpu";
     else await planish.openGpu();
     planish.usesGpu = !planish.isSoftware;
     return planish;
@@ -161,7 +161,7 @@ export class Planish {
     return this.core.memoryBytes;
   }
 
-  /** Smooths raw depth, `width` x `height` values in units of the camera's `depthUnitsPerMetre`, 0 for holes. */
+  /** Smooths raw depth: `width` x `height` values, 0 for holes, in the unit that the camera states. */
   async smooth(depth: Uint16Array, camera: Camera & { width: number; height: number }, settings: Settings = {}): Promise<Smoothed> {
     if (typeof camera !== "object" || camera === null) throw new PlanishError("expected a camera as the second argument: { width, height, fx, fy, cx, cy }");
     const frame = this.depth(depth, camera.width, camera.height);
@@ -236,8 +236,8 @@ export class Planish {
         const output = await gpu.run(plan, planned.bytes);
         return done(this.core.call<Result>({ op: "finish", plan: plan.plan }, output).ok, "webgpu");
       } catch (error) {
-        // WebAssembly rejects invalid settings and frames again below, with the same message; it accepts frames
-        // beyond the device's limits.
+        // If no plan was made, WebAssembly tries the frame below. It rejects invalid settings and frames with the same
+        // message, but accepts frames beyond the device's limits.
         if (plan !== undefined) this.releaseIds([plan.plan]);
         if (plan === undefined) withoutGpu = error instanceof Error ? error.message : String(error);
         else if (error instanceof FrameTooLarge) withoutGpu = `this frame is too large for WebGPU: ${error.message}`;
@@ -267,7 +267,7 @@ export class Planish {
     return { width: ok.width, height: ok.height, rgba: new Uint8ClampedArray(bytes.buffer) };
   }
 
-  /** Returns the finite points of a frame, raw or smoothed, with a colour each. */
+  /** Returns the finite points of a frame, raw or smoothed, and the colour of each. */
   cloud(frame: Frame, side: Side, kind: PictureKind, camera?: CameraLike): { points: Float32Array<ArrayBuffer>; rgba: Uint8Array<ArrayBuffer> } {
     const request = { op: "cloud", frame: idOf(frame, "frame"), side: sideOf(side), kind, ...(camera === undefined ? {} : { camera }) };
     const { ok, bytes } = this.core.call<{ points: number }>(request);
@@ -289,7 +289,7 @@ export class Planish {
   close(): void {
     this.gpu?.close();
     this.gpu = undefined;
-    this.withoutGpu = "it was closed";
+    this.withoutGpu = "the GPU was closed";
   }
 
   private releaseIds(ids: number[]): void {
@@ -305,7 +305,10 @@ export class Planish {
     }
   }
 
-  /** Closes a failed device, opens a new one if it was lost, and returns the reason. WebAssembly computes the frame. */
+  /**
+   * Closes a failed device and returns the reason of the failure. If the device was lost, opens a new one. The caller
+   * smooths the frame with WebAssembly.
+   */
   private async loseGpu(gpu: Gpu, error: unknown): Promise<string> {
     const isLost = await gpu.isLost();
     const reason = `WebGPU failed: ${gpu.lost ?? String(error)}`;

@@ -37,7 +37,7 @@ export class Gpu {
   private readonly waiting: (() => void)[] = [];
   private readonly layout: GPUBindGroupLayout;
   private readonly pipelineLayout: GPUPipelineLayout;
-  /** Reason of the device's loss, or `undefined` before it. */
+  /** Reason why the device was lost, or `undefined` if it was not lost. */
   lost: string | undefined;
 
   private constructor(
@@ -161,7 +161,7 @@ export class Gpu {
     const key = [inputBytes, plan.outputBytes, ...plan.keptBytes].join();
     const at = this.free.findIndex((slot) => slot.key === key);
     if (at >= 0) return this.free.splice(at, 1)[0]!;
-    // Free the buffers of frames of other sizes.
+    // Free buffers that were created for frames of other sizes.
     this.free.splice(0).forEach(destroy);
     const { device } = this;
     const buffer = (size: number, usage: number) => device.createBuffer({ size: Math.ceil(size / 4) * 4, usage });

@@ -1,4 +1,4 @@
-// Helpers of the tests: a server for the page, Chromium, and the command to compare with.
+// Test helpers: a web server, Chromium, and a comparison of arrays.
 
 import { createServer } from "node:http";
 import { readFile, stat } from "node:fs/promises";

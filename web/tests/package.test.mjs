@@ -20,14 +20,14 @@ after(async () => {
   await server?.close();
 });
 
-test("the module says what it is and computes in vectors", () => {
+test("the module describes itself and uses SIMD", () => {
   const about = planish.about();
   assert.deepEqual(about.presets, ["light", "default", "strong", "paper"]);
   assert.equal(about.statuses[0], "Hole");
   assert.equal(about.simd, "simd128");
 });
 
-test("a plane with noise comes out flatter, holes stay holes", async () => {
+test("a noisy plane becomes flatter, and holes stay holes", async () => {
   const [width, height] = SHAPE;
   const depth = new Uint16Array(width * height);
   let seed = 1;
@@ -45,7 +45,7 @@ test("a plane with noise comes out flatter, holes stay holes", async () => {
   assert.ok(normals[3 * 5000 + 2] < -0.99);
 });
 
-test("settings files are the command's and Python's", async () => {
+test("settings files have the format of the command and Python", async () => {
   const settings = planish.readSettings("preset: strong\nedges: off\nradius_m: 0.05\n");
   assert.deepEqual({ ...settings, radiusM: Math.round(1000 * settings.radiusM) }, { preset: "strong", edges: "off", radiusM: 50 });
   const written = planish.writeSettings({ preset: "light", averageBlocks: false, bandwidthM: 0.5 });
@@ -54,7 +54,7 @@ test("settings files are the command's and Python's", async () => {
   assert.throws(() => planish.readSettings("window: 9"), /window = 9 is not allowed: 1 to 7/);
 });
 
-test("what is wrong is said in words", async () => {
+test("invalid inputs raise a PlanishError", async () => {
   const frame = planish.simulate(1, ...SHAPE);
   const said = (work) => assert.rejects(async () => work(), PlanishError);
   await said(() => planish.smoothFrame(frame));
@@ -68,7 +68,7 @@ test("what is wrong is said in words", async () => {
   await said(() => planish.smoothFrame(frame, {}, frame.assumedCamera));
 });
 
-test("arrays of other types, numbers that are none and cameras that are misspelt are refused", async () => {
+test("wrong array types, NaN, infinity and misspelt camera fields are rejected", async () => {
   const [width, height] = [4, 3];
   const camera = { width, height, fx: 4, fy: 4, cx: 1.5, cy: 1 };
   const depth = new Uint16Array(12).fill(1000);
@@ -106,7 +106,7 @@ test("a result outlives its frame", async () => {
   planish.release(result);
 });
 
-test("more than the memory takes is said, and the module goes on", async () => {
+test("running out of memory is reported, and the module still works", async () => {
   const raw = new Uint16Array(12_000 * 8000).fill(1000);
   const held = [];
   const fill = () => {
@@ -124,7 +124,7 @@ test("more than the memory takes is said, and the module goes on", async () => {
   planish.release(frame, result);
 });
 
-test("colour goes into PLY as other programs expect it", async () => {
+test("colour is written to PLY as other programs expect it", async () => {
   const header = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ascii\n";
   const points = [0, 1, 2, 3].map((i) => `${(i % 2) / 100} ${Math.floor(i / 2) / 100} 1 ${0x102030 + i}`).join("\n");
   const frame = planish.open("a.pcd", new TextEncoder().encode(`${header}${points}\n`));
@@ -135,12 +135,12 @@ test("colour goes into PLY as other programs expect it", async () => {
   assert.equal(planish.picture(frame, result, "colour").width, 2);
 });
 
-/** Returns the beginning of a PNG without the rest. */
+/** Returns the first bytes of a PNG. */
 function pngStart() {
   return [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0, 0, 0, 13];
 }
 
-test("what is written is read again", async () => {
+test("written files can be read again", async () => {
   const frame = planish.simulate(2, ...SHAPE);
   const camera = frame.assumedCamera;
   const result = await planish.smoothFrame(frame, {}, camera);
@@ -175,7 +175,7 @@ test("memory is flat over ten large frames", async () => {
   assert.equal(sizes.at(-1), sizes[1], sizes.join());
 });
 
-test("a GPU without room, and one that is lost, leave no frame behind", { timeout: 300_000 }, async () => {
+test("no frame is lost if a GPU is out of memory or is lost", { timeout: 300_000 }, async () => {
   const server = await serve(root);
   const browser = await launch();
   try {
@@ -231,7 +231,7 @@ test("a GPU without room, and one that is lost, leave no frame behind", { timeou
   }
 });
 
-test("WebGPU gives what WebAssembly gives", { timeout: 600_000 }, async () => {
+test("WebGPU and WebAssembly give the same results", { timeout: 600_000 }, async () => {
   server = await serve(root);
   browser = await launch();
   const page = await browser.newPage();

@@ -73,14 +73,14 @@ async function file(format) {
   return planish.write(result, format, frame.assumedCamera);
 }
 
-test("what is sent is small", () => {
+test("the page is small", () => {
   const sizes = readdirSync(`${root}/dist-page/assets`).map((name) => brotliCompressSync(readFileSync(`${root}/dist-page/assets/${name}`)).length);
   const sum = sizes.reduce((sum, size) => sum + size, 0) + brotliCompressSync(readFileSync(`${root}/dist-page/index.html`)).length;
   console.log(`${sum} bytes by Brotli`);
   assert.ok(sum <= 400_000, `${sum}`);
 });
 
-test("every format opens, from the button and dropped", async () => {
+test("every format can be opened with the button or by dropping a file", async () => {
   for (const format of ["pcd", "ply", "npy", "png"]) {
     await open(`frame.${format}`, await file(format));
     await settled(`frame.${format}`);
@@ -96,7 +96,7 @@ test("every format opens, from the button and dropped", async () => {
   await settled("dropped.ply");
 });
 
-test("wrong files are told in words and change nothing", async () => {
+test("invalid files cause an error message and change nothing", async () => {
   const before = await pixels("#smoothed");
   for (const [name, bytes, said] of [
     ["nothing.pcd", [], /nothing\.pcd: .*empty/],
@@ -122,7 +122,7 @@ function drop(files) {
   }, files.map(([name, bytes]) => [name, Array.from(bytes)]));
 }
 
-test("of files that are dropped at once the last one stays, and nothing of a frame before it", async () => {
+test("after several files are dropped quickly, only the last one is shown", async () => {
   const [png, ply] = [await file("png"), await file("ply")];
   const large = planish.simulate(5, 640, 480);
   const slow = planish.write(await planish.smoothFrame(large, { preset: "light" }, large.assumedCamera), "pcd", large.assumedCamera);
@@ -131,7 +131,7 @@ test("of files that are dropped at once the last one stays, and nothing of a fra
   await drop([["first.png", png]]);
   await drop([["last.ply", ply]]);
   await settled("last.ply");
-  // Drop another frame while a large frame, which is chosen again, is being smoothed.
+  // Choose the large frame again, and drop another frame while it is being smoothed.
   const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.click("#file")]);
   await chooser.setFiles(join(folder, "slow.pcd"));
   await page.waitForFunction(() => document.querySelector("#raw").width === 640);
@@ -145,7 +145,7 @@ test("of files that are dropped at once the last one stays, and nothing of a fra
   assert.match(await page.textContent("#error"), /2 frames were dropped: one\.ply is shown/);
 });
 
-test("a frame that cannot be smoothed leaves neither an older one's picture nor its files", async () => {
+test("if a frame cannot be smoothed, the previous picture disappears and saving is disabled", async () => {
   const old = await pixels("#smoothed");
   await page.selectOption('[name="sensor"]', "auto");
   const pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 3\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA ascii\n";
@@ -159,7 +159,7 @@ test("a frame that cannot be smoothed leaves neither an older one's picture nor 
   assert.ok(await page.isHidden("#error"));
 });
 
-test("every control changes the picture, those that do nothing are off and say why", async () => {
+test("every control changes the picture; controls without effect are disabled and explained", async () => {
   await open("frame.png", await file("png"));
   await settled("frame.png");
   const seen = new Set([await pixels("#smoothed")]);
@@ -193,7 +193,7 @@ test("every control changes the picture, those that do nothing are off and say w
   await page.evaluate(() => document.querySelector('[name="fx"]').closest("form").reset());
 });
 
-test("a camera file says the camera", async () => {
+test("a camera file sets the camera", async () => {
   await open("frame.png", await file("png"));
   await settled("frame.png");
   const before = await pixels("#smoothed");
@@ -215,7 +215,7 @@ test("a camera file says the camera", async () => {
   await page.waitForFunction(() => /wrong\.json: .*fx, fy, cx and cy/.test(document.querySelector("#error").textContent));
 });
 
-test("a cloud without a grid is smoothed, and what does not concern it is off", async () => {
+test("a cloud without a grid is smoothed, and controls without effect are disabled", async () => {
   const lines = Array.from({ length: 4000 }, (_, i) => `${(i % 80) / 100} ${Math.floor(i / 80) / 100} ${1 + 0.002 * Math.sin(i * 12.9898)}`);
   await open("scan.xyz", Buffer.from(lines.join("\n")));
   await settled("scan.xyz");
@@ -251,7 +251,7 @@ test("keys move the divider and turn the cloud", async () => {
   await page.selectOption('[name="layout"]', "divider");
 });
 
-test("it gives what the command gives, by WebAssembly and by WebGPU", { timeout: 300_000 }, async () => {
+test("the page gives the command's result, with WebAssembly and with WebGPU", { timeout: 300_000 }, async () => {
   await writeFile(join(folder, "in.png"), await file("png"));
   const camera = "131.25,131.25,79.5,59.5";
   execFileSync(command, ["smooth", join(folder, "in.png"), join(folder, "out.pcd"), "--camera", camera, "--engine", "cpu"]);
@@ -279,7 +279,7 @@ async function view(t, ...parameters) {
   return { viewer, address: String(first).split("\n")[0] };
 }
 
-test("`planish view` shows what the page cannot read itself, with its camera, and ends by Ctrl-C", { timeout: 120_000 }, async (t) => {
+test("`planish view` shows files that the page cannot read, passes the camera, and ends on Ctrl-C", { timeout: 120_000 }, async (t) => {
   const laz = join(folder, "a scan #1.laz");
   execFileSync(command, ["demo", "--out", join(folder, "demo")], { stdio: "ignore" });
   execFileSync(command, ["convert", join(folder, "demo", "raw.pcd"), laz], { stdio: "ignore" });
@@ -311,4 +311,4 @@ test("`planish view` shows what the page cannot read itself, with its camera, an
   }
 });
 
-test("the page made no mistakes", () => assert.deepEqual(errors, []));
+test("the page raised no errors", () => assert.deepEqual(errors, []));

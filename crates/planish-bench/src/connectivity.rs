@@ -85,14 +85,14 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&curve.points());
     }
     section.note(format!(
-        "Milliseconds per frame over the number of candidates in its window: {}; radius 1 cm per pixel of the \
-         half-width.",
+        "The table shows milliseconds per frame by the number of candidates in the window ({}; radius 1 cm per pixel \
+         of the half-width).",
         input.describe()
     ));
     let mut header = vec!["engine, degree".to_owned()];
     let candidates: Vec<usize> = windows.iter().map(|k| ((2 * k + 1) * (2 * k + 1)) as usize).collect();
     header.extend(candidates.iter().map(usize::to_string));
-    header.extend(["a candidate, µs", "R²"].map(str::to_owned));
+    header.extend(["per candidate, µs", "R²"].map(str::to_owned));
     section.table(
         &header.iter().map(String::as_str).collect::<Vec<_>>(),
         curves.iter().map(|curve| {
@@ -104,9 +104,9 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         }),
     );
     section.note(format!(
-        "The last two columns are the slope and R² of a linear fit. The report's R² was {REPORT_R2}. A GPU's result \
-         is read in place, and its transfer takes equally long for every window; the kernel alone is timed by the \
-         device's clock, after the frame was copied there."
+        "The last two columns are the slope and R² of a linear fit. The report's R² was {REPORT_R2}. GPU results are \
+         read in place, and the transfer takes the same time for every window. The kernel alone is timed by the \
+         device's clock, after the frame has been copied to the device."
     ));
     section.note_noise(curves.iter().flat_map(|curve| curve.times.iter().map(|time| time.noisy)));
     for (i, of_engine) in curves.chunk_by(|a, b| a.subject == b.subject).enumerate() {

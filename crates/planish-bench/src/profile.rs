@@ -53,10 +53,11 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     section.note(format!(
-        "{}; window 3, degree 3, 3 cm. The stage neighbours and plane is timed as a frame of degree 1; polynomial and \
-         solve is the difference. A CPU's stages run one after the other and write results directly to the output. \
-         For this measurement, a GPU's copies are separate stages (its kernel otherwise reads and writes host \
-         memory); copying out is the difference to reading in place. The report does not state its shares.",
+        "The table shows the time of each stage ({}; window 3, degree 3, 3 cm). The stage \"neighbours and plane\" is \
+         timed with degree 1; \"polynomial and solve\" is the additional time with degree 3. A CPU's stages run one \
+         after the other and write results directly to the output. For this measurement, a GPU's copies are separate \
+         stages (its kernel otherwise reads and writes host memory). \"Copy the result out\" is the additional time \
+         compared with reading in place. The report does not state the shares of its stages.",
         input.describe()
     ));
     if subjects.is_empty() {

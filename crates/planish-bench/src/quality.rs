@@ -62,8 +62,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         });
     }
     section.note(format!(
-        "Engine: {}. Variance of the points around the largest plane, before and after; the pictures (half size) show \
-         raw, paper, default.",
+        "The table shows the variance of the points around the largest plane before and after smoothing (engine: {}). \
+         The pictures (half size) show the frame raw, with the paper setting and with the default.",
         subject.name
     ));
     section.table(
@@ -75,7 +75,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
             vec![row.frame.clone(), row.setting.into(), row.points.to_string(), raw, smoothed, share]
         }),
     );
-    section.note("The report's plane kept about half of its variance.");
+    section.note("In the 2011 report, the plane kept about half of its variance.");
     section.json = serde_json::to_value(&rows)?;
     Ok(section)
 }

@@ -54,7 +54,7 @@ impl Origin {
         let gpus = if gpus.is_empty() { "none".to_owned() } else { gpus.join("; ") };
         format!(
             "`{command}`\n\nCPU: {cpu}, {threads} threads, {simd}{memory}; {system}. GPU: {gpus}. planish {version}, \
-             {rustc}. Each engine is timed only after its points, obtained in the timed way, agree with the f64 \
+             {rustc}. Each engine is timed only after its points, computed by the same calls, agree with the f64 \
              reference.\n"
         )
     }

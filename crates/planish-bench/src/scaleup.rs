@@ -80,16 +80,16 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     }
     bar.finish_and_clear();
     section.note(format!(
-        "Several copies of {}: as points in one tall cloud (on a GPU read in place), and in a batch of frames (copied \
-         out); window 3, degree 3, 3 cm. Scale-up = copies x t(1) / t(copies). A GPU's kernel alone is timed by the \
-         device's clock, after the frames were copied there.",
+        "Several copies of a frame ({}; window 3, degree 3, 3 cm) are smoothed: as points in one tall cloud (on a GPU \
+         read in place), and as a batch of frames (copied out). Scale-up = copies x t(1) / t(copies). A GPU's kernel \
+         alone is timed by the device's clock, after the frames have been copied to the device.",
         input.describe()
     ));
     if clocked.is_empty() {
         section.note("Not run with the reference engine alone.");
     }
     section.table(
-        &["engine", "as", "copies", "ms", "ns a pixel", "scale-up", "engine's buffers, MiB", "process, MiB"],
+        &["engine", "layout", "copies", "ms", "ns per pixel", "scale-up", "engine's buffers, MiB", "process, MiB"],
         rows.iter().map(cells),
     );
     let mut threads = Vec::new();
@@ -145,8 +145,8 @@ fn over_threads(
         let (first, again) = (first.time.ms.median, again.ms.median);
         if (again / first - 1.0).abs() > THREADS_DRIFT {
             section.note(format!(
-                "One thread took {} ms at first and {} ms at the end: the machine's speed changed while the table of \
-                 threads was measured.",
+                "One thread took {} ms at the start and {} ms at the end: the machine's speed changed while the table \
+                 of threads was measured.",
                 milliseconds(first),
                 milliseconds(again)
             ));

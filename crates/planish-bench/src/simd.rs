@@ -21,7 +21,7 @@ struct Row {
 
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("simd", "Instruction sets");
-    section.note("From the frame to the points, both in host memory, on one thread of the CPU engine.");
+    section.note("Times are from the frame to the points, both in host memory, on one thread of the CPU engine.");
     let of_strength = |strength| FrameParams::for_sensor(SensorModel::KINECT_V1, strength);
     let presets = [
         ("light", of_strength(Strength::LIGHT)),

@@ -46,9 +46,9 @@ const GPU_WAYS: [(&str, Way, usize); 4] = [
 pub fn run(context: &Bench<'_>) -> Result<Section> {
     let mut section = Section::new("speedup", "Speedup");
     section.note(
-        "The 2011 report's setting (window 3, degree 3, 3 cm), from the frame to the points, both in host memory. The \
-         serial method uses all neighbours within 3 cm from a k-d tree, on one thread, in f64; its result differs, so \
-         it is not compared with the reference.",
+        "Times are for the 2011 report's setting (window 3, degree 3, 3 cm), from the frame to the points, both in \
+         host memory. The serial method uses all neighbours within 3 cm from a k-d tree, on one thread, in f64. Its \
+         result differs, so it is not compared with the reference.",
     );
     let subjects = context.subjects(true)?;
     let inputs = if context.options.quick { &context.inputs[..1] } else { &context.inputs[..] };
@@ -87,7 +87,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
                 "engine",
                 "ms per frame, median",
                 "ms, p99",
-                "of frames",
+                "frames timed",
                 "frames per second",
                 "speedup over the serial method",
             ],
@@ -101,7 +101,7 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
     section.note(format!(
         "The report states {REPORT_FPS:.0} frames per second, {low} and {high} times as fast as its CPU, which took \
          up to {REPORT_CPU_S} s per frame. In flight, the time of a frame is the interval between results, averaged \
-         over blocks of {BLOCK}; the latency of each is at least that of a single frame. p99 is reported for \
+         over blocks of {BLOCK}; the latency of each frame is at least that of a single frame. p99 is reported for \
          {FRAMES_FOR_P99} or more measurements."
     ));
     section.note_noise(rows.iter().flatten().map(|row| row.time.noisy));

@@ -7,16 +7,16 @@ use super::{Format, LengthUnit, convert_to_metres};
 /// Converts colours, intensities and the precision of coordinates to the conventions of the format `to`. `read` is the
 /// format from which the cloud was read. Returns notes for users, one clause each.
 ///
-/// Coordinates are written to PCD files with 4 bytes unless they are beyond 1000 m, because PCL silently reads 8-byte
-/// coordinates as zeros. Coordinates that were read from PCD files with 8 bytes keep 8 bytes. `precision` overrides
-/// these rules.
+/// PCD files get 4-byte coordinates, because PCL silently reads 8-byte coordinates as zeros. There are two exceptions:
+/// clouds with coordinates beyond 1000 m, and clouds that were read from PCD files with 8-byte coordinates. `precision`
+/// overrides these rules.
 pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision: Option<Precision>) -> Vec<String> {
     let mut notes = Vec::new();
     match to {
         Format::Ply if read != Format::Ply => cloud.unpack_colour(),
         Format::Pcd if read == Format::Ply => cloud.pack_colour(),
         Format::Las | Format::Laz if !matches!(read, Format::Las | Format::Laz) && cloud.scale_intensity() => {
-            notes.push("intensities from 0 to 1 are scaled to 0 to 65535, the range of LAS".to_owned());
+            notes.push("intensities are scaled from [0, 1] to [0, 65535], the range of LAS".to_owned());
         }
         _ => {}
     }
@@ -39,9 +39,9 @@ pub fn adapt_fields(cloud: &mut PointCloud, read: Format, to: Format, precision:
     match to {
         _ if unit.is_metre() => {}
         Format::Las | Format::Laz => {}
-        // The standard defines the unit of E57.
+        // The E57 standard requires metres.
         Format::E57 => notes.extend(convert_to_metres(cloud)),
-        _ => notes.push(format!("coordinates are in the {unit} ({}), which {} does not state", unit.symbol, to.name())),
+        _ => notes.push(format!("the unit is the {unit} ({}), which {} files do not state", unit.symbol, to.name())),
     }
     notes
 }
@@ -87,7 +87,7 @@ mod tests {
         assert_eq!(written(far(), Format::E57, None), (true, 1));
         assert_eq!(written(far(), Format::E57, Some(Precision::F32)), (false, 1));
         assert_eq!(written(near(), Format::E57, Some(Precision::F32)), (false, 0));
-        // Other formats keep their precision.
+        // In other formats, coordinates keep their precision.
         let mut kept = near();
         adapt_fields(&mut kept, Format::Las, Format::Ply, None);
         assert!(kept.is_written_in_f64());

@@ -1,4 +1,4 @@
-//! Writes files that are either complete or absent: under a temporary name in the same folder, then renamed.
+//! Writes files atomically: each file gets a temporary name in the same folder, and is renamed when it is complete.
 //!
 //! A temporary file's name contains identifiers of the machine and the process that writes it, so a later process can
 //! delete the leftovers of a killed one.
@@ -77,7 +77,8 @@ pub fn create_output_folder(folder: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Appends text to a file, which is created if it does not exist. Fails if the file is a link in an output folder.
+/// Appends text to a file, which is created if it does not exist. Fails if a path in an output folder leads through a
+/// link.
 pub fn append_to(path: &Path, text: &str) -> FormatResult<()> {
     check_links(path)?;
     let mut file = fs::OpenOptions::new().create(true).append(true).open(path)?;
@@ -100,9 +101,9 @@ fn check_links(path: &Path) -> FormatResult<()> {
     Ok(())
 }
 
-/// Writes a file atomically: under a temporary name in the same folder, then renamed. Links are followed. A replaced
-/// file keeps its permissions and, if this process may set it, its owner. The old file stays in place until the new
-/// one is on the disk. Replacing a read-only file is an error, except after [`replace_read_only_files`].
+/// Writes a file atomically: writes it under a temporary name in the same folder, then renames it. Links are followed.
+/// A replaced file keeps its permissions and, if this process may set it, its owner. The old file stays in place until
+/// the new one is on the disk. Replacing a read-only file is an error, except after [`replace_read_only_files`].
 pub fn write_whole(path: &Path, bytes: &[u8]) -> FormatResult<()> {
     let whole = AtomicFile::new(path)?;
     let mut file = whole.file();
@@ -165,11 +166,11 @@ impl Temporary {
         builder.prefix(&prefix).suffix(SUFFIX);
         #[cfg(unix)]
         {
-            // The permissions of any new file, to which the process's umask applies.
+            // Request the usual permissions of a new file, to which the process's umask applies.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(fs::Permissions::from_mode(0o666));
         }
-        // Created and registered under one lock, because a signal in between would leave the file behind.
+        // Create and register the file under one lock, because a signal in between would leave it behind.
         let mut known = known();
         if known.is_over {
             return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
@@ -219,8 +220,8 @@ fn check_place(path: &Path) -> FormatResult<Option<fs::Metadata>> {
     Ok(replaced)
 }
 
-/// Returns an error if a path cannot be written: its folder does not exist or is read-only, or it names something
-/// other than a file.
+/// Returns an error if no file can be written at a path, for example because the folder is missing or read-only, or
+/// because the path names a folder.
 pub fn check_target(path: &Path) -> FormatResult<()> {
     check_links(path)?;
     let path = behind_links(path)?;
@@ -261,8 +262,8 @@ fn behind_links(path: &Path) -> FormatResult<PathBuf> {
     Err(FormatError::Unsupported("the link points to itself; choose another file name".into()))
 }
 
-/// Removes temporary files that this user's killed processes left in a folder on this machine. Sweeps each folder
-/// once.
+/// Removes temporary files that killed processes of this user and this machine left in a folder. Each folder is swept
+/// only once.
 fn sweep(folder: &Path) {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
     if !known().swept.get_or_insert_default().insert(folder.clone()) {
@@ -278,7 +279,7 @@ fn sweep(folder: &Path) {
     }
 }
 
-/// Returns the number of the process that wrote a temporary file; `None` if another machine wrote it, or it is not a
+/// Returns the ID of the process that wrote a temporary file; `None` if another machine wrote it, or it is not a
 /// temporary file of planish.
 fn process_of(name: &str) -> Option<u32> {
     let (of, rest) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
@@ -286,7 +287,7 @@ fn process_of(name: &str) -> Option<u32> {
     rest.split_once('-')?.0.parse().ok()
 }
 
-/// Returns a short identifier of the machine and, on Linux, the container, within which process numbers are unique.
+/// Returns a short identifier of the machine and, on Linux, the container, within which process IDs are unique.
 fn machine() -> String {
     let host = fs::read("/proc/sys/kernel/hostname").unwrap_or_default();
     let container = fs::read_link("/proc/self/ns/pid").unwrap_or_default();
@@ -324,7 +325,7 @@ mod tests {
     fn what_a_killed_process_left_behind_is_removed_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
-        // No process has a number this high (the kernel's limit is 2^22).
+        // No process has an ID this high (the kernel's limit is 2^22).
         let stale = file(&format!(".planish-{}-4294967295-a1b2c3.tmp", machine()));
         let own = file(&format!(".planish-{}-{}-a1b2c3.tmp", machine(), std::process::id()));
         let elsewhere = ".planish-00000000-4294967295-a1b2c3.tmp";

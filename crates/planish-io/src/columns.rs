@@ -52,8 +52,8 @@ pub(crate) fn axes_of(columns: &[Attribute]) -> Result<[usize; 3], FormatError> 
     Ok(index)
 }
 
-/// Returns the peak memory per point, in bytes, of columns of these types and of the cloud that
-/// [`cloud_from_columns`] makes of them.
+/// Returns the peak memory per point, in bytes, of columns of these types and of the cloud that [`cloud_from_columns`]
+/// makes from them.
 pub(crate) fn bytes_per_point(columns: &[Attribute]) -> usize {
     let all: usize = columns.iter().map(|column| column.count * column.values.scalar_size()).sum();
     let Ok(index) = axes_of(columns) else { return all };
@@ -61,7 +61,7 @@ pub(crate) fn bytes_per_point(columns: &[Attribute]) -> usize {
     if axes.iter().all(|values| matches!(values, AttributeValues::F32(_))) {
         return all;
     }
-    // The coordinates become f64, and then f32.
+    // The coordinates are converted to f64, and then to f32.
     let widened = axes.iter().filter(|values| !matches!(values, AttributeValues::F64(_))).count();
     all + 8 * widened + 12
 }
@@ -69,7 +69,7 @@ pub(crate) fn bytes_per_point(columns: &[Attribute]) -> usize {
 /// Converts a file's columns to a cloud; they must include x, y and z.
 pub fn cloud_from_columns(mut columns: Vec<Attribute>) -> Result<PointCloud, FormatError> {
     let index = axes_of(&columns)?;
-    // From the last to the first, so that the remaining indices stay valid.
+    // Remove the columns from last to first, so that the remaining indices stay valid.
     let mut take_order = [0, 1, 2];
     take_order.sort_by_key(|&axis| std::cmp::Reverse(index[axis]));
     let mut taken = [const { None }; 3];
@@ -127,7 +127,7 @@ fn to_f64(values: AttributeValues) -> Vec<f64> {
     }
 }
 
-/// Returns the origin of coordinates along an axis: 0, or, for far coordinates, the median of a sample truncated to
+/// Returns the origin of coordinates along an axis: 0, or, for far coordinates, the median of a sample, truncated to
 /// whole metres. Stray points do not move the median.
 fn origin_of(values: &[f64]) -> f64 {
     const SAMPLE: usize = 1000;
@@ -139,7 +139,7 @@ fn origin_of(values: &[f64]) -> f64 {
         .or(values.iter().find(|value| value.is_finite()))
         .copied()
         .unwrap_or(0.0);
-    // Differences between even larger coordinates would exceed f32's range.
+    // If coordinates exceed half of f32's range, their differences from an origin may exceed the whole range.
     let is_huge = || values.iter().any(|value| value.is_finite() && value.abs() > f64::from(f32::MAX / 2.0));
     if middle.abs() > FAR_M && !is_huge() { middle.trunc() } else { 0.0 }
 }

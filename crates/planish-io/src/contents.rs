@@ -16,7 +16,7 @@ pub enum Contents {
         width: usize,
         /// Height in pixels.
         height: usize,
-        /// Depth in metres, row by row; values that are not finite, 0 or negative are holes.
+        /// Depth in metres, row by row; non-finite, zero and negative values are holes.
         depth_m: Vec<f32>,
     },
     /// Points on a pixel grid.

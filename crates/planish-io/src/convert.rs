@@ -246,8 +246,8 @@ impl Contents {
         }
     }
 
-    /// Returns the points as an organized cloud. A depth image needs its camera; a cloud gets the given camera instead
-    /// of its own.
+    /// Returns the points as an organized cloud. A depth image requires a camera; in a cloud, the given camera replaces
+    /// its own.
     ///
     /// # Errors
     /// If a depth image has no camera, the camera contradicts the points, or there is no grid.

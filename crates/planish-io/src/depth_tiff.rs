@@ -1,5 +1,5 @@
-//! Reads and writes depth images as grayscale TIFF: 16-bit integers, 32-bit integers that fit in 16 bits, or floats in
-//! metres.
+//! Reads depth images from grayscale TIFF, and writes them as 16-bit integers. Files may contain 16-bit integers,
+//! 32-bit integers that fit in 16 bits, or floats in metres.
 
 use std::collections::HashSet;
 use std::io::{Cursor, Read, Seek, SeekFrom};
@@ -57,17 +57,17 @@ pub(super) struct Pages {
     /// Number of bytes of an offset: 4, or 8 in a BigTIFF.
     offset_bytes: usize,
     is_big_endian: bool,
-    /// Offsets of the directories of the pages.
+    /// Offset of each page's directory.
     pub(super) offsets: Vec<u64>,
     /// Whether the file ends before its last page.
     pub(super) is_cut: bool,
 }
 
 impl Pages {
-    /// Finds the pages. The decoder would read all directories up to a page, whatever their size.
+    /// Finds the pages without the decoder, which would read all directories up to a page, whatever their size.
     ///
     /// # Errors
-    /// If the directories overlap or are too many, or the file is not a TIFF.
+    /// If the directories overlap, there are too many of them, or the file is not a TIFF.
     pub(super) fn of(bytes: &[u8]) -> Result<Self, FormatError> {
         let damaged = |text: &str| FormatError::Malformed(format!("damaged TIFF: {text}"));
         let (is_big_endian, is_big) = match bytes {
@@ -88,7 +88,7 @@ impl Pages {
         while next != 0 {
             if offsets.len() == MOST_PAGES {
                 return Err(FormatError::Unsupported(format!(
-                    "a TIFF of more than {MOST_PAGES} pages; save it as several files"
+                    "the TIFF has more than {MOST_PAGES} pages; split the file"
                 )));
             }
             let at = usize::try_from(next).unwrap_or(usize::MAX);
@@ -109,7 +109,7 @@ impl Pages {
             }
             next = after;
         }
-        // The decoder describes what is wrong with the only page.
+        // Keep one page, so that the decoder can report what is wrong with it.
         if offsets.is_empty() {
             offsets.push(number(first, offset_bytes).unwrap_or_default());
             is_cut = false;
@@ -129,7 +129,7 @@ impl Pages {
     }
 }
 
-/// A file with another header.
+/// A reader of a file whose header is replaced by `header`.
 struct PageReader<'a> {
     header: Vec<u8>,
     file: Cursor<&'a [u8]>,

@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-/// Escapes control characters and direction marks for a terminal as `\u001b`, in the form that JSON uses; line breaks
-/// and tabs are kept. Use it for all printed text.
+/// Escapes control characters and direction marks in the form that JSON uses, such as `\u001b`, so that text is safe to
+/// print to a terminal. Keeps line breaks and tabs. Use it for all printed text.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_hidden(c) && !matches!(c, '\n' | '\t'))
 }
@@ -38,7 +38,7 @@ pub fn quoted(text: &str) -> String {
 /// Returns up to 160 characters of a message that may quote a file, on one line.
 pub fn brief(message: &str) -> String {
     const MOST: usize = 160;
-    // As many words are more than enough.
+    // Each word has at least one character, so this many words suffice.
     let message = message.split_whitespace().take(MOST).collect::<Vec<_>>().join(" ");
     match message.char_indices().nth(MOST) {
         Some((end, _)) => format!("{}...", &message[..end]),

@@ -1,4 +1,4 @@
-//! File formats: how to recognize them, and which programs convert unsupported ones.
+//! Detects file formats, and suggests programs that convert unsupported ones.
 
 use std::path::Path;
 
@@ -54,7 +54,7 @@ pub enum Format {
     DepthTiff,
     /// A NumPy array of depth or points.
     Npy,
-    /// ASPRS LAS 1.0 to 1.4.
+    /// ASPRS LAS 1.0 to 1.4. LAS 1.5 is read as LAS 1.4.
     Las,
     /// Compressed LAS, COPC included.
     Laz,

@@ -18,11 +18,12 @@ const BINARY: u32 = 0x004e_4942;
 
 /// Maximum nesting depth of nodes; deeper nesting is treated as a loop.
 const DEEPEST: usize = 64;
-/// Maximum number of nodes in a file without a scene, in which the root nodes must be searched.
+/// Maximum number of nodes in a file without a scene, in which the root nodes must be searched for.
 const MOST_UNROOTED: usize = 1 << 12;
 /// Maximum number of nodes in a scene, and of mesh primitives in these nodes.
 const MOST_PLACED: usize = 1 << 16;
-/// Memory per vertex in bytes: coordinates in f64, twice while they become columns, normals and colours.
+/// Memory per vertex in bytes, for normals, colours, and coordinates in f64. While coordinates are converted to
+/// columns, memory contains them twice.
 const BYTES_PER_VERTEX: usize = 160;
 
 const BYTE: u32 = 5121;
@@ -334,7 +335,7 @@ impl File<'_> {
             let node = nodes.get(i).ok_or_else(|| malformed(format!("node {i} does not exist")))?;
             visits += 1 + node.children.len();
             if depth > DEEPEST || visits > MOST_PLACED {
-                return Err(malformed("the nodes form a loop, or are too many"));
+                return Err(malformed("too many nodes, or they form a loop"));
             }
             // Cameras, lights and joints place no points. A skinned mesh is placed by its joints; the transform of its
             // node is ignored.
@@ -465,7 +466,7 @@ impl Node {
             Some(matrix) => DMat4::from_cols_array(matrix),
             None => {
                 let rotation = DQuat::from_array(rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
-                // False for a NaN.
+                // False if the length is NaN.
                 let is_unit = (rotation.length() - 1.0).abs() <= LENGTH_TOLERANCE;
                 if !is_unit {
                     return Err(malformed("the rotation of a node is not a quaternion of length 1"));
@@ -484,7 +485,7 @@ impl Node {
     }
 }
 
-/// The vertices read so far. Normals and colours may end before positions do.
+/// The vertices read so far. There may be fewer normals and colours than positions.
 #[derive(Default)]
 struct Vertices {
     positions: Vec<f64>,

@@ -15,7 +15,7 @@ pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
 }
 
 /// Returns true while a guarded decoder runs on any thread. All threads count because decoders may start threads.
-/// Callers should not print panic messages meanwhile.
+/// During that time, callers should not print panic messages.
 pub fn catches_panics() -> bool {
     RUNNING.load(Ordering::Relaxed) > 0
 }

@@ -19,15 +19,15 @@ pub struct ReadOptions {
     /// Memory limit in bytes [default: 2 GiB]. A larger file is rejected before it is read. A file is also rejected
     /// before it is decoded if its decompressed contents plus its columns or pixels would exceed the limit.
     pub max_memory_bytes: u64,
-    /// The length unit of points and floating-point depth in files that state none; they are converted to metres
-    /// [default: metre].
+    /// The length unit of points and floating-point depth in files that state no unit [default: metre]. Lengths are
+    /// converted to metres.
     pub unit: Option<LengthUnit>,
     /// Number of units per metre of floating-point depth, as an alternative to `unit`.
     pub depth_units_per_metre: Option<f64>,
     /// The number of columns in a lidar's `.bin` file; by default, detected from the values.
     pub columns: Option<usize>,
-    /// Which image to read, counted from 1, of a TIFF file with several pages or a NumPy array of shape [N, H, W]
-    /// [default: the first].
+    /// Number of the image to read, in a TIFF file with several pages or a NumPy array of shape [N, H, W], counted from
+    /// 1 [default: 1].
     pub image: Option<usize>,
 }
 
@@ -43,9 +43,9 @@ pub enum Work {
     Render,
     /// Drawing an unorganized cloud.
     RenderCloud,
-    /// Connecting points to triangles.
+    /// Connecting points to form triangles.
     Mesh,
-    /// Connecting points to triangles, and writing them as text.
+    /// Connecting points to form triangles, and writing them as text.
     MeshText,
     /// Describing a frame and its sensor.
     Describe,
@@ -71,8 +71,8 @@ pub enum Work {
     Prepare,
 }
 
-/// Returns the number of pixels of a grid including the engines' margin. If the grid is one pixel wide, most of them
-/// are margin.
+/// Returns the number of pixels of a grid, including the engines' margin. In a grid one pixel wide, most pixels belong
+/// to the margin.
 fn padded_pixels(width: usize, height: usize) -> usize {
     const MARGIN: usize = 8;
     (width + 2 * MARGIN).saturating_mul(height + 2 * MARGIN)
@@ -83,8 +83,9 @@ fn padded_pixels(width: usize, height: usize) -> usize {
 const FIELD_COPIES: usize = 4;
 
 impl Work {
-    /// Returns the peak memory per point in bytes, including the file's contents. Of the fields, only positions count.
-    /// Measured with 36 million pixels of depth, clouds with four million points, and streams that save every field.
+    /// Returns the peak memory per point in bytes, including the file's contents. Fields other than positions are not
+    /// included. Measured with 36 million pixels of depth, clouds with four million points, and streams that save every
+    /// field.
     const fn bytes_per_point(self) -> usize {
         match self {
             Self::Convert => 56,
@@ -135,12 +136,12 @@ impl ReadOptions {
         Self { columns, ..self }
     }
 
-    /// Sets which image to read of a file with several, counted from 1.
+    /// Sets the number of the image to read, counted from 1, in a file with several images.
     pub const fn with_image(self, image: Option<usize>) -> Self {
         Self { image, ..self }
     }
 
-    /// Returns which of `images` images to read, counted from 0, and adds a note about the others.
+    /// Returns the index of the image to read in a file with `images` images, and adds a note about the others.
     ///
     /// # Errors
     /// If the file has fewer images.
@@ -200,7 +201,7 @@ impl ReadOptions {
         self.check_work(work, points, field_bytes)
     }
 
-    /// Calls `decode` with the limit that `used` bytes leave. Its errors state the whole limit.
+    /// Calls `decode` with the memory limit reduced by `used` bytes. Errors state the full limit.
     pub fn beside<T>(&self, used: usize, decode: impl FnOnce(&Self) -> FormatResult<T>) -> FormatResult<T> {
         let used = used as u64;
         let left = self.with_max_memory_bytes(self.max_memory_bytes.saturating_sub(used));
@@ -231,7 +232,7 @@ pub fn read_bytes(path: &Path, options: &ReadOptions) -> FormatResult<Vec<u8>> {
         options.check(bytes.len(), 1)?;
         return Ok(bytes);
     }
-    // Queried before the file is opened, since opening a pipe waits for its other end.
+    // Query the metadata before opening the file, since opening a pipe waits for its other end.
     let metadata = fs::metadata(path)?;
     if metadata.is_dir() {
         return Err(FormatError::Unsupported("the path is a folder; expected a file".into()));

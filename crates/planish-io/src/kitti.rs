@@ -1,5 +1,5 @@
-//! Lidar scans as plain f32: KITTI's `.bin` files with x, y, z and intensity, nuScenes' `.pcd.bin` files with an
-//! additional ring, and other `.bin` files with colours.
+//! Reads and writes lidar scans stored as plain f32: KITTI's `.bin` files with x, y, z and intensity, nuScenes'
+//! `.pcd.bin` files with an additional ring, and other `.bin` files with colours.
 //!
 //! The files have no header. The number of columns is detected from the values unless the options state it.
 
@@ -52,15 +52,14 @@ pub(super) fn decode(
         None if has_ring => 5,
         None => sample.columns(bytes.len() / 4).ok_or_else(|| {
             FormatError::Unsupported(
-                "the number of columns is not apparent from the values; state it, such as 4 for KITTI or 5 for nuScenes"
-                    .into(),
+                "the number of columns is ambiguous; state it, for example 4 for KITTI or 5 for nuScenes".into(),
             )
         })?,
     };
     let record = 4 * count;
     if !bytes.len().is_multiple_of(record) {
         return Err(FormatError::Malformed(format!(
-            "{} bytes are not a multiple of a point of {count} 4-byte floats; the lidar's .bin is truncated or has \
+            "{} bytes do not divide into points of {count} 4-byte floats; the lidar's .bin is truncated or has \
              another layout",
             bytes.len()
         )));

@@ -1,9 +1,9 @@
 //! Reads and writes files, without losing fields and without leaving half-written files.
 //!
-//! A file's format is detected from its contents first, then from its extension. Before allocating memory, every
-//! reader checks the sizes that a header claims against the file's size. In programs built from crates.io, one kind of
-//! damage aborts the process: certain GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13,
-//! recurse until the stack overflows. There, read untrusted files in a separate process.
+//! A file's format is detected from its contents first, then from its extension. Before allocating memory, every reader
+//! checks the sizes that a header claims against the file's size. In programs built from crates.io, one kind of damage
+//! aborts the process: certain GPS times in LAZ files (point formats 6 to 10) make the decoder, laz 0.13, recurse until
+//! the stack overflows. In such programs, read untrusted files in a separate process.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(
@@ -15,7 +15,8 @@
     clippy::print_stderr
 )]
 
-/// False for the browser's page, whose size is limited: it omits checks of rare contradictions and of memory.
+/// False in WebAssembly, because the size of the web page is limited. That build omits some memory checks and checks
+/// for rare contradictions.
 pub(crate) const HAS_ROOM: bool = cfg!(not(target_family = "wasm"));
 
 mod adapt;

@@ -63,7 +63,7 @@ fn points_to_metres(cloud: &mut PointCloud, unit: LengthUnit, notes: &mut Vec<St
 }
 
 /// Converts a cloud to metres if its file states another unit, and drops the header with that unit. Returns a note for
-/// users if it did.
+/// users if the cloud was converted.
 pub fn convert_to_metres(cloud: &mut PointCloud) -> Option<String> {
     let unit = LengthUnit::stated_by(cloud).filter(|unit| !unit.is_metre())?;
     scale(cloud, unit.metres);
@@ -93,7 +93,8 @@ fn scale(cloud: &mut PointCloud, factor: f64) {
     }
 }
 
-/// Maximum |x| / z and |y| / z for a point in front of a camera, which is a field of view of about 150 degrees.
+/// Maximum |x| / z and |y| / z for a point in front of a camera, which corresponds to a field of view of about 150
+/// degrees.
 const WIDEST: f32 = 4.0;
 
 /// Converts points at (0, 0, 0) to holes if the cloud is in its sensor's frame, because drivers write such points for

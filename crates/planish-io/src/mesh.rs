@@ -94,7 +94,7 @@ pub(super) fn decode_off(bytes: &[u8], options: &ReadOptions, notes: &mut Vec<St
     names.extend(if has_normals { &["normal_x", "normal_y", "normal_z"][..] } else { &[] });
     names.extend(if prefix.contains('C') { &["red", "green", "blue"][..] } else { &[] });
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
-    // Colours end at 1 or at 255. Alpha, which may follow, can have the other range.
+    // Colours range from 0 to 1 or from 0 to 255. Alpha, which may follow, can have the other range.
     let (mut largest, mut largest_alpha, mut has_fraction, mut beyond) = (0.0f64, 0.0f64, false, 0);
     for _ in 0..count {
         let (number, line) = lines.next().ok_or_else(|| {

@@ -51,10 +51,10 @@ pub(super) fn decode_pgm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     }
     let (width, height) = (words.number("a width")?, words.number("a height")?);
     validate_shape(width, height)?;
-    let largest: u32 = words.number("a largest value")?;
+    let largest: u32 = words.number("a maximum value")?;
     if !(256..=65535).contains(&largest) {
         return Err(FormatError::Unsupported(format!(
-            "the PGM's largest value is {largest}, but depth needs 16 bits (256 to 65535)"
+            "the PGM's maximum value is {largest}, but depth needs 16 bits (256 to 65535)"
         )));
     }
     options.check(width * height, 2)?;

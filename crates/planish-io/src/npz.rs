@@ -118,8 +118,8 @@ pub(super) fn decode(
     let found = if is_depth { depth().or_else(points) } else { points().or_else(depth) };
     let Some((used, mut contents, found_notes)) = found else {
         return Err(FormatError::Unsupported(format!(
-            "no points or depth image found among the arrays {}; name the positions points, xyz or positions \
-             ([N, 3] or [H, W, 3] of f32 or f64), or the depth image depth",
+            "no points or depth image found among the arrays {}; expected one named points, xyz or \
+             positions ([N, 3] or [H, W, 3] of f32 or f64), or depth",
             names()
         )));
     };
@@ -170,7 +170,7 @@ fn is_matrix(array: &[u8]) -> bool {
         .is_ok_and(|array| matches!(array.header.shape[..], [3, 3] | [3, 4] | [4, 4] | [1, 3, 3] | [1, 4, 4]))
 }
 
-/// Returns true for an array that, judging by its shape and type alone, is points or a depth image.
+/// Returns true for an array that, judging by its shape and type alone, contains points or a depth image.
 fn is_plain(array: &[u8]) -> bool {
     npy::Array::parse(array).is_ok_and(|array| {
         matches!(
@@ -193,8 +193,8 @@ fn intrinsics_of(array: &[u8]) -> Option<Intrinsics> {
     matrix_intrinsics(&numbers)
 }
 
-/// Converts an array to a field of `rows` points. If the array is not a field, such as an unrelated matrix, the inner
-/// result is the reason.
+/// Converts an array to a field of `rows` points. If the array is not a field but, for example, an unrelated matrix,
+/// the inner error states the reason.
 fn field(name: &str, array: &[u8], rows: usize) -> FormatResult<Result<Attribute, String>> {
     let array = match npy::Array::parse(array) {
         Ok(array) => array,

@@ -81,7 +81,7 @@ impl Points {
         if !to_file.is_finite() || !DVec3::from(position).is_finite() {
             return Err(FormatError::Malformed("a scan's position or matrix has values that are not finite".into()));
         }
-        // The translation is in the last row; other programs would apply a projection.
+        // The translation belongs in the last row. Other programs would interpret the last column as a projection.
         if (to_file.row(3) - DVec4::W).length() > 1e-9 {
             return Err(FormatError::Unsupported(format!(
                 "the last column of a scan's matrix is {:?} instead of 0, 0, 0, 1; write the translation in the last row",

@@ -66,8 +66,8 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<(Format, Contents
 }
 
 /// Reads a LAS, LAZ or PLY file in parts of at most `points_at_once` points, and calls `visit` for each. A part is a
-/// cloud with all fields and its own origin; a file without points is one empty cloud. Returns the file's format and
-/// [`FileRead::notes`].
+/// cloud with all fields and its own origin; a file without points yields one empty cloud. Returns the file's format
+/// and [`FileRead::notes`].
 #[cfg(feature = "scans")]
 pub fn read_in_parts(
     path: &Path,
@@ -103,7 +103,7 @@ pub fn read_in_parts(
     read.map_err(IoError::at(path))
 }
 
-/// A file that was read.
+/// The contents and format of a file, with notes on reading it.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FileRead {
@@ -184,7 +184,7 @@ fn decode_plain(
     if !matches!(format, Format::DepthTiff | Format::Npy) {
         options.image_of(1, notes)?;
     }
-    // The decoders of these formats check only the memory that they allocate; the file's bytes count, too.
+    // The decoders of these formats check only the memory that they allocate, so the file's bytes are counted here.
     let counts_file = matches!(
         format,
         Format::Pcd

@@ -9,7 +9,7 @@ use planish_core::{FormatError, IoError, Settings};
 /// Maximum size of a settings file in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Length of an error message in bytes above which it is shortened, since it quotes the file.
+/// Length in bytes above which an error message is shortened. Long messages quote the file.
 const LONGEST: usize = 1000;
 
 /// Maximum number of brackets, which real settings never reach.
@@ -18,7 +18,7 @@ const MOST_BRACKETS: usize = 100;
 /// Reads settings from a JSON or YAML file: an object with fields of [`Settings`].
 ///
 /// # Errors
-/// If the file cannot be read, has a field that settings do not have, or a value outside its range.
+/// If the file cannot be read, has an unknown field, or has a value outside its range.
 pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
     let read = || {
         let bytes = super::read_bytes(path, &ReadOptions::default().with_max_memory_bytes(MAX_BYTES))?;
@@ -32,14 +32,14 @@ pub fn read_settings(path: &Path) -> Result<Settings, IoError> {
 /// Parses settings from JSON or YAML.
 ///
 /// # Errors
-/// If the text has a field that settings do not have, or a value outside its range.
+/// If the text is not valid JSON or YAML, has an unknown field, or has a value outside its range.
 pub fn parse_settings(text: &str) -> FormatResult<Settings> {
     let text = text.trim_start_matches('\u{feff}');
-    // The YAML parser's time grows with the square of the depth.
+    // The YAML parser's time grows with the square of the nesting depth.
     if text.matches(['{', '[']).count() > MOST_BRACKETS {
         return Err(FormatError::Malformed(format!("settings: more than {MOST_BRACKETS} brackets")));
     }
-    // JSON is not always valid YAML: it may be indented by tabs.
+    // JSON is not always valid YAML: it may be indented with tabs.
     let parsed = match text.trim_start().chars().next() {
         Some('{') => serde_json::from_str(text).map_err(|error| error.to_string()),
         _ => parse_yaml(text),

@@ -12,7 +12,7 @@ use planish_core::IoError;
 
 /// A file with several depth images, such as the pages of a TIFF file or a NumPy array of shape [N, H, W].
 ///
-/// The file stays in memory, so that no image costs reading those before it.
+/// The file stays in memory, so that decoding an image does not require reading the images before it.
 #[derive(Debug, Clone)]
 pub struct Stack {
     bytes: Vec<u8>,
@@ -23,7 +23,7 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Reads a file; `None` if it is whole and has one image, or is of a format without several.
+    /// Reads a file. Returns `None` if the file is complete and has one image, or if its format allows only one.
     ///
     /// # Errors
     /// If the file is unreadable, exceeds the memory limit, or has a damaged header.
@@ -69,11 +69,12 @@ impl Stack {
     }
 }
 
-/// Returns true if the first bytes of a file allow several images, so that other files are read only once.
+/// Returns true if a file may contain several images, judging by its first bytes. All other files are then read only
+/// once.
 fn may_have_several(path: &Path) -> FormatResult<bool> {
     const LONGEST: u64 = 6;
     let mut start = Vec::new();
-    // Anything but a file is reported by whatever reads it.
+    // A path that is not a file is reported later, when it is read.
     if path.is_file() {
         File::open(path)?.take(LONGEST).read_to_end(&mut start)?;
     }
@@ -81,8 +82,8 @@ fn may_have_several(path: &Path) -> FormatResult<bool> {
     Ok(start.starts_with(GZIP) || matches!(format, Some(Format::DepthTiff | Format::Npy)))
 }
 
-/// Returns the format, the number of images, and whether images are missing at the end, of a file's uncompressed
-/// contents.
+/// Returns the format of a file's uncompressed contents, the number of images, and whether images are missing at the
+/// end.
 fn images(bytes: &[u8]) -> FormatResult<Option<(Format, usize, bool)>> {
     match Format::of_contents(bytes) {
         #[cfg(feature = "tiff")]

@@ -26,7 +26,7 @@ impl<'a> Iterator for Lines<'a> {
     /// Returns the next non-blank line and its number.
     fn next(&mut self) -> Option<(usize, &'a str)> {
         while !self.rest.is_empty() {
-            // Lines are short: `str::lines` takes a third of the time of reading a file.
+            // Lines are short, so `str::lines` would take a third of the time to read a file.
             let end = self.rest.bytes().position(|byte| byte == b'\n');
             let (line, rest) = end.map_or((self.rest, ""), |end| (&self.rest[..end], &self.rest[end + 1..]));
             self.rest = rest;
@@ -139,8 +139,8 @@ fn not_a_value(word: &str, column: &Attribute) -> String {
     format!("{} is not a value of field {}", quoted(word), quoted(&column.name))
 }
 
-/// Returns an error if a coordinate that was read from these lines, such as 1e39, is too large for its column and has
-/// become infinite, which means a hole. `lengths` are the columns' lengths before.
+/// Returns an error if a coordinate in these lines, such as 1e39, was too large for its column and became infinite; an
+/// infinite coordinate would count as a hole. `lengths` are the lengths of the columns before reading.
 fn check_coordinates(lines: Lines<'_>, columns: &[Attribute], lengths: &[usize]) -> Result<(), FormatError> {
     let is_axis = |column: &Attribute| matches!(&*column.name, "x" | "y" | "z" | "X" | "Y" | "Z");
     let has_infinite = |(column, length): (&Attribute, &usize)| match &column.values {
@@ -151,7 +151,7 @@ fn check_coordinates(lines: Lines<'_>, columns: &[Attribute], lengths: &[usize])
     if !crate::HAS_ROOM || !columns.iter().zip(lengths).any(|found| is_axis(found.0) && has_infinite(found)) {
         return Ok(());
     }
-    // Look for their words: `inf` is a hole, too.
+    // Check the words of infinite coordinates, because `inf` is a hole and not an error.
     let slots: Vec<(usize, usize)> =
         columns.iter().enumerate().flat_map(|(k, column)| (0..column.count).map(move |at| (k, at))).collect();
     let words = lines.flat_map(|(number, line)| line.split_ascii_whitespace().map(move |word| (number, word)));
@@ -175,7 +175,7 @@ fn push(values: &mut AttributeValues, word: &str) -> Option<()> {
     if push_plain(values, word).is_some() {
         return Some(());
     }
-    // Microsoft's compiler writes NaN as -nan(ind) or 1.#QNAN, and some programs write integers as 255.0.
+    // Microsoft's C runtime writes NaN as -nan(ind) or 1.#QNAN, and some programs write integers as 255.0.
     let is_nan = ["nan(", "#QNAN", "#IND"].iter().any(|mark| word.contains(mark));
     match (word.split_once('.'), is_nan) {
         (_, true) => push_plain(values, "nan"),
@@ -210,7 +210,7 @@ pub(super) fn write(columns: &[Attribute], points: usize, bytes: &mut Vec<u8>) {
 }
 
 fn write_value(text: &mut String, values: &AttributeValues, i: usize) {
-    // Writing to a String cannot fail. PCL reads NaN as "nan" only.
+    // Writing to a String cannot fail. PCL reads only "nan" as NaN.
     let mut write = |value: &dyn Display| {
         let _ = write!(text, "{value}");
     };

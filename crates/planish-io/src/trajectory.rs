@@ -1,4 +1,4 @@
-//! Poses of a moving camera: TUM's `groundtruth.txt` (timestamp, position, quaternion x, y, z, w) and the
+//! Reads the poses of a moving camera: TUM's `groundtruth.txt` (timestamp, position, quaternion x, y, z, w) and the
 //! `trajectory.log` of Redwood and Open3D (three numbers and a 4x4 matrix per frame). The format is detected from the
 //! contents.
 

@@ -1,13 +1,13 @@
 //! Triangles between the pixels of a smoothed frame.
 //!
-//! Two adjacent pixels are connected if their tangent planes meet between them: the better of the two planes must
-//! predict the other pixel's range with an error of at most the sensor's noise plus half the difference of the two
-//! slopes, which is the error at a crease. Steps are left open.
+//! Two adjacent pixels are connected if their tangent planes meet between them. The better of the two planes must
+//! predict the other pixel's range. The tolerance is the sensor's noise plus half the difference of the two slopes,
+//! which is the error at a crease. Steps are left open.
 
 use glam::DVec3;
 use planish_core::{FrameError, OrganizedCloud, PointsView, SensorModel, Xyz};
 
-/// Tolerance of predicted ranges for noise, in standard deviations of the sensor.
+/// Tolerance of predicted ranges, in standard deviations of the sensor's noise.
 const DEVIATIONS: f64 = 3.0;
 
 /// Additional tolerance of the better of two predicted ranges, as a fraction of the difference between the two pixels'
@@ -29,7 +29,7 @@ pub struct TriangleMesh {
     pub normals: Xyz,
     /// Red, green and blue of each vertex; `None` if the frame has no colours.
     pub colours: Option<Vec<[u8; 3]>>,
-    /// Texture coordinates of each vertex: its position in the image, from 0 to 1, from the upper left corner.
+    /// Texture coordinates of each vertex: its position in the image, from 0 to 1, starting at the upper left corner.
     pub texture: Vec<[f32; 2]>,
     /// Three vertex indices per triangle, counterclockwise as seen from the sensor.
     pub triangles: Vec<[u32; 3]>,
@@ -78,7 +78,7 @@ impl Seen<'_> {
 }
 
 impl TriangleMesh {
-    /// Connects the points of a smoothed frame to triangles, given its normals and the sensor's noise.
+    /// Connects the points of a smoothed frame to form triangles, given the normals and the sensor's noise.
     ///
     /// # Errors
     /// If the number of normals differs from the number of points, or the sensor's position is unknown.

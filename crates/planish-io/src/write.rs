@@ -1,4 +1,4 @@
-//! Writing of clouds and depth images to files, and their encoding as bytes.
+//! Writes clouds and depth images to files, and encodes them as bytes.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -31,8 +31,8 @@ pub fn is_same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
-/// Returns an error if f32 would round coordinates by more than a tenth of a millimetre; for formats that store
-/// nothing finer.
+/// Returns an error if f32 would round coordinates by more than a tenth of a millimetre. Use it for formats that store
+/// coordinates only as f32.
 pub(crate) fn check_f32(origin_m: [f64; 3], mut positions: impl Iterator<Item = [f32; 3]>) -> Result<(), FormatError> {
     const FINE_M: f64 = 1e-4;
     let rounding_m = |axis: usize, value: f32| {
@@ -77,12 +77,12 @@ pub fn encode_cloud<'a>(
         #[cfg(feature = "more-formats")]
         Format::NuScenesBin => kitti::encode(cloud, true),
         Format::Obj | Format::Stl | Format::Off | Format::Gltf => Err(FormatError::Unsupported(
-            "a mesh format cannot store points without faces; end the name in .ply, which meshing programs read".into(),
+            "a mesh format cannot store points without faces; write .ply, which meshing programs read".into(),
         )),
-        Format::Ptx => Err(FormatError::Unsupported("PTX can be read but not written; end the name in .e57".into())),
+        Format::Ptx => Err(FormatError::Unsupported("PTX can be read but not written; write .e57".into())),
         Format::DepthPng | Format::DepthTiff | Format::Pgm | Format::Pfm | Format::Exr => {
             Err(FormatError::Unsupported(
-                "an image cannot store points; end the name in .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
+                "an image cannot store points; write .pcd, .ply, .las, .laz, .xyz, .csv or .npy".into(),
             ))
         }
         #[cfg(not(all(
@@ -96,8 +96,8 @@ pub fn encode_cloud<'a>(
     }
 }
 
-/// Checks in advance whether an output can be written: its folder exists and is writable, and its format can represent
-/// the cloud's fields and the `added` outputs.
+/// Checks in advance that an output can be written: its folder exists and is writable, and its format can represent the
+/// cloud's fields and the `added` outputs.
 ///
 /// # Errors
 /// If [`write_cloud`] would fail, except because of individual values.
@@ -124,9 +124,7 @@ pub fn encode_depth(format: Format, image: &DepthImage) -> Result<Vec<u8>, Forma
         #[cfg(not(feature = "tiff"))]
         Format::DepthTiff => Err(left_out(format)),
         Format::Npy => Ok(npy::encode_depth(image)),
-        _ => {
-            Err(FormatError::Unsupported("this format cannot store depth; end the name in .png, .tiff or .npy".into()))
-        }
+        _ => Err(FormatError::Unsupported("this format cannot store depth; write .png, .tiff or .npy".into())),
     }
 }
 

@@ -3,8 +3,8 @@
 use serde::de::DeserializeOwned;
 
 /// Maximum number of opening brackets, and of list and key marks at the beginning of a line. They bound the nesting
-/// depth, with the square of which the parser's time grows; a depth of 10,000 takes half a second. Closing brackets are
-/// not subtracted, because they may be quoted.
+/// depth. The parser's time grows with the square of the depth; a depth of 10,000 takes half a second. Closing brackets
+/// are not subtracted, because they may be quoted.
 const MOST_MARKS: usize = 10_000;
 
 /// Parses YAML. Deep nesting is an error. The error states what is wrong and, for syntax errors, where.

@@ -1,10 +1,10 @@
-"""Smooth a folder of depth images with Daft: PNG in, PNG out, a process a core.
+"""Smooth a folder of depth images with Daft: PNG in, PNG out, one process per core.
 
 python folder_daft.py FRAMES OUT --camera 525,525,319.5,239.5
 
-What is in OUT already is left out, so a run that was stopped goes on where it was; a file is there whole or not at all. (Daft ends the run if a worker is
-killed: start it again.) Files that cannot be
-smoothed are listed in OUT/errors.csv, and the others go on.
+Images that OUT already contains are skipped, so an interrupted run can be resumed. Files are written atomically. If a
+worker is killed, Daft ends the run; start it again. Files that cannot be smoothed are listed in OUT/errors.csv, and the
+run continues with the others.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import planish
 
 @daft.cls(use_process=True, max_concurrency=os.cpu_count())
 class SmoothFiles:
-    """Smooths one file after the other, with one smoother a process."""
+    """Smooths one file after another, with one smoother per process."""
 
     def __init__(self, camera: planish.Camera, out: str) -> None:
         self.smoother = planish.Smoother(camera, outputs=["depth"], engine="cpu", threads=1)
@@ -48,7 +48,7 @@ def main() -> None:
     if not paths:
         return
     smooth = SmoothFiles(camera, str(args.out))
-    # Without batches there is one, and one core at work.
+    # Without this, Daft makes a single batch, which keeps only one core busy.
     frames = daft.from_pydict({"path": paths}).into_batches(8)
     rows = frames.with_column("error", smooth(daft.col("path"))).to_pylist()
     failed = [row for row in rows if row["error"]]

@@ -1,9 +1,10 @@
-"""Smooth a folder of depth images with Ray Data: PNG in, PNG out, an actor a core (or a GPU).
+"""Smooth a folder of depth images with Ray Data: PNG in, PNG out, one actor per core (or per GPU).
 
 python folder_ray.py FRAMES OUT --camera 525,525,319.5,239.5 [--gpus]
 
-What is in OUT already is left out, so a run that was stopped goes on where it was; a file is there whole or not at all, so a worker that is killed
-loses nothing. Files that cannot be smoothed are listed in OUT/errors.csv, and the others go on.
+Images that OUT already contains are skipped, so an interrupted run can be resumed. Files are written atomically, so a
+killed worker loses nothing. Files that cannot be smoothed are listed in OUT/errors.csv, and the run continues with the
+others.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import planish
 
 
 class SmoothFiles:
-    """Smooths the files of a batch, one after the other; an actor."""
+    """An actor that smooths the files of a batch one after another."""
 
     def __init__(self, camera: planish.Camera, out: str, engine: str) -> None:
         self.smoother = planish.Smoother(camera, outputs=["depth"], engine=engine, threads=1)
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--camera", required=True, help="FX,FY,CX,CY in pixels")
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--gpus", action="store_true", help="one actor a GPU")
+    parser.add_argument("--gpus", action="store_true", help="run one actor per GPU")
     args = parser.parse_args()
     width, height = (int(value) for value in args.size.split("x"))
     camera = planish.Camera(width, height, *(float(value) for value in args.camera.split(",")))
@@ -54,7 +55,7 @@ def main() -> None:
     ray.init(logging_level="warning")
     frames = ray.data.from_items([{"path": path} for path in paths], override_num_blocks=4 * args.workers)
     resources = {"num_gpus": 1} if args.gpus else {"num_cpus": 1}
-    # A batch of a worker that is lost is done again: the same files with the same contents.
+    # Ray repeats the batch of a lost worker, which writes the same files with the same contents.
     done = frames.map_batches(
         SmoothFiles,
         fn_constructor_args=(camera, str(args.out), "gpu" if args.gpus else "cpu"),

@@ -1,9 +1,10 @@
-"""Smooth depth images of a folder or an object store into Parquet or Lance with Ray Data: PNG in, a row a frame out.
+"""Smooth depth images from a folder or an object store with Ray Data: PNG in, a row of Parquet or Lance per frame out.
 
 python frames_to_parquet.py FRAMES OUT --camera 525,525,319.5,239.5 [--lance]
 
-FRAMES and OUT may be folders or addresses such as s3://bucket/frames. A row has the path, the smoothed depth (uint16, height x width, as bytes) and an
-error, which is empty where all went well. Paths that OUT has already are left out, so a run that was stopped goes on where it was. To read a row:
+FRAMES and OUT may be folders or addresses such as s3://bucket/frames. A row contains the path,
+the smoothed depth (uint16, height x width, as bytes) and an error message, which is empty on success. Paths that OUT
+already contains are skipped, so an interrupted run can be resumed. To read a row:
 np.frombuffer(row["smoothed"], np.uint16).reshape(480, 640).
 """
 
@@ -20,7 +21,7 @@ from planish.data import SmoothFrames
 
 
 def decode(batch: dict) -> dict:
-    """16-bit PNGs as arrays; an empty one for what is no such picture."""
+    """Decode PNGs to uint16 arrays; data that cannot be decoded give an empty array."""
 
     def depth_of(data: bytes) -> np.ndarray:
         try:
@@ -32,7 +33,7 @@ def decode(batch: dict) -> dict:
 
 
 class Smooth:
-    """An actor: a smoother, whose results go on as bytes."""
+    """An actor with a smoother; it passes on the results as bytes."""
 
     def __init__(self, camera: planish.Camera) -> None:
         self.smooth = SmoothFrames(camera, engine="cpu")
@@ -73,8 +74,7 @@ def main() -> None:
         Smooth,
         fn_constructor_args=(camera,),
         batch_size=8,
-        # Half of a core per actor, since reading and writing need some too: with all cores reserved they would wait
-        # forever.
+        # Reserve half a core per actor. If actors reserved all cores, reading and writing would wait forever.
         num_cpus=0.5,
         compute=ray.data.ActorPoolStrategy(size=args.workers),
     )

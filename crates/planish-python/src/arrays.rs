@@ -91,7 +91,7 @@ fn rows<'a, T: Element>(array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<(&'a [
     let row_bytes = if height == 1 { width * size } else { row_bytes };
     if height == 0 || width == 0 || value_bytes != size || row_bytes % size != 0 || row_bytes < width * size {
         return Err(PyValueError::new_err(
-            "the values of a depth image's row must be contiguous, and rows must not overlap",
+            "the values in each row of a depth image must be contiguous, and rows must not overlap",
         ));
     }
     let row_stride = row_bytes / size;

@@ -61,7 +61,7 @@ impl PyCudaSmoother {
 
     /// Copies the oldest result to the address `result`; returns false if no frame is in flight.
     fn receive(&self, py: Python<'_>, result: u64, stream: usize) -> PyResult<bool> {
-        // SAFETY: the same.
+        // SAFETY: same as in `submit`.
         self.with(py, |smoother| unsafe { smoother.receive(result, stream) })
     }
 

@@ -17,7 +17,7 @@ pub fn to_py(error: impl Into<Error>) -> PyErr {
         Error::Engine(EngineError::OutOfMemory { .. }) => PyMemoryError::new_err(text),
         Error::Io(IoError { path, problem: FormatError::Os(os) }) => match (os.kind(), os.raw_os_error()) {
             (std::io::ErrorKind::NotFound, None) => PyFileNotFoundError::new_err(text),
-            // From the number, Python chooses the subclass: FileNotFoundError, PermissionError, ...
+            // Python derives the subclass from the number: FileNotFoundError, PermissionError, ...
             (_, Some(number)) => PyOSError::new_err((number, os.to_string(), path.display().to_string())),
             _ => PyOSError::new_err(text),
         },

@@ -120,7 +120,7 @@ pub fn write_points(
     written.map_err(to_py)
 }
 
-/// Returns the encoding and the precision of coordinates that `names` state.
+/// Parses names such as "ascii" and "f64" into an encoding and a precision of coordinates.
 pub fn encoding_of(names: &[String]) -> PyResult<(Option<Encoding>, Option<Precision>)> {
     let (mut encoding, mut precision) = (None, None);
     for name in names.iter().flat_map(|names| names.split(',')) {

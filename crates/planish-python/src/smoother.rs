@@ -142,7 +142,7 @@ impl PySmoother {
         Ok(())
     }
 
-    /// Returns the pose of the last frame's camera in the coordinate frame of the previous one: x, y, z, qw, qx, qy,
+    /// Returns the pose of the camera at the last frame, relative to its pose at the frame before: x, y, z, qw, qx, qy,
     /// qz. `None` if the motion is unknown.
     fn camera_motion(&self) -> PyResult<Option<[f64; 7]>> {
         let motion = self.lock()?.session.camera_motion();
@@ -248,7 +248,7 @@ impl PySmoother {
             state.session.set_outputs(outputs);
             state.session.prepare(first).map_err(to_py)?;
             let is_pipelined = state.session.engine().is_some_and(|engine| engine.capabilities().pipelined);
-            // The number of neighbours differs between unorganized clouds.
+            // planish chooses the number of neighbours for each unorganized cloud, so clouds are smoothed one by one.
             if !is_pipelined || first.grid().is_none() {
                 for (frame, slices) in frames.iter().zip(&mut slices) {
                     py.check_signals()?;

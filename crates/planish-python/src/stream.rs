@@ -210,6 +210,6 @@ impl PyStream {
         if self.process == std::process::id() {
             return Ok(());
         }
-        Err(PyRuntimeError::new_err("this stream was opened by another process; open one here"))
+        Err(PyRuntimeError::new_err("this stream was opened by another process; open a new stream in this process"))
     }
 }

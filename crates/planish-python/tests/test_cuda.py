@@ -1,4 +1,4 @@
-"""Arrays in CUDA memory: tests that need no GPU."""
+"""Tests of arrays in CUDA memory that need no GPU."""
 
 from pathlib import Path
 from typing import Any
@@ -32,9 +32,9 @@ def test_dlpack_says_where_an_array_is_and_how_it_lies(kind: str):
         truth = part.__array_interface__
         assert (found["shape"], found["typestr"], found["strides"]) == (part.shape, kind, truth["strides"])
         assert found["data"][0] == truth["data"][0]
-    with pytest.raises(TypeError, match="DLPack's device 1"):
+    with pytest.raises(TypeError, match="DLPack device type 1"):
         _cuda._interface(OnGpu(array, device=1), "depth", 0)
-    with pytest.raises(TypeError, match="out: expected an array in CUDA's memory .* not list"):
+    with pytest.raises(TypeError, match="out: expected an array in CUDA memory .* not list"):
         _cuda._interface([1], "out", 0)
 
 

@@ -43,7 +43,8 @@ def test_another_implementation_of_pcd_reads_and_writes_the_same(tmp_path):
     for encoding, their_encoding, fields in [
         ("ascii", Encoding.ASCII, scalars | several),
         ("binary", Encoding.BINARY, scalars | several),
-        # The other reader splits compressed fields with several values, where PCL stores the values of a point together.
+        # In compressed files, the other reader stores each value of a field with several values separately, whereas PCL
+        # stores the values of a point together.
         ("compressed", Encoding.BINARY_COMPRESSED, scalars),
     ]:
         planish.write(ours, points, fields=fields, encoding=encoding)

@@ -388,7 +388,7 @@ def test_processes_that_are_forked_or_spawned_go_on(frame, method, temporal):
         child.kill()
         child.join()
     again = smoother.smooth(frame.depth).depth
-    # The mean of two equal frames differs by a rounding error.
+    # The mean of two equal frames may differ from them by a rounding error.
     assert np.array_equal(again, expected) if temporal == "off" else np.abs(again - expected.astype(int)).max() <= 1
 
 

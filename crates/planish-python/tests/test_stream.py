@@ -1,4 +1,4 @@
-"""Streams: every frame of a folder, the newest of a camera, errors and ends."""
+"""Streams: every frame of a folder, the newest frame of a camera, errors, and the end of a stream."""
 
 import gc
 import os

@@ -119,7 +119,8 @@ def test_frames_are_prepared():
     assert np.array_equal(near, np.where((FRAME.depth >= 700) & (FRAME.depth <= 1000), FRAME.depth, 0))
     half, camera = planish.prepare(FRAME.depth, FRAME.camera, decimate=2)
     assert half.shape == (240, 320) and (camera.fx, camera.cx) == (262.5, 159.5)
-    # On flat parts, the mean of four pixels has less noise, but not half, since their noise is correlated.
+    # On flat parts, the mean of four pixels has less noise than one pixel, but more than half of it, because the
+    # noise of neighbours is correlated.
     truth = FRAME.points[..., 2].reshape(240, 2, 320, 2).transpose(0, 2, 1, 3).reshape(240, 320, 4)
     flat = (np.ptp(truth, axis=2) < 0.01) & (half > 0)
     raw = np.abs(FRAME.depth[::2, ::2] / 1000.0 - truth[..., 0])[flat]

@@ -42,7 +42,7 @@ fn time(bencher: Bencher<'_, '_>, cloud: &OrganizedCloud, params: FrameParams, o
     let radii_m = radii_m(cloud, params);
     agreement.add(&engine.smooth(cloud, params), &reference, |i| radii_m[i]);
     let misses = agreement.misses();
-    assert!(misses.is_empty(), "a wrong result is not timed: {misses:?}");
+    assert!(misses.is_empty(), "the result is wrong, so it is not timed: {misses:?}");
 
     let mut smoother = Smoother::open_with(params, &options, (cloud.width(), cloud.height())).expect("an engine");
     let mut smoothed = Smoothed::default();
@@ -108,6 +108,6 @@ fn depth_frame(bencher: Bencher<'_, '_>) {
     let cloud = frame.deproject().expect("a valid frame");
     let radii_m = radii_m(&cloud, params);
     agreement.add(&TestEngine::cpu(SimdLevel::best()).smooth(&frame, params), &reference, |i| radii_m[i]);
-    assert!(agreement.misses().is_empty(), "a wrong result is not timed");
+    assert!(agreement.misses().is_empty(), "the result is wrong, so it is not timed");
     bencher.bench_local(|| smoother.smooth(&frame, &mut smoothed).expect("a result"));
 }

@@ -1,4 +1,4 @@
-//! Running an engine on a cloud, and the grid of parameters with which engines are compared.
+//! Helpers that run an engine on a cloud, and the grid of parameters for the comparison of engines.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -108,7 +108,7 @@ pub fn test_adapter() -> Option<&'static GpuAdapter> {
     });
     assert!(
         adapter.is_some() || std::env::var_os("PLANISH_REQUIRE_GPU").is_none(),
-        "no GPU adapter, and one is required"
+        "no GPU adapter, but PLANISH_REQUIRE_GPU is set"
     );
     adapter.as_ref()
 }

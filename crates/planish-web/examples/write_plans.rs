@@ -1,5 +1,6 @@
-//! Writes the folder web/plans: the kernels and layouts of the usual settings. `cargo run -p planish-web --example
-//! write_plans`
+//! Writes the folder web/plans: the kernels and layouts of the usual settings.
+//!
+//! Run `cargo run -p planish-web --example write_plans`.
 
 use std::fs;
 use std::path::Path;

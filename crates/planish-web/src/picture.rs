@@ -74,7 +74,7 @@ pub(crate) fn colours_of(
 }
 
 /// Returns the colours of the points of an unorganized cloud. A relief replaces missing colours, and colours replace
-/// a relief without normals. Without the data for these, colours show depth along z.
+/// a relief without normals. If a cloud lacks both, its colours show z.
 pub(crate) fn colours_of_general(
     cloud: &PointCloud,
     normals: Option<&Xyz>,

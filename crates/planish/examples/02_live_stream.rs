@@ -1,4 +1,4 @@
-//! Smooths a live stream for five seconds: from the named source, such as a Kinect, or by default from the simulator.
+//! Smooths five seconds of a live stream from the named source, such as a Kinect. The default source is the simulator.
 //! `cargo run --release --example 02_live_stream -- kinect`
 
 use std::time::Duration;

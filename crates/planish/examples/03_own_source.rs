@@ -1,10 +1,10 @@
-//! Your own camera as a source, in 30 lines. `cargo run --release --example 03_own_source`
+//! Uses your own camera as a source, in 30 lines. `cargo run --release --example 03_own_source`
 
 use planish::source::{OwnedFrame, Source};
 use planish::stream::{self, StreamOptions};
 use planish::{Camera, DepthFrame, Error, FrameParams, SmootherOptions};
 
-/// A camera in front of a wall that swings back and forth.
+/// A camera that faces a wall moving back and forth.
 struct MyCamera {
     camera: Camera,
     frames: u32,
@@ -25,7 +25,7 @@ impl Source for MyCamera {
         Ok(Some(OwnedFrame::Depth(frame)))
     }
 
-    /// Returns true for a camera that continues whether or not its frames are read.
+    /// Returns true for a camera that produces frames whether or not they are read.
     fn is_live(&self) -> bool {
         false
     }
@@ -35,6 +35,6 @@ fn main() -> Result<(), Error> {
     let source = MyCamera { camera: Camera::kinect_v1(), frames: 0 };
     let options = StreamOptions::new(FrameParams::default(), SmootherOptions::default());
     let statistics = stream::Stream::new(Box::new(source), options).run()?;
-    println!("{} frames, {:.1} a second", statistics.frames_out, statistics.fps());
+    println!("{} frames, {:.1} frames/s", statistics.frames_out, statistics.fps());
     Ok(())
 }

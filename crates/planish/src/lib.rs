@@ -1,4 +1,5 @@
-//! Smooths depth-camera frames and point clouds by Moving Least Squares, fast enough for every frame of a camera.
+//! Smooths depth-camera frames and point clouds by Moving Least Squares, fast enough to process every frame of a live
+//! camera.
 //!
 //! This example smooths one frame with settings from a user:
 //!
@@ -14,9 +15,9 @@
 //! # }
 //! ```
 //!
-//! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers
-//! when a GPU is lost. For frames of one shape with explicit parameters, use a [`Smoother`], which does none of this.
-//! In this example, it writes into the caller's interleaved buffers:
+//! For many frames of any shape, use a [`Session`]: it keeps the engine open, reopens it when needed, and recovers when
+//! a GPU is lost. For frames of one shape with explicit parameters, use a [`Smoother`], which does none of this. In
+//! this example, a smoother writes into the caller's interleaved buffers:
 //!
 //! ```
 //! use planish::{Camera, DepthView, Engine, FrameParams, Outputs, SmoothedMut, Smoother, SmootherOptions};
@@ -33,8 +34,8 @@
 //! # }
 //! ```
 //!
-//! [`DepthView`] and [`PointsView`] borrow the data of other code; [`DepthFrame`], [`OrganizedCloud`] and
-//! [`PointCloud`] own their data.
+//! [`DepthView`] and [`PointsView`] borrow the caller's data; [`DepthFrame`], [`OrganizedCloud`] and [`PointCloud`] own
+//! their data.
 //!
 //! # Features
 //! | feature | default | adds |
@@ -45,13 +46,13 @@
 //! | `exr`, `npz`, `tiff` | yes | OpenEXR; NumPy archives; TIFF |
 //! | `scans`, `more-formats` | yes | LAS, LAZ, E57, clouds larger than memory; gzip, glTF, PTX and others |
 //! | `stream` | yes | `source`, `stream`, `rig`: cameras, recordings, the live loop, several cameras |
-//! | `simulate`, `evaluate` | yes | frames with known truth; measures and pictures of surfaces |
+//! | `simulate`, `evaluate` | yes | simulated frames with known ground truth; scores and pictures of surfaces |
 //! | `ros`, `mcap` | no | ROS 2 messages; MCAP recordings |
 //! | `mcap-compression` | no | compression of written MCAP recordings (zstd and LZ4 in C) |
 //! | `rerun` | no | a sink for the Rerun viewer; about 400 crates |
 //! | `webgpu`, `wgpu-interop` | no | kernels as data; the GPU engine on the caller's `wgpu::Device` |
-//! | `cuda` | no | depth and results in the memory of CUDA programs |
-//! | `serde` | with `io` | [`Settings`] and adapters as JSON or YAML |
+//! | `cuda` | no | depth and results in CUDA memory |
+//! | `serde` | with `io` | [`Settings`] and GPU adapters as JSON or YAML |
 //!
 //! The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.
 

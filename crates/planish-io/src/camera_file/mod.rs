@@ -23,7 +23,7 @@ const HELP: &str = "expected a camera file: JSON with fx, fy, cx, cy or a matrix
 /// Maximum size of a camera file in bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// A camera file that was read.
+/// The contents of a camera file.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CameraFile {
@@ -184,7 +184,7 @@ mod tests {
             r#"{"K":[525,0,0,0,525,0,319.5,239.5,1]}"#,
             r#"{"K":[[525,0,319.5],[0,525,239.5],[0,0,1]]}"#,
             "[[525, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]",
-            // 4x4, and with commas.
+            // A 4x4 matrix, and a matrix with commas.
             "525 0 319.5 0\n0 525 239.5 0\n0 0 1 0\n0 0 0 1\n",
             "525,0,319.5\n0,525,239.5\n0,0,1\n",
             // NeRF, Replica, BOP.

@@ -1,4 +1,4 @@
-//! Parses the text of a camera file to a JSON value, whatever its syntax.
+//! Parses a camera file of any supported syntax into a JSON value.
 
 #[cfg(feature = "more-formats")]
 use serde_json::Map;
@@ -25,8 +25,8 @@ pub(super) fn parse(text: &str) -> FormatResult<Value> {
     if let Some(numbers) = numbers(text) {
         return Ok(numbers);
     }
-    // `topic echo` ends a message with the YAML mark of a new document. OpenCV begins its files with a directive that
-    // is not valid YAML, and tags its matrices.
+    // `topic echo` ends a message with the YAML document separator. OpenCV begins its files with a directive that is
+    // not valid YAML, and tags its matrices.
     let lines = text.lines().filter(|line| !line.starts_with('%')).map(as_yaml);
     let yaml = lines.collect::<Vec<_>>().join("\n").replace("!!opencv-matrix", "");
     let first = yaml.trim_start().trim_start_matches("---").split("\n---").next().unwrap_or_default();

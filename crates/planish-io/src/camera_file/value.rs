@@ -1,4 +1,5 @@
-//! Extracts the camera from the parsed contents of a file, using the names that various programs use for its numbers.
+//! Extracts the camera from the parsed contents of a file, using the names that various programs give to its
+//! parameters.
 
 use serde_json::{Map, Value};
 

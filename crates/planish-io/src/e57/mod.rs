@@ -1,7 +1,8 @@
-//! ASTM E57. All scans of a file become one cloud in the file's frame; each point has the number of its scan.
+//! Reads and writes ASTM E57. All scans of a file become one cloud in the file's frame, in which each point stores the
+//! number of its scan.
 //!
 //! A scan's metadata (name, pose, sensor, times) are stored with the cloud and written back. Spherical coordinates
-//! become Cartesian. Images and the sections of extensions are dropped, except for point fields of extensions.
+//! become Cartesian. Images are dropped, and so is all data of extensions except point fields.
 
 mod scans;
 
@@ -19,7 +20,7 @@ use planish_core::{Attribute, AttributeValues, FormatError, PointCloud, Provenan
 
 /// Name of the field with the number of each point's scan, in files with several scans.
 const SCAN: &str = "scan";
-/// Maximum number of different fields in all scans.
+/// Maximum number of different fields across all scans.
 const MOST_COLUMNS: usize = 1000;
 /// Name of the field that marks points without a colour.
 const COLOUR_INVALID: &str = "color_invalid";
@@ -370,7 +371,7 @@ fn record_of(attribute: &Attribute, all: &[Attribute]) -> FormatResult<Record> {
     Ok(Record { name, data_type })
 }
 
-/// Returns the type of 64-bit integers, whose range E57 stores.
+/// Returns the E57 type of a field of 64-bit integers. The type includes the range of the values.
 ///
 /// # Errors
 /// If a value, or the range of the values, exceeds 63 bits.

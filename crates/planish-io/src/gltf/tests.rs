@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Returns a document with two vertices with normals and colours, which the nodes of its scene place twice.
+/// Returns a document whose scene places one mesh twice. The mesh has two vertices with normals and colours.
 fn document(buffer: &str) -> String {
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0,1]}}],

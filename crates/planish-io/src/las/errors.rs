@@ -1,4 +1,4 @@
-//! Conversion of errors from the las crate to format errors.
+//! Converts errors of the las crate to format errors.
 
 use planish_core::FormatError;
 

@@ -233,7 +233,7 @@ pub(super) fn extra_fields(header: &Header) -> Vec<Field> {
                 || standard.iter().chain(&fields).any(|field| field.name == name)
         };
         let numbered = (0..).map(|number| format!("extra_{number}"));
-        // The numbers are unbounded and the taken names are not, so a name is always found.
+        // There are infinitely many numbered names, so a free one is always found.
         let name = [name].into_iter().chain(numbered).find(|name| !is_taken(name)).unwrap_or_default();
         fields.push(Field { name, at, stored, count, scales: Scale::of_extra(description, stored) });
         at += count * stored.size();

@@ -1,5 +1,6 @@
-//! LAS 1.0 to 1.4, and LAZ. Every field of a point becomes a column, and so do described extra bytes. Everything else
-//! in the file, such as its coordinate system, is stored with the cloud and written back.
+//! Reads and writes LAS 1.0 to 1.4 and LAZ; LAS 1.5 is read as LAS 1.4. Every field of a point becomes a column, and so
+//! do extra bytes. Everything else in the file, such as its coordinate system, is stored with the cloud and written
+//! back.
 
 mod errors;
 mod fields;
@@ -178,8 +179,8 @@ fn cloud_of(of_file: Arc<FileHeader>, raw: &[u8]) -> FormatResult<PointCloud> {
 #[derive(Debug, PartialEq)]
 pub(crate) struct FileHeader {
     pub(crate) header: Header,
-    /// The raw header bytes with the system and program that wrote the file, and the day and year. The las crate loses
-    /// text in encodings other than UTF-8, and a year without a day.
+    /// The raw header bytes that name the system and program that wrote the file, the day and the year. They are kept
+    /// because the las crate loses text in encodings other than UTF-8, and a year without a day.
     identity: Identity,
 }
 
@@ -234,7 +235,7 @@ fn units(header: &Header) -> [Option<LengthUnit>; 2] {
 fn note_on_heights(header: &Header) -> Option<String> {
     let [Some(plan), Some(height)] = units(header) else { return None };
     (plan != height).then(|| {
-        format!("x and y are in {plan}, but z is in {height}; planish expects one unit, so convert z or x and y first")
+        format!("x and y are in {plan}, but z is in {height}; planish expects one unit: convert z, or x and y")
     })
 }
 

@@ -1,4 +1,4 @@
-//! Corrects invalid headers of files written by other programs before decoding, and reports the corrections.
+//! Corrects invalid headers that other programs wrote, before the files are decoded, and reports the corrections.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -30,7 +30,7 @@ const EXTENDED_AT: usize = 235;
 const EXTENDED: usize = 243;
 /// Byte offset, in the header, of the 64-bit number of points.
 const POINTS: usize = 247;
-/// Byte range, in the header, of the writing system and program, the day and the year.
+/// Byte range, in the header, of the system and program that wrote the file, and of the day and year.
 pub(super) const IDENTITY: std::ops::Range<usize> = 26..94;
 
 /// Size in bytes of the header of a variable-length record, which precedes its data.

@@ -168,8 +168,8 @@ fn item_bytes(item: &LazItem) -> usize {
 }
 
 /// Returns an error if a chunk states more bytes or points than the file has, or a size that differs from the sum of
-/// its layers: the decoder allocates the sizes that the file states. From version 3 on, each chunk begins with a point,
-/// the number of points, and the sizes of the layers that contain the other points.
+/// its layers. Without this check, the decoder would allocate whatever sizes the file states. From version 3 on, each
+/// chunk begins with a point, the number of points, and the sizes of the layers that contain the other points.
 fn check_table(
     bytes: &(impl FileBytes + ?Sized),
     description: &LazVlr,
@@ -217,8 +217,8 @@ fn check_table(
     Some(Ok(()))
 }
 
-/// Returns the extended records from offset `at` on, up to the first that the file does not contain. The las crate
-/// reads only one.
+/// Returns the extended records from offset `at` on, up to the first one that cannot be read. The las crate reads only
+/// one.
 pub(super) fn extended_records(bytes: &(impl FileBytes + ?Sized), (at, count): (usize, u32)) -> Vec<Vlr> {
     let record = |at: &mut usize| {
         let length = usize::try_from(u64::from_le_bytes(read_at(bytes, at.checked_add(20)?)?)).ok()?.checked_add(60)?;

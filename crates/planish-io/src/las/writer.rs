@@ -20,7 +20,8 @@ pub(super) struct LasWriter<W: Write + Seek + Send + Sync + fmt::Debug + 'static
 }
 
 impl<W: Write + Seek + Send + Sync + fmt::Debug + 'static> LasWriter<W> {
-    /// Begins a file with this header. Its number of points and its bounds are updated from the written points.
+    /// Begins a file with this header. The number of points and the bounds in the header are updated from the written
+    /// points.
     pub(super) fn new(to: W, header: Header, identity: Option<Identity>) -> FormatResult<Self> {
         let writer = Writer::new(to, header.clone()).map_err(written)?;
         Ok(Self { writer: Some(writer), header, identity })

@@ -82,7 +82,7 @@ impl<'a> Array<'a> {
     /// Returns the subarray at an index of the first dimension, which must be smaller than the dimension.
     ///
     /// # Errors
-    /// If the array is in Fortran order, in which the values of a subarray are apart.
+    /// If the array is in Fortran order, in which the values of a subarray are not contiguous.
     #[cfg(feature = "more-formats")]
     pub(crate) fn page(self, index: usize) -> Result<Self, FormatError> {
         if self.header.is_fortran {

@@ -70,7 +70,7 @@ fn contents_of(array: &Array<'_>, options: &ReadOptions, notes: &mut Vec<String>
         (&[height, width], 'f', 2 | 4 | 8) if !is_table(height, width) && !is_long(width, height) => {
             validate_shape(width, height)?;
             let depth_m = floats(array);
-            // f64 values beyond f32 have become infinite.
+            // f64 values beyond the range of f32 have become infinite.
             if crate::HAS_ROOM
                 && array.header.size == 8
                 && array
@@ -122,7 +122,7 @@ pub(super) fn pages(bytes: &[u8]) -> Result<usize, FormatError> {
 /// Returns N for arrays of shape [N, H, W], which are N depth images; `None` for other arrays.
 #[cfg(feature = "more-formats")]
 fn pages_of_shape(shape: &[usize]) -> Option<usize> {
-    // Few columns are the coordinates and fields of points on a grid.
+    // A last dimension of at most 16 contains the coordinates and fields of points on a grid.
     matches!(*shape, [_, _, width] if width > 16).then(|| shape[0])
 }
 

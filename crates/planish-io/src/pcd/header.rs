@@ -124,7 +124,7 @@ impl Field {
     }
 }
 
-/// A checked header: it describes `width * height` points, and the product of its sizes does not overflow.
+/// A checked header. It describes `width * height` points, and this product does not overflow.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Header {
     pub(super) fields: Vec<Field>,
@@ -217,7 +217,7 @@ impl<'a> Entries<'a> {
     fn set(&mut self, key: &str, values: Vec<&'a str>) -> Result<bool, FormatError> {
         match key {
             "VERSION" => {
-                // Older versions lack some lines, COUNT or VIEWPOINT.
+                // Older versions lack the line COUNT or VIEWPOINT.
                 if !matches!(values[..], ["0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5"]) {
                     let version = quoted(&values.join(" "));
                     return malformed(format!("unsupported PCD version {version}; expected 0.5, 0.6 or 0.7"));

@@ -1,4 +1,4 @@
-//! LZF, the compression in binary_compressed PCD files. It is the stream format of M. Lehmann's LibLZF.
+//! LZF, the compression used in binary_compressed PCD files. It is the stream format of M. Lehmann's LibLZF.
 //!
 //! A stream is a sequence of runs. A control byte c < 32 is followed by c + 1 literal bytes. Any other control byte
 //! begins a back-reference. Its upper 3 bits are the length minus 2; if they are 7, the next byte is added to the
@@ -16,7 +16,7 @@ const MAX_LITERALS: usize = 32;
 
 /// Decompresses a stream that contains exactly `size` bytes of data.
 pub fn decompress(stream: &[u8], size: usize) -> Result<Vec<u8>, LzfError> {
-    // Checked before anything is allocated, because a stream this short cannot expand that far.
+    // Check before allocating memory whether a stream this short can expand to the stated size.
     if size / MAX_REFERENCE > stream.len() {
         return Err(LzfError("they are shorter than the stated size"));
     }

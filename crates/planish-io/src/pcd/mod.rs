@@ -1,9 +1,9 @@
 //! PCD v0.7, the Point Cloud Library's format: ascii, binary and binary_compressed.
 //!
 //! Every field keeps its size, type and count, including padding (`_`); the grid and the viewpoint are also kept.
-//! Binary values are little-endian, point by point; compressed files store field by field, compressed with LZF. As in
-//! PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float, because the
-//! bits of an opaque colour form a NaN and would be lost.
+//! Binary files store little-endian values point by point; compressed files store them field by field, compressed with
+//! LZF. As in PCL, ascii files store a packed colour (`rgb`, `rgba`) as an unsigned integer even if it was a float,
+//! because the bits of an opaque colour form a NaN and would be lost.
 
 mod binary;
 mod header;

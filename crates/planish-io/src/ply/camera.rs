@@ -1,8 +1,8 @@
 //! The element `camera`, in which PCL writes the sensor's pose and the grid, after the vertices.
 //!
 //! PCL stores the rows of the rotation cloud_from_sensor in `x_axis`, `y_axis` and `z_axis`, and the width and height
-//! in the viewport. It does not use the other properties and writes 0. MeshLab writes an element of the same name with
-//! different axes; it is recognized by its focal length, and its pose is ignored.
+//! in the viewport. It does not use the other properties, and writes them as 0. MeshLab writes an element of the same
+//! name with different axes; it is recognized by its focal length, and its pose is ignored.
 
 use super::header::{Element, Property};
 use planish_core::{Attribute, AttributeValues, SensorPose};

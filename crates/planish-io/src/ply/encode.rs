@@ -26,7 +26,7 @@ pub(super) fn columns_of(cloud: &PointCloud) -> Result<Vec<Attribute>, FormatErr
     let mut columns = columns_from_cloud(cloud);
     let has = |columns: &[Attribute], name: &str| columns.iter().any(|column| column.name == name);
     if NORMALS.iter().all(|(_, pcl)| has(&columns, pcl)) {
-        // Files written by an earlier version have both names; the values under PCL's names are newer.
+        // Files written by an earlier version of planish have both names; the values under PCL's names are newer.
         columns.retain(|column| NORMALS.iter().all(|(ply, _)| column.name != *ply));
         for (ply, pcl) in NORMALS {
             columns.iter_mut().filter(|column| column.name == pcl).for_each(|column| column.name = ply.to_owned());

@@ -82,8 +82,8 @@ struct Body {
     camera: PlyCamera,
 }
 
-/// Iterates over the elements up to the last one of interest, each with a flag that is true if it must be complete.
-/// Elements after the vertices and their grid may be truncated, since a camera is only a hint.
+/// Iterates over the elements up to the last one of interest, each with a flag that is true if the element must be
+/// complete. Elements after the vertices and their grid may be truncated, since a camera is optional.
 fn elements_to_read(header: &Header) -> impl Iterator<Item = (&Element, bool)> {
     let last = |names: &[&str]| {
         header.elements.iter().rposition(|element| names.contains(&element.name.as_str())).unwrap_or(0)
@@ -195,7 +195,7 @@ fn read_binary_element(
     Ok(())
 }
 
-/// Decodes the element `camera`, which starts at the first of `bytes`.
+/// Decodes the element `camera`, which starts at the beginning of `bytes`.
 #[cfg(feature = "scans")]
 fn read_camera(header: &Header, mut bytes: &[u8]) -> Result<PlyCamera, FormatError> {
     let mut found = Body::default();
@@ -231,7 +231,7 @@ pub(super) fn encoding(bytes: &[u8]) -> Option<Encoding> {
     }
 }
 
-/// Returns an error if the file is too small for the stated count, before anything is allocated for it.
+/// Returns an error if the file is too small for the stated number of items. Call it before allocating memory for them.
 fn check_size(element: &Element, file_bytes: usize) -> Result<(), FormatError> {
     if element.count > MAX_PIXELS || element.count > file_bytes {
         return malformed(format!(

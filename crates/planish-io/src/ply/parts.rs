@@ -203,7 +203,7 @@ fn camera_behind(
     }
     let mut behind = Vec::new();
     body.take(MAX_BYTES as u64).read_to_end(&mut behind)?;
-    // As in a file that is read at once, the camera is only a hint, so errors in it are ignored.
+    // The camera is optional, as in files that are read at once, so errors in it are ignored.
     Ok(read_camera(header, &behind).unwrap_or_default())
 }
 

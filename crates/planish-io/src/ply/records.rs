@@ -168,7 +168,7 @@ pub(super) fn text_without_lists(element: &Element, body: &mut text::Body<'_>) -
             let count: usize = word.parse().map_err(|_| missing(property))?;
             (0..count).try_for_each(|_| next(property).map(drop))?;
         }
-        // Otherwise a value is missing, and the last line belongs to the next record.
+        // If words remain on the last of several lines, a value is missing, and this line belongs to the next record.
         if let (2.., Some(_), Some(last)) = (lines, words.next(), element.properties.last()) {
             return Err(missing(last));
         }

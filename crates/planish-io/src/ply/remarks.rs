@@ -11,7 +11,7 @@ pub(super) struct Remarks {
     pub(super) obj_infos: Vec<String>,
 }
 
-/// Elements that are read, or written anew; all others are dropped.
+/// Elements that are read; all others are dropped.
 const KEPT: [&str; 3] = ["vertex", "range_grid", "camera"];
 pub(super) const GRID_INFOS: [&str; 2] = ["num_cols", "num_rows"];
 

@@ -1,9 +1,9 @@
-//! Smoothing of LAS, LAZ and PLY files that do not fit in memory, tile by tile.
+//! Smooths LAS, LAZ and PLY files that do not fit in memory, tile by tile.
 //!
 //! The file is read once, and its records are distributed to temporary files, one per tile. A tile is a rectangle of
-//! grid cells seen from above. It is smoothed together with a halo of surrounding points, wide enough for its own
-//! points to get the same result as in the whole cloud; only the records of its own points are kept. Finally, all
-//! records are written in input order.
+//! grid cells seen from above. It is smoothed together with a halo of surrounding points. The halo is wide enough for
+//! the tile's own points to get the same result as in the whole cloud, and only the records of these points are kept.
+//! Finally, all records are written in input order.
 
 mod plan;
 mod spill;
@@ -23,8 +23,8 @@ use spill::{Spill, too_large};
 
 /// Fraction of a tile's points whose radius may reach beyond the halo before the halo is widened.
 const MAY_REACH_BEYOND: f64 = 1e-4;
-/// Maximum number of points that reach beyond the halo if a wider one does not fit in memory, as a fraction of the
-/// points in the tile or in an average tile, whichever has more.
+/// Maximum number of points that may reach beyond the halo if a wider halo does not fit in memory. It is a fraction of
+/// the points in the tile or in an average tile, whichever has more.
 const MAY_BE_INEXACT: f64 = 0.01;
 /// Minimum halo width when memory is short, as a fraction of the width estimated from the tile's point density.
 const NARROWEST: f64 = 0.01;
@@ -49,7 +49,7 @@ pub struct TileOptions {
 }
 
 impl TileOptions {
-    /// Sets the smoothing and the memory limit in bytes.
+    /// Creates options with these settings and engine options, and with a memory limit in bytes.
     pub fn new(settings: Settings, smoother: SmootherOptions, max_memory_bytes: u64) -> Self {
         Self { settings, smoother, fields: Outputs::POINTS, pose: None, encoding: None, max_memory_bytes }
     }
@@ -80,7 +80,7 @@ pub struct TilesReport {
     pub tiles: usize,
     /// The parameters that were used.
     pub params: CloudParams,
-    /// The estimate that determined the number of neighbours; `None` if the settings did.
+    /// The estimate that determined the number of neighbours; `None` if the settings state this number.
     pub cloud_estimate: Option<CloudEstimate>,
     /// The engine used; for an empty file, the requested one.
     pub engine: Engine,
@@ -112,7 +112,7 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
         let reader = R::open(path).ok()?;
         Some(reader.points() as u64 * bytes_a_point(reader.record()))
     }
-    // Queried before the file is opened, since opening a pipe waits for its other end.
+    // Query the metadata before opening the file, since opening a pipe waits for its other end.
     if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return None;
     }
@@ -123,8 +123,8 @@ pub fn bytes_in_memory(path: &Path) -> Option<u64> {
     }
 }
 
-/// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output, it
-/// needs disk space for three times the records.
+/// Smooths a LAS, LAZ or PLY file into another of the same kind within the memory limit. In addition to the output,
+/// this needs disk space for three copies of the records.
 ///
 /// With the same number of neighbours, each point gets the same result as in the whole cloud, computed relative to an
 /// origin in its tile.
@@ -166,7 +166,7 @@ fn smooth_records<R: RecordReader>(
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
     if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
-        // The engine must report radii by density, which the reference does not.
+        // The engine must report radii by density, which the reference engine does not.
         let reason =
             "radii by density in tiles need the CPU or GPU engine; use one of them, or set a radius".to_owned();
         return Err(EngineError::Unavailable { engine: engine.name(), reason }.into());
@@ -186,7 +186,7 @@ fn smooth_records<R: RecordReader>(
         TileError::Other(error) => error,
     };
     let report = TilesReport { notes, params, ..TilesReport::default() };
-    // The file's normals belong to the measured points, so they are computed anew for the smoothed points.
+    // The file's normals belong to the measured points, so new normals are computed for the smoothed points.
     let none = R::cloud_of(&spill.header, &[]).map_err(at_either)?;
     let renew = |outputs: Outputs| outputs.renewing(&none);
     let smoother = options.smoother.clone().with_outputs(renew(options.smoother.outputs));

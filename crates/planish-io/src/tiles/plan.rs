@@ -23,8 +23,8 @@ pub(super) struct Tile {
 }
 
 impl Cells {
-    /// Creates an empty grid over a box, given by its smallest and largest coordinates. Points outside the box count
-    /// in the border cells.
+    /// Creates an empty grid over a box, given by its smallest and largest coordinates. Points outside the box are
+    /// counted in the border cells.
     pub(super) fn new(low: [f64; 2], high: [f64; 2]) -> Self {
         let longest = (high[0] - low[0]).max(high[1] - low[1]).max(f64::MIN_POSITIVE);
         let size_m = longest / CELLS as f64;

@@ -218,7 +218,7 @@ impl<R: RecordReader> Spill<R> {
         let mut left = self.points;
         encoder.write(to, self.points, || {
             let mut batch = Vec::new();
-            // An empty batch would end the file, so a batch that consists of dropped holes only must not be returned.
+            // An empty batch would end the file, so a batch that consists only of dropped holes must not be returned.
             while batch.is_empty() && left > 0 {
                 let read = left.min(BATCH);
                 batch.reserve(read * length);

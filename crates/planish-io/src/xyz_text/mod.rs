@@ -25,7 +25,7 @@ pub(super) fn is_likely(bytes: &[u8]) -> bool {
     let mut head = &bytes[..bytes.len().min(LOOKED_AT)];
     if bytes.len() > LOOKED_AT {
         let is_end = |byte: &u8| *byte == b'\n';
-        // The last line may be cut, and is dropped.
+        // The last line may be incomplete, so it is dropped.
         head = &head[..head.iter().rposition(is_end).unwrap_or(0)];
         // PTS begins with the total number of points, which is more than the beginning contains.
         let first = head.iter().position(is_end).unwrap_or(0);

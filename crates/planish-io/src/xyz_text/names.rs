@@ -9,7 +9,7 @@ const UNIT: std::ops::RangeInclusive<f64> = 0.98..=1.02;
 /// Maximum number of cells in a line of column names.
 pub(super) const MOST_NAMED: usize = 1000;
 
-/// Units of length that planish cannot convert. Other words in brackets, such as PCV or 0, are no units.
+/// Units of length that planish cannot convert. Other words in brackets, such as PCV or 0, are not units.
 const OTHER_UNITS: [&str; 16] = [
     "km",
     "kilometre",
@@ -29,7 +29,7 @@ const OTHER_UNITS: [&str; 16] = [
     "deg",
 ];
 
-/// Other names for x, y and z, used by maps and surveys, ParaView and CloudCompare.
+/// Other names for x, y and z, used in maps and surveys, and by ParaView and CloudCompare.
 const AXES: [[&str; 3]; 9] = [
     ["easting", "northing", "elevation"],
     ["easting", "northing", "height"],

@@ -19,7 +19,7 @@ pub(super) struct Title {
     pub(super) comments: usize,
     /// The length unit stated in the names of x, y and z.
     pub(super) unit: Option<LengthUnit>,
-    /// True if the names were found in a comment, which may be prose instead.
+    /// True if the names were found in a comment. Such a comment may be prose that only resembles names.
     is_in_comment: bool,
 }
 

@@ -12,7 +12,7 @@ const FAR_DIGITS: usize = 5;
 const UNMOVED_DIGITS: usize = 9;
 
 /// Writes a coordinate far from the origin. Coordinates of unmoved points keep all digits except f64 rounding noise,
-/// such as that of an integer times a scale in a LAS file.
+/// such as the noise from multiplying an integer of a LAS file by its scale.
 fn write_far(text: &mut String, value: f64, is_unmoved: bool) -> std::fmt::Result {
     if !is_unmoved {
         return write!(text, "{value:.FAR_DIGITS$}");

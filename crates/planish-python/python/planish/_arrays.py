@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ._planish import Camera
 
-# DLPack's numbers of the devices whose memory the CPU can read: its own, and memory pinned for CUDA and ROCm.
+# DLPack's device types whose memory the CPU can read: CPU memory, and host memory pinned for CUDA and ROCm.
 _HOST_DEVICES = (1, 3, 11)
 
 

@@ -39,8 +39,8 @@ class CudaSmoother:
     outputs : iterable of str
         Any of ``"points"``, ``"normals"``, ``"curvature"`` and ``"depth_m"``.
     **settings : Settings
-        See `Smoother`. ``adapter`` is the number or a part of the name of a CUDA device [default: the current device]. Steps
-        before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not supported for CUDA arrays.
+        See `Smoother`. ``adapter`` is the index of a CUDA device or part of its name [default: the current device].
+        Steps before smoothing, ``fill``, ``temporal`` and ``sensor="auto"`` are not supported for CUDA arrays.
     """
 
     def __init__(
@@ -63,7 +63,8 @@ class CudaSmoother:
         _load_compiler()
         self._engine = CudaEngine({"engine": "gpu", **given, "outputs": names}, camera, metres)
         self._channels, _, self._most = self._engine.counts()
-        # The arrays of the last call. The libraries' allocators order the reuse of freed memory by streams, but not for all streams.
+        # The arrays of the last call, kept alive until the next one, because the libraries' allocators do not wait for
+        # every stream before they reuse freed memory.
         self._last: tuple[list[Any], list[Any]] = ([], [])
 
     @property
@@ -84,8 +85,9 @@ class CudaSmoother:
         depth : CUDA array, [H, W]
             The image; rows may have gaps.
         out : CUDA array, float32 [channels, H, W], optional
-            Array to write the result into. By default, a new array of PyTorch or CuPy if `depth` belongs to one of them, otherwise a
-            `CudaArray`, which other libraries read by DLPack (``jax.dlpack.from_dlpack``).
+            Array to write the result into. By default, this is a new PyTorch or CuPy array if `depth` belongs to one of
+            these libraries, otherwise a `CudaArray`, which other libraries read through DLPack
+            (``jax.dlpack.from_dlpack``).
         stream : int, optional
             The CUDA stream, as the address of a ``cudaStream_t`` [default: the current stream of the library of `depth`]. If you pass
             another stream, keep arrays of libraries other than PyTorch alive until the stream has used them.
@@ -205,7 +207,7 @@ def _load_compiler() -> None:
             if sys.platform == "win32":
                 # NVRTC loads another library from its folder.
                 os.add_dll_directory(str(file.parent))
-            # A library for another architecture cannot be loaded; others may be.
+            # A library for another architecture fails to load, but another one may work.
             with contextlib.suppress(OSError):
                 ctypes.CDLL(str(file))
 
@@ -222,7 +224,7 @@ def _interface(array: Any, name: str, stream: int | None) -> dict[str, Any]:
         interface = None
     if interface is None:
         found = type(array).__name__
-        raise TypeError(f"{name}: expected an array in CUDA's memory (PyTorch, CuPy, JAX, Numba), not {found}")
+        raise TypeError(f"{name}: expected an array in CUDA memory (PyTorch, CuPy, JAX, Numba), not {found}")
     return interface
 
 
@@ -245,7 +247,7 @@ class _DlTensor(ctypes.Structure):
 
 _pointer_of = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(("PyCapsule_GetPointer", ctypes.pythonapi))
 
-# DLPack's numbers of CUDA devices and of CUDA's managed memory.
+# DLPack's device types for CUDA memory and CUDA managed memory.
 _CUDA_DEVICES = (2, 13)
 _KINDS = {0: "i", 1: "u", 2: "f"}
 
@@ -253,7 +255,7 @@ _KINDS = {0: "i", 1: "u", 2: "f"}
 def _of_dlpack(array: Any, name: str, stream: int | None) -> dict[str, Any]:
     device, _ = array.__dlpack_device__()
     if int(device) not in _CUDA_DEVICES:
-        raise TypeError(f"{name}: expected an array in CUDA's memory, not one of DLPack's device {int(device)}")
+        raise TypeError(f"{name}: expected an array in CUDA memory, not one of DLPack device type {int(device)}")
     # 1 is the default stream. The capsule frees its tensor when it is deleted, since no other library takes ownership.
     capsule = array.__dlpack__(stream=stream or 1)
     tensor = _DlTensor.from_address(_pointer_of(capsule, b"dltensor"))

@@ -71,7 +71,7 @@ class Frame:
 
 @dataclass(slots=True, eq=False, repr=False)
 class Simulated:
-    """A simulated depth image with its truth.
+    """A simulated depth image with its ground truth.
 
     Attributes
     ----------
@@ -123,7 +123,8 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
     columns : int, optional
         Number of columns of a lidar's .bin [default: detected from the values].
     image : int, optional
-        Number of the image to read, counted from 1, of a TIFF file with several pages or a .npy of shape [N, H, W] [default: 1].
+        Number, counted from 1, of the image to read from a TIFF file with several pages or from a .npy file of shape
+        [N, H, W] [default: 1].
 
     Warns
     -----
@@ -135,7 +136,7 @@ def read(path: str | PathLike[str], *, unit: Unit | None = None, columns: int | 
     OSError
         If the file does not exist (``FileNotFoundError``) or cannot be read.
     ValueError
-        If its contents contradict its format.
+        If the contents violate the file's format.
     """
     return _frame(_planish.read(path, unit, columns, image))
 
@@ -311,14 +312,15 @@ def evaluate(*, seeds: Iterable[int] = (1,), **settings: Any) -> dict[str, Any]:
     Parameters
     ----------
     seeds : iterable of int
-        Seeds, with three frames each.
+        Seeds of the scenes; each seed gives three frames.
     **settings
         See `Settings`.
 
     Returns
     -------
     dict
-        ``"raw"`` and ``"smoothed"``, each with errors by range, edges, shapes and lost pixels; millimetres and degrees.
+        ``"raw"`` and ``"smoothed"``, each with errors by range, edges, shapes and lost pixels, in millimetres and
+        degrees.
     """
     scores: dict[str, Any] = json.loads(_planish.evaluate(dict(settings), [int(seed) for seed in seeds]))
     return scores

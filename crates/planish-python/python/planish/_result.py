@@ -22,11 +22,11 @@ class Status(enum.IntEnum):
     TOO_FEW = 1
     #: The neighbours are collinear: the point is unchanged and has no normal.
     DEGENERATE = 2
-    #: On the plane.
+    #: Moved onto a fitted plane.
     PLANE = 3
-    #: On a polynomial of degree 2.
+    #: Moved onto a polynomial of degree 2.
     POLYNOMIAL_2 = 4
-    #: On a polynomial of degree 3.
+    #: Moved onto a polynomial of degree 3.
     POLYNOMIAL_3 = 5
     #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
     ISOLATED = 6

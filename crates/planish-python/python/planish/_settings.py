@@ -92,8 +92,8 @@ class Settings(TypedDict, total=False):
     decimate: int | None
     """Side of the blocks of pixels that are merged into one before smoothing, 2 to 8. Streams, `mesh` and the command only."""
     fill: int | None
-    """Maximum width in pixels of holes of a frame that are filled with the surface around them, 1 to 64 [default: none]. Filled points have the
-    status `Status.FILLED`; the outputs must include ``"status"``."""
+    """Fills holes of a frame up to this width in pixels, 1 to 64, with the surface around them [default: none]. Filled
+    points have the status `Status.FILLED`; the outputs must include ``"status"``."""
     remove_isolated: bool | None
     """Whether isolated points of unorganized clouds become holes [default: False]."""
     engine: Literal["auto", "cpu", "gpu", "reference"] | None

@@ -77,7 +77,7 @@ class Smoother:
     True
     """
 
-    # Whether only one frame is smoothed; no GPU is opened for a single frame.
+    # Whether only one frame is smoothed; `auto` then opens a GPU only for a large frame.
     _is_single = False
 
     def __init__(
@@ -240,12 +240,12 @@ class Smoother:
         frames : array or sequence of arrays
             Depth [B, H, W] or organized points [B, H, W, 3], or a sequence of frames.
         out : mapping of str to ndarray, optional
-            C-contiguous arrays to write into; the first dimension is the frame.
+            C-contiguous arrays to write into; the first dimension is the index of the frame.
 
         Returns
         -------
         Smoothed
-            Arrays whose first dimension is the frame.
+            Arrays whose first dimension is the index of the frame.
         """
         if not isinstance(frames, (np.ndarray, Sequence)):
             # A generator may reuse its buffer.

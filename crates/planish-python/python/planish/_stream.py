@@ -141,7 +141,7 @@ def stream(
     frames : int, optional
         Maximum number of frames.
     depth_units_per_metre : float, optional
-        Depth unit of a data set that does not state it.
+        Raw depth value of 1 m, for a data set that does not state its depth unit.
     align : {"depth", "color", "none"}, optional
         For RealSense and OpenNI2 cameras: the image that depth and colour are mapped to. ``"depth"`` maps colour to depth (default
         of a RealSense), ``"color"`` maps depth to colour (default of OpenNI2 cameras that support it), and ``"none"`` omits colour.

@@ -48,7 +48,7 @@ class Distances:
 
 @dataclass(slots=True)
 class Comparison:
-    """The differences of two files.
+    """The differences between two files.
 
     Attributes
     ----------
@@ -65,7 +65,8 @@ class Comparison:
     back : Distances
         Distances from each point of the second file to the nearest point of the first; ``None`` if points are matched by index.
     fields : dict of str to (is_in, differing)
-        Fields that differ: whether each file has the field, and the number of differing values with the largest difference.
+        Fields that differ: whether each file has the field; and the number of differing values and their largest
+        difference.
     """
 
     matching: str
@@ -207,7 +208,7 @@ def mesh(
     raw: bool = False,
     **settings: Unpack[Settings],
 ) -> tuple[int, int]:
-    """Smooth the frame of a file and connect its pixels to a triangle mesh. Depth steps are not connected.
+    """Smooth the frame in a file and connect its pixels into a triangle mesh. Depth steps are not connected.
 
     Parameters
     ----------
@@ -294,7 +295,7 @@ def prepare(
     decimate: int | None = None,
     sensor: str = "kinect1",
 ) -> tuple[NDArray[np.uint16], Camera]:
-    """Cut off ranges, remove floating pixels and reduce the resolution of a depth image, in this order.
+    """Limit the range, remove floating pixels and reduce the resolution of a depth image, in this order.
 
     Parameters
     ----------
@@ -307,7 +308,8 @@ def prepare(
     remove_floating : bool
         Whether pixels that float between two surfaces become holes.
     decimate : int, optional
-        Side of the blocks of pixels that are merged into one, 2 to 8. A block becomes the mean of its pixels on the surface of the median.
+        Side of the blocks of pixels that are merged into one, 2 to 8. A block becomes the mean of those of its pixels
+        that are on the same surface as its median.
     sensor : str
         Sensor whose noise separates surfaces; see `Settings`.
 

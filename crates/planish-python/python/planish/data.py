@@ -1,4 +1,4 @@
-"""For data pipelines: a callable for actors of Ray, Daft, or any pool of processes."""
+"""A callable for data pipelines: for actors of Ray or Daft, or any process pool."""
 
 from __future__ import annotations
 

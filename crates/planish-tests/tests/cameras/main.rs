@@ -1,5 +1,5 @@
-//! Tests with software cameras, which mostly wait for their frames. Other tests do not belong here, because the
-//! threads of librealsense run until the process ends.
+//! Tests with software cameras, which spend most of their time waiting for frames. Keep other tests out of this binary,
+//! because librealsense's threads run until the process ends.
 
 mod openni2;
 mod realsense;

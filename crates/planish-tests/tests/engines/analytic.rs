@@ -1,4 +1,4 @@
-//! Surfaces whose smooth form is known exactly, through the reference engine.
+//! The reference engine on surfaces whose exact shape is known.
 
 use planish::{
     CloudParams, Edges, FrameParams, FrameRadius, OrganizedCloud, PointCloud, Smoothed, Smoother, SmootherOptions,
@@ -29,7 +29,7 @@ fn a_plane_stays_where_it_is_at_every_degree() {
         let plane = height_field(41, 0.003, |x, y| 1.0 + 0.3 * x - 0.2 * y);
         let smoothed = smooth(&plane, params(degree));
         let slope = (1.0f64 + 0.09 + 0.04).sqrt();
-        // The input itself is rounded to f32, 6e-8 m at 1 m.
+        // The input itself is rounded to f32, whose error at 1 m is up to 6e-8 m.
         assert!(worst(&plane, &smoothed, |[x, y, z]| (z - 1.0 - 0.3 * x + 0.2 * y) / slope) < 1e-7);
         let normals = smoothed.normals.unwrap();
         let n = normals.get(20 * 41 + 20).map(f64::from);

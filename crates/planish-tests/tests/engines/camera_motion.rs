@@ -72,7 +72,7 @@ fn rms_m(video: &[Seen], depths_m: &[Vec<f32>]) -> f64 {
 
 #[test]
 fn moving_state_and_the_test_for_motion_equal_the_reference() {
-    // Rows whose length is not a multiple of a vector's, and a lens with distortion.
+    // The length of a row is not a multiple of a vector's length, and the lens has distortion.
     let odd = Camera::new((309, 230), [262.5; 2], [159.5, 119.5]);
     let distortion = Distortion::from_opencv(&[0.08, -0.05, 0.001, -0.002, 0.01]).unwrap();
     let cases = [
@@ -193,7 +193,7 @@ fn gaps_in_time_begin_a_new_video_but_slow_frames_and_equal_stamps_do_not() {
     assert_eq!(frames_after(&[Some(0.0), Some(0.033), Some(0.066), Some(0.1)]), (4.0, 0));
     assert_eq!(frames_after(&[Some(0.0), Some(0.033), Some(0.066), Some(1.2)]), (1.0, 1));
     assert_eq!(frames_after(&[Some(5.0), Some(5.033), Some(4.9), Some(4.933)]), (2.0, 1));
-    // Frames two seconds apart from the second on, and stamps that are all 0 or missing.
+    // Frames two seconds apart, with and without a shorter first interval, and timestamps that are all 0 or missing.
     assert_eq!(frames_after(&[Some(0.0), Some(0.9), Some(2.9), Some(4.9)]), (4.0, 0));
     assert_eq!(frames_after(&[Some(0.0), Some(2.0), Some(4.0), Some(6.0)]), (3.0, 1));
     assert_eq!(frames_after(&[Some(0.0); 4]), (4.0, 0));

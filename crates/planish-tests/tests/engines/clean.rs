@@ -7,7 +7,7 @@ use planish_tests::scenes::{simulated, small_camera};
 
 type Points = Vec<[f32; 3]>;
 
-/// Returns clouds with names: a frame without its grid with a pair and a stray, repeated points, small clouds, and
+/// Returns named clouds: points of a frame with an isolated pair and a stray point, repeated points, small clouds, and
 /// holes.
 fn clouds() -> Vec<(&'static str, Points)> {
     let mut frame: Points = simulated(3, false, small_camera()).positions().iter().step_by(20).collect();

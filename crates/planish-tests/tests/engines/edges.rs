@@ -1,4 +1,4 @@
-//! Edge preservation (docs/method.md, section 10) on surfaces whose truth is known.
+//! Edge preservation (docs/method.md, section 10) on surfaces whose true shape is known.
 
 use std::sync::LazyLock;
 
@@ -121,8 +121,8 @@ fn evaluate(params: FrameParams, cases: &[Case]) -> Report {
 #[test]
 fn the_default_setting_keeps_its_figures() {
     let (raw, found) = (evaluate_raw(&CASES), evaluate(FrameParams::default(), &CASES));
-    // Limits 5 % above the values measured when they were set: 0.175, 0.160 and 0.179 of the raw error, and 0.91,
-    // 1.88 and 4.39°.
+    // The limits are 5 % above the values measured when the limits were set: 0.175, 0.160 and 0.179 of the raw error,
+    // and 0.91, 1.88 and 4.39°.
     for (k, (most, most_deg)) in [(0.184, 0.95), (0.168, 1.97), (0.188, 4.61)].into_iter().enumerate() {
         let ratio = found.ranges[k].rmse_mm / raw.ranges[k].rmse_mm;
         assert!(ratio < most, "range {k}: {ratio}");

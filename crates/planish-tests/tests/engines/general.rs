@@ -40,7 +40,7 @@ fn engines() -> Vec<(String, TestEngine)> {
     cpu.chain(gpu().map(|gpu| ("gpu".to_owned(), gpu))).collect()
 }
 
-/// Returns [`engines`] and the GPU engine with bounds checks, which take a software adapter as long again to compile.
+/// Returns [`engines`] and the GPU engine with bounds checks, which doubles the compile time on a software adapter.
 fn all_engines() -> Vec<(String, TestEngine)> {
     let checked = gpu().map(|gpu| ("gpu with checks".to_owned(), TestEngine { bounds_checks: true, ..gpu }));
     engines().into_iter().chain(checked).collect()

@@ -7,7 +7,7 @@ use planish_tests::engines::{TestEngine, is_software, test_adapter};
 use super::general::{Points, Random, few_frame_points, frame_points, settings, smooth, uneven_sphere};
 
 /// Returns the number of points that differ by more than rounding between a cloud smoothed on the GPU in parts and at
-/// once, or `None` if its points reach too many others for parts.
+/// once, or `None` if its points reach too many others to smooth it in parts.
 fn differing_in_parts(points: &[[f32; 3]], params: CloudParams, points_at_once: usize) -> Option<usize> {
     let whole = smooth(TestEngine::gpu(false), points, params);
     let options = TestEngine { bounds_checks: false, ..TestEngine::in_parts(points_at_once) }.options(Outputs::ALL);

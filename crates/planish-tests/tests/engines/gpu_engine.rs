@@ -1,4 +1,5 @@
-//! Guarantees of the GPU engine other than parity: order, batches, views, outputs, refusals. On lavapipe or a real GPU.
+//! Guarantees of the GPU engine other than parity: order, batches, views, outputs and refusals. The tests run on
+//! lavapipe or a real GPU.
 
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{

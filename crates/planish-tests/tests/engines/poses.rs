@@ -1,5 +1,5 @@
-//! Clouds in any frame (docs/method.md, section 11): rigid motions change only the frame, and no cloud loses its
-//! points.
+//! Clouds in any coordinate frame (docs/method.md, section 11): rigid motions change only the coordinate frame, and no
+//! cloud loses its points.
 
 use planish::agreement::{Agreement, POSITION_999_M, radii_m};
 use planish::{
@@ -32,7 +32,7 @@ fn pose() -> impl Strategy<Value = SensorPose> {
     })
 }
 
-/// Compares a result in a moved frame with the result in the camera's frame.
+/// Compares a result in a moved coordinate frame with the result in the camera's coordinate frame.
 fn assert_moved(what: &str, found: &Smoothed, own: &Smoothed, pose: &SensorPose, radii_m: &[f64]) {
     let mut expected = own.clone();
     for i in 0..own.points.len() {

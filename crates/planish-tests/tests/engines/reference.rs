@@ -86,7 +86,7 @@ fn a_smoothed_depth_image_of_a_slanted_wall_lies_on_the_wall() {
     let normal = [0.8, 0.0, -0.6];
     let scene = Scene { objects: vec![Shape::Plane { point_m: [0.0, 0.0, 1.2], normal }] };
     let truth = scene.render(&camera, &Pose::looking([0.0; 3], 0.0, 0.0));
-    // Independent noise: this tests geometry, not which noise a small window can remove.
+    // Use independent noise, because the test is about geometry, not about the noise that a small window can remove.
     let noise =
         DepthNoise { dropout_incidence_deg: 89.0, fixed_pattern_rms: 0.0, temporal_rms: 0.6, ..DepthNoise::default() };
     let frame = DepthSimulator::new(noise, camera, 3).frame(&truth, 0).unwrap();

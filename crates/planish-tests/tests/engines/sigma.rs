@@ -45,7 +45,8 @@ fn two_thirds_of_the_points_are_within_one_sigma_and_most_within_two() {
         let report = calibration.report();
         for range in &report[..4] {
             assert!(range.pixels > 20_000, "{name} {range:?}");
-            // The ideal is 68 and 95 %, here to about 8 percentage points; the aim on the whole suite is 6.
+            // The ideal is 68 and 95 %. The limits here are about 8 percentage points away; the aim on the whole suite
+            // is 6.
             assert!((0.60..0.77).contains(&range.within_one), "{name} {range:?}");
             assert!((0.88..0.99).contains(&range.within_two), "{name} {range:?}");
         }

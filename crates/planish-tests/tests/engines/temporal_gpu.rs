@@ -1,5 +1,5 @@
-//! Temporal smoothing on a GPU, which keeps the state of the video, equals that on the CPU. On lavapipe or a real
-//! GPU.
+//! Temporal smoothing on a GPU, which keeps the state of the video, equals that on the CPU. The tests run on lavapipe
+//! or a real GPU.
 
 use std::sync::Arc;
 

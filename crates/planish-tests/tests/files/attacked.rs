@@ -1,4 +1,4 @@
-//! Faults that attacks on readers and writers have found.
+//! Regression tests for faults that attacks on the readers and writers found.
 
 use std::fs;
 
@@ -29,7 +29,7 @@ fn values(cloud: &PointCloud, name: &str) -> Vec<f64> {
     (0..values.len()).map(|i| values.get_f64(i)).collect()
 }
 
-/// A cloud with coordinates in US survey feet or in metres, as LAS.
+/// Returns a LAS file with coordinates in US survey feet or in metres.
 fn las(in_feet: bool) -> Vec<u8> {
     let foot = r#"PROJCS["x",GEOGCS["y",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",0.3048006096012192]]"#;
     let mut builder = las::Builder::from((1, 4));
@@ -202,7 +202,7 @@ fn readers_count_all_the_memory_of_narrow_columns() {
     );
     for (format, header) in [(Format::Pcd, pcd), (Format::Ply, ply)] {
         let bytes = [header.as_bytes(), &vec![7; 3 * points]].concat();
-        // The file has 0.6 MB, its points 12 bytes each, and their coordinates pass through f64.
+        // The file has 0.6 MB. Each point takes 12 bytes, and its coordinates are converted through f64.
         let within = |limit: u64| {
             let options = ReadOptions::default().with_max_memory_bytes(limit);
             io::decode_with(&bytes, Some(format), &options).is_ok()

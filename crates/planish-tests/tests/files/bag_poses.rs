@@ -136,7 +136,7 @@ fn transforms_odometry_and_poses_are_the_camera_s_trajectory() {
             assert!(found.transform().unwrap().after(first.inverse()).translation.length() < 1.0);
         }
     }
-    // In `map`, whose transform is 0.1 s apart, the corrections move the camera.
+    // The transforms of `map` are 0.1 s apart. Their interpolated corrections move the camera.
     let trajectory = camera_trajectory(&path, None, &topic("/tf", Some("map")), &ReadOptions::default()).unwrap();
     let [a, b] = [0, 11].map(|number| trajectory.pose(0, Some(time(f64::from(number)).seconds()), None).unwrap());
     let [true_a, true_b] = [&poses[0], &poses[11]].map(|pose| pose.position_m[0]);

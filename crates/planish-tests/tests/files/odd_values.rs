@@ -72,7 +72,7 @@ fn check(cloud: &PointCloud, (extension, encoding, error_m): (&str, Encoding, f6
         assert!(error.to_string().len() > 20 && !path.exists(), "{error}");
         return;
     }
-    // A few points do not show the number of columns of a lidar's .bin, so state it.
+    // The number of columns of a lidar's .bin cannot be detected from a few points, so state it.
     let options = ReadOptions::default().with_columns((extension == "bin").then_some(4));
     let read = io::read_with(&path, &options);
     let read = general(read.unwrap_or_else(|error| panic!("{error}: {cloud:?}")).1);

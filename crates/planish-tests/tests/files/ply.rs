@@ -86,7 +86,7 @@ fn ply_normals_have_its_own_names_and_an_inputs_are_replaced() {
     let written = fs::read_to_string(&path).unwrap();
     assert!(written.contains("property float nx") && !written.contains("normal_x"), "{written}");
     assert!(written.ends_with("1 2 3 1 0 1\n"), "{written}");
-    // Clouds by earlier versions also have the field nx; normal_x takes precedence.
+    // Clouds written by earlier versions also have the field nx; normal_x takes precedence.
     cloud.set_attribute("nx", vec![9.0f32]);
     io::write_cloud(&path, &cloud, Encoding::Ascii).unwrap();
     assert!(fs::read_to_string(&path).unwrap().ends_with("1 2 3 1 0 1\n"));

@@ -69,7 +69,7 @@ fn whole_by(smoother: &SmootherOptions, cloud: &PointCloud, settings: &str) -> P
     result
 }
 
-/// Smooths a file in tiles into another, with 1 / `share` of the memory that the whole file needs.
+/// Smooths a file in tiles and writes another file, with 1 / `share` of the memory that the whole file needs.
 fn in_tiles(input: &Path, output: &Path, settings: &str, share: u64) -> TilesReport {
     in_tiles_by(cpu(), input, output, settings, share)
 }

@@ -108,7 +108,7 @@ impl<'a> Case<'a> {
         let mut numbers = Numbers::new(seed, number as u64);
         let sample = &samples[number % samples.len()];
         let mut bytes = sample.bytes.clone();
-        // One file in twenty stays sound, so that options are tested too.
+        // One file in twenty stays unchanged, so that options are tested too.
         if !numbers.one_in(20) {
             let other = &samples[numbers.below(samples.len())];
             mutate(&mut bytes, &sample.name, &other.bytes, &mut numbers);
@@ -157,7 +157,7 @@ impl<'a> Case<'a> {
             return Err(format!("{}: {}", ended.status, ended.stderr));
         }
         if code != Some(0) && ended.stderr.trim().is_empty() {
-            return Err(format!("{code:?} without a word"));
+            return Err(format!("{code:?} without a message"));
         }
         if let Some(sign) = printed.chars().find(|c| c.is_control() && !"\n\t".contains(*c)) {
             return Err(format!("prints {sign:?}"));
@@ -167,7 +167,7 @@ impl<'a> Case<'a> {
         }
         let recovers = self.attack.arguments[0] == "recover";
         if !recovers && fs::read(&self.input).ok().as_ref() != Some(&self.bytes) {
-            return Err("the input is another".to_owned());
+            return Err("the input was changed".to_owned());
         }
         self.check_outputs(&folder.join("out")).map_err(|fault| format!("{code:?}, {fault}"))?;
         Ok(ended)
@@ -219,7 +219,7 @@ pub fn check_output(path: &Path, scratch: &Path) -> Result<(), String> {
             let text = fs::read_to_string(path).map_err(|e| e.to_string())?;
             serde_json::from_str::<serde_json::Value>(&text).map(drop).map_err(|e| e.to_string())
         }
-        // A few points do not show the number of columns of a lidar's .bin.
+        // The number of columns of a lidar's .bin cannot be detected from a few points.
         "bin" => io::read_with(path, &io::ReadOptions::default().with_columns(Some(4)))
             .map(drop)
             .or_else(|_| io::read(path).map(drop))

@@ -46,7 +46,7 @@ const COMMANDS: [&[&str]; 18] = [
 pub fn run(runs: usize, seed: u64) {
     let inputs = tempfile::tempdir().unwrap();
     write_inputs(inputs.path());
-    // Duration of each command in microseconds, within which it is ended; 0 if not measured yet.
+    // Duration of each command in microseconds, 0 if not measured yet. Processes are ended within this time.
     let took = COMMANDS.map(|_| AtomicU64::new(0));
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let ended_early = AtomicUsize::new(0);

@@ -74,8 +74,8 @@ pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_
     command.args(["-c", &script]).arg(planish()).args(arguments).current_dir(folder);
     command.stdin(stdin.map_or(Stdio::null(), |path| File::open(path).unwrap().into()));
     command.stdout(File::create(folder.join("stdout")).unwrap()).stderr(File::create(folder.join("stderr")).unwrap());
-    // Tests in the background ignore SIGHUP and SIGINT. The command would inherit that and respect it, so this resets
-    // both.
+    // Tests that run in the background ignore SIGHUP and SIGINT. The command would inherit this, so reset both signals
+    // to their defaults.
     // SAFETY: `signal` may be called between fork and exec.
     unsafe {
         command.pre_exec(|| {

@@ -1,4 +1,4 @@
-//! Small sound files of every kind that the command reads, for tests that change them.
+//! Small valid files of every kind that the command reads, for tests that change them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Sample {
     }
 }
 
-/// Writes the files that stay sound into `folder`, and returns the files to change.
+/// Writes the files that stay unchanged into `folder`, and returns the files to change.
 pub fn samples(folder: &Path) -> Vec<Sample> {
     let camera = Camera::new(SIZE, [26.25; 2], [15.5, 11.5]);
     let (scene, pose) = Scene::tabletop(1);

@@ -101,7 +101,7 @@ fn a_gpu_and_the_cpu_share_frames_and_a_lost_gpu_leaves_its_own_to_the_cpu() {
     let mut fleet = Fleet::open(params(), &SmootherOptions::default(), &devices, shape).unwrap();
     assert_eq!(fleet.engine(), Engine::Gpu);
     let (mut submitted, mut received, start) = (0, 0, Instant::now());
-    // The fleet tries a device that it left out for its pace again after a second; only then does it notice the loss.
+    // The fleet retries a device that it left out as too slow only after a second, and only then notices the loss.
     while received < FRAMES || fleet.in_flight() > 0 || fleet.members()[0].lost.is_none() {
         assert!(start.elapsed() < Duration::from_secs(30), "{:?}", fleet.members());
         let is_enough = submitted >= FRAMES && fleet.members()[0].lost.is_some();

@@ -1,4 +1,4 @@
-//! A video that loses its GPU, and the state on it, with frames in flight.
+//! A video that loses its GPU, and thus its state, while frames are in flight.
 
 use std::sync::Arc;
 

@@ -1,5 +1,5 @@
 //! Eight live cameras for ten minutes, one of them unplugged for a while. The test takes too long for `.ci/run`, and
-//! more than a few cores.
+//! needs more than a few cores.
 //!
 //! `cargo test --release -p planish-tests --test streams -- --ignored --nocapture`; `PLANISH_ENDURANCE_S` sets the
 //! duration in seconds, `PLANISH_ENDURANCE_PX` the width of the frames in pixels.

@@ -38,7 +38,7 @@ fn a_moment_of_merged_points_is_given_up_when_the_stream_is_stopped() {
         Box::new(Once { frame: Some(frame.clone().with_timestamp_s(0.0)), has_given: Arc::clone(&has_given) })
     };
     let sources = case.cameras.iter().map(|camera| source(&camera.frame)).collect();
-    // A radius of 30 cm takes minutes of work.
+    // With a radius of 30 cm, smoothing takes minutes.
     let options = RigOptions::new(&rig, RigWay::Merged, SmootherOptions::new(Engine::Cpu, Outputs::POINTS));
     let params = options.params.clone();
     let options = options.with_params(params, merged_params().with_radius_m(0.3));

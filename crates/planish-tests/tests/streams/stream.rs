@@ -50,7 +50,7 @@ impl Source for Given {
     }
 }
 
-/// A sink that keeps the index and timestamp of each frame; it takes a while per frame and may fail at one.
+/// A sink that keeps the index and timestamp of each frame; it may delay every frame, and fail at one of them.
 #[derive(Default, Clone)]
 pub struct Seen {
     frames: Arc<Mutex<Vec<(u64, f64)>>>,
@@ -245,7 +245,7 @@ impl Sink for Held {
 
     fn write(&mut self, frame: &StreamFrame) -> Result<(), Error> {
         if self.written.lock().unwrap().is_empty() {
-            // If the stream waits for this sink, the test fails below and does not hang.
+            // The timeout makes the test fail below, instead of hanging, if the stream waits for this sink.
             let _ = self.go.recv_timeout(Duration::from_secs(60));
         }
         self.written.lock().unwrap().push(frame.index);

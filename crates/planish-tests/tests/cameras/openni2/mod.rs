@@ -1,5 +1,5 @@
-//! The source `openni2`, tested with a software camera, whose driver the test compiles (`driver.rs`), and with its
-//! recordings.
+//! Tests of the source `openni2` with a software camera and its recordings. The tests compile the camera's driver
+//! (`driver.rs`).
 //!
 //! Debian's package libopenni2-0 contains the library. `.ci/run` requires it (PLANISH_REQUIRE_OPENNI2).
 
@@ -103,7 +103,7 @@ fn cameras_stream_and_recordings_play() {
 }
 
 #[test]
-#[ignore = "the test above runs it: the library's devices are those of the whole process"]
+#[ignore = "the test above runs it in its own process, because the library's devices belong to a process"]
 fn in_a_process_of_its_own() {
     let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else {
         eprintln!("SKIP OpenNI2: {FOLDER} names no folder");
@@ -136,7 +136,7 @@ fn a_camera_streams_in_its_mode() {
     }
     let (before, last) = (source.dropped(), last.unwrap());
     std::thread::sleep(Duration::from_millis(400));
-    // The frame that already waits may be the oldest of those delivered meanwhile, so it is not checked.
+    // Skip the waiting frame, because it may be the oldest frame that was delivered in the meantime.
     next(&mut source).unwrap();
     let number = number_of(&next(&mut source).unwrap().unwrap());
     assert_eq!(source.dropped() - before, (number - last - 2) as u64);

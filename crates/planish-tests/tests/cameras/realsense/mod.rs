@@ -1,4 +1,4 @@
-//! The source `realsense`, tested with a software device of librealsense and its recordings.
+//! Tests of the source `realsense` with a librealsense software device and its recordings.
 //!
 //! PLANISH_LIBREALSENSE names the library. `.ci/run` requires it (PLANISH_REQUIRE_REALSENSE).
 
@@ -91,7 +91,7 @@ fn open(file: &Path, alignment: Option<Alignment>) -> Result<RealSenseSource, Er
     RealSenseSource::open(&RealSenseInput::Recording(file.to_path_buf()), None, alignment, None)
 }
 
-/// Runs a check of several cases in parallel. Recordings play in real time, so a single check mostly waits.
+/// Runs a check on several cases in parallel, because recordings play in real time and each check mostly waits.
 fn side_by_side<T: Copy + Send, const N: usize>(cases: [T; N], check: impl Fn(T) + Sync) {
     thread::scope(|scope| {
         for case in cases {
@@ -118,7 +118,7 @@ fn depth_of_a_recording_comes_back_bit_for_bit() {
                 assert_eq!(found.camera, camera());
                 assert!((found.timestamp_s.unwrap() - 1e-3 * timestamp_ms(i)).abs() < 1e-4);
                 assert_eq!(found.rgb.is_some(), color && alignment.is_none());
-                // The colour image must have the same time as the depth; it must not be the one before.
+                // The colour image must have the depth's timestamp; it must not be the previous image.
                 let number = found.rgb.map(|rgb| rgb.chunks_exact(3).map(|pixel| pixel[2]).max());
                 assert!(number.is_none_or(|number| number == Some(i as u8 + 1)), "frame {i}: {number:?}");
             }
@@ -145,7 +145,7 @@ fn colour_and_depth_are_mapped_to_one_image() {
         let y = (f64::from(v) - 237.75) / 426.0;
         let expected = [(600.0 * x + 323.5) / 4.0, (601.0 * y + 237.75) / 4.0];
         let at = 3 * (848 * v + u) as usize;
-        // The tolerance is a pixel, which is a quarter in these units, plus 1 for truncation.
+        // The tolerance is one pixel, which is 0.25 in these units, plus 1 for truncation.
         let seen = [rgb[at], rgb[at + 1]].map(f64::from);
         assert!(
             (seen[0] - expected[0]).abs() <= 1.25 && (seen[1] - expected[1]).abs() <= 1.25,
@@ -359,7 +359,7 @@ fn a_live_camera_gives_the_newest_frame_and_counts_those_that_are_missing() {
     let before = source.dropped();
     thread::sleep(Duration::from_millis(500));
     next(&mut source).unwrap();
-    assert!(source.dropped() >= before + 10, "15 frames came meanwhile, numbered by threes");
+    assert!(source.dropped() >= before + 10, "15 frames arrived, with two numbers missing before each");
     drop(delivers);
     // No more frames arrive. A stream that ends does not wait for one, and a camera that stays silent counts as gone.
     source.end_with(Arc::new(AtomicBool::new(true)));

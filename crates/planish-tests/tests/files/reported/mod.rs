@@ -111,7 +111,7 @@ fn points_of_an_ascii_ply_may_extend_over_lines() {
     }
     let ind = format!("{header}1 2 3 -nan(ind)\n5 6 7 1.#QNAN\n");
     assert!(cloud_as("a.ply", ind.as_bytes()).0.attribute("q").unwrap().values.get_f64(1).is_nan());
-    // Each of these files has a value too few or too many.
+    // Each of these files has one value too few or too many.
     for body in ["1 2 3\n5 6 7 8\n4\n", "1 2 3 4\n5 6 7\n", "1 2 3 4 9\n5 6 7 8\n", "1 2 3 4\n5 6\n7 8 9\n"] {
         assert!(read_as("a.ply", format!("{header}{body}").as_bytes()).is_err(), "{body:?}");
     }

@@ -53,7 +53,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// Returns the depth in millimetres if all pixels have the same.
+/// Returns the depth in millimetres, which must be the same at every pixel.
 fn depth_mm(contents: &Contents) -> u16 {
     let values: Vec<u16> = match contents {
         Contents::Depth(DepthImage { raw, .. }) => raw.clone(),
