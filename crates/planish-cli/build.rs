@@ -55,7 +55,7 @@ fn main() {
             {
                 println!("cargo::rerun-if-changed={path}");
             }
-            // Consider only the sources of the program, not documents that it has written.
+            // Consider only the program's sources, not the documents that it generates.
             let sources = ["diff", "--quiet", "HEAD", "--", "..", "../../Cargo.toml", "../../Cargo.lock"];
             let clean = Command::new("git").args(sources).status().is_ok_and(|status| status.success());
             let commit = first_line("git", &["rev-parse", "--short", "HEAD"]);

@@ -36,7 +36,7 @@ int main() {
   cv::Mat in_place = depth.clone();
   const void *before = in_place.data;
   planish::smooth(session, in_place, camera, in_place);
-  expect(in_place.data == before && cv::norm(in_place, smoothed, cv::NORM_INF) == 0, "in place gives the same");
+  expect(in_place.data == before && cv::norm(in_place, smoothed, cv::NORM_INF) == 0, "the in-place result is the same");
 
   cv::Mat metres;
   depth.convertTo(metres, CV_32F, 1e-3);
@@ -44,7 +44,7 @@ int main() {
   metres.copyTo(large(cv::Rect(5, 5, 160, 120)));
   cv::Mat part = large(cv::Rect(5, 5, 160, 120));
   planish::smooth(session, part, camera, part);
-  expect(large.at<float>(0, 0) == 7 && std::abs(large.at<float>(65, 85) - 1.5f) < 0.01f, "a part of an image");
+  expect(large.at<float>(0, 0) == 7 && std::abs(large.at<float>(65, 85) - 1.5f) < 0.01f, "part of a larger image");
   expect(spread(part) < 0.5e-3 * spread(depth), "depth in metres is smoother");
 
   Eigen::Matrix3Xd points(3, 160 * 120);

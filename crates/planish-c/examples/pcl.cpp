@@ -75,7 +75,7 @@ int main() {
   expect(smoothed.width == 160 && smoothed.height == 120, "the grid is kept");
   expect(error_mm(smoothed) < 0.5 * error_mm(cloud), "the wall is smoother");
   expect(smoothed.points[4].r == 4 && std::isnan(smoothed.points[3].z), "colours and holes are kept");
-  expect(smoothed.points[9000].normal_z < -0.9f && smoothed.points[9000].curvature < 0.05f, "normals look at the sensor");
+  expect(smoothed.points[9000].normal_z < -0.9f && smoothed.points[9000].curvature < 0.05f, "normals face the sensor");
   pcl::PointCloud<pcl::PointXYZRGB> coloured, of_coloured(3, 1);
   pcl::copyPointCloud(cloud, coloured);
   planish::smooth(session, coloured, of_coloured);
@@ -86,7 +86,7 @@ int main() {
   expect(equal, "types without normals give the same points, with their colours");
   auto in_place = cloud;
   planish::smooth(session, in_place, in_place);
-  expect(in_place.points[9000].z == smoothed.points[9000].z, "in place gives the same");
+  expect(in_place.points[9000].z == smoothed.points[9000].z, "the in-place result is the same");
 
   pcl::PointCloud<pcl::PointXYZ>::Ptr points(new pcl::PointCloud<pcl::PointXYZ>);
   for (const auto &point : cloud) {
@@ -113,7 +113,7 @@ int main() {
     planish::MovingLeastSquares<pcl::PointXYZ, pcl::PointXYZ>().setPolynomialOrder(7);
     expect(false, "a degree of 7 is refused");
   } catch (const planish::Error &error) {
-    expect(error.code() == PLANISH_SETTING, "a degree is a setting");
+    expect(error.code() == PLANISH_SETTING, "an invalid degree is a setting error");
   }
   return failures != 0;
 }

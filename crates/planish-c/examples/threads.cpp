@@ -49,8 +49,8 @@ void calls(unsigned seed, long count) {
       default: output.normals(normals.data()); break;
     }
     const planish::Result done = session.try_smooth(frame, output);
-    expect(static_cast<bool>(done) != is_wrong, "calls fail where they are wrong, and only there");
-    expect(!is_wrong || !done.text().empty(), "an error has a text");
+    expect(static_cast<bool>(done) != is_wrong, "exactly the invalid calls fail");
+    expect(!is_wrong || !done.text().empty(), "an error has a message");
     if (!is_wrong) expect(points[4 * pixels - 1] == static_cast<float>(i), "gaps are copied, after the last point too");
     if (!is_wrong) expect(std::abs(points[4 * (pixels / 2) + 2] - 1.203f) < 0.01f, "the wall stays where it is");
     // Now and then, open another session, or keep a result in the library's memory.
@@ -81,7 +81,7 @@ int main(int argc, char **argv) {
     for (int i = 0; i < 50; ++i) {
       const auto result = shared.try_smooth(planish::depth(depth.data(), camera), planish::Output(depth.size()).points(points.data()));
       result ? ++done : ++busy;
-      expect(result || result.code() == PLANISH_BUSY, "a session in use says so");
+      expect(result || result.code() == PLANISH_BUSY, "a session in use returns PLANISH_BUSY");
     }
   };
   std::thread one(use), other(use);

@@ -121,10 +121,10 @@ pub(crate) unsafe fn sized<T: Copy>(what: &str, pointer: *const T, least: usize)
     }
 }
 
-/// Borrows a text in UTF-8.
+/// Borrows a string in UTF-8.
 ///
 /// # Safety
-/// The pointer must be null or point to a text that ends with a zero.
+/// The pointer must be null or point to a zero-terminated string.
 pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a str> {
     if pointer.is_null() {
         return failure(PLANISH_NULL, format!("{what} is null"));
@@ -134,8 +134,8 @@ pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Done<&'a st
     text.to_str().or_else(|_| failure(PLANISH_ARGUMENT, format!("{what} is not UTF-8")))
 }
 
-/// Writes a text and a terminating zero to the caller's buffer, truncated if it is too small. `length` receives the
-/// length of the whole text in bytes, without the zero.
+/// Writes a zero-terminated string to the caller's buffer, truncated if the buffer is too small. `length` receives the
+/// length of the whole string in bytes, without the zero.
 ///
 /// # Safety
 /// The buffer must be null or have room for `capacity` bytes; the length must be null or writable.

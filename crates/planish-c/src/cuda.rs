@@ -177,8 +177,8 @@ mod with_cuda {
 /// time.
 ///
 /// # Safety
-/// `settings` must be null or point to a text that ends with a zero. `camera` must be null, or point to a camera
-/// whose own pointers are null or valid as its members state. `cuda` must be null or writable.
+/// `settings` must be null or point to a zero-terminated string. `camera` must be null, or point to a camera whose own
+/// pointers are null or valid as its members state. `cuda` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_cuda_new(
     settings: *const c_char,
@@ -210,8 +210,8 @@ pub unsafe extern "C" fn planish_cuda_smooth(
     guarded(|| unsafe { with_cuda::smooth(cuda, (depth, row_stride), result, stream) })
 }
 
-/// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the
-/// order of submission. At most 16 images can be in flight. Images that are submitted before the first call of
+/// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the order
+/// of submission. At most 16 images can be in flight. Images that are submitted before the first call to
 /// planish_cuda_receive are smoothed together, which takes less time per image.
 ///
 /// # Safety

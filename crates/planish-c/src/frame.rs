@@ -87,7 +87,7 @@ pub struct planish_frame {
     pub rgb: *const u8,
 }
 
-/// The caller's frame after its checks, with its camera and the extents of its memory.
+/// The caller's validated frame, with its camera and the extents of its memory.
 pub(crate) struct Given {
     frame: planish_frame,
     camera: Option<Camera>,
@@ -233,7 +233,7 @@ impl Given {
         let planish_frame { kind, width, height, data, row_stride, planes, .. } = self.frame;
         let bytes = self.extents.first().and_then(Extent::bytes).unwrap_or(0);
         if let (PLANISH_DEPTH_U16 | PLANISH_DEPTH_F32, Some(camera)) = (kind, &self.camera) {
-            // SAFETY: the extents were checked, and the caller guarantees that the memory has them.
+            // SAFETY: the extents were checked, and the caller guarantees that memory of these extents is valid.
             let view = unsafe {
                 if kind == PLANISH_DEPTH_U16 {
                     DepthView::with_row_stride(slice::from_raw_parts(data.cast(), bytes / 2), row_stride / 2, camera)?

@@ -86,7 +86,7 @@ pub struct planish_output {
     pub gaps_from: *const f32,
 }
 
-/// The caller's buffers after their checks.
+/// The caller's validated buffers.
 pub(crate) struct Wanted {
     output: planish_output,
     /// The extents of the memory that is written.
@@ -230,7 +230,7 @@ impl Wanted {
             (!pointer.is_null()).then(|| unsafe { slice::from_raw_parts_mut(pointer, count) })
         }
         let vectors = |pointer: *mut f32, stride: usize| {
-            // SAFETY: the extents were checked, and the caller guarantees that the memory has them.
+            // SAFETY: the extents were checked, and the caller guarantees that memory of these extents is valid.
             NonNull::new(pointer).map(|first| unsafe { StridedMut::from_raw(first, stride / 4, count) })
         };
         let out = &self.output;

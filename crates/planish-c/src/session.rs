@@ -77,7 +77,7 @@ fn settings_of(text: &str) -> Done<Settings> {
 /// Reads the caller's settings; null means the default.
 ///
 /// # Safety
-/// The pointer must be null or point to a text that ends with a zero.
+/// The pointer must be null or point to a zero-terminated string.
 pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
     match pointer.is_null() {
         true => Ok(Settings::default()),
@@ -86,11 +86,11 @@ pub(crate) unsafe fn settings_from(pointer: *const c_char) -> Done<Settings> {
     }
 }
 
-/// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
+/// Creates a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
 /// "strong"}, or null for the default.
 ///
 /// # Safety
-/// `settings` must be null or point to a text that ends with a zero; `session` must be null or writable.
+/// `settings` must be null or point to a zero-terminated string; `session` must be null or writable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_new(
     settings: *const c_char,
@@ -123,7 +123,7 @@ fn with_own_threads(settings: &Settings) -> Settings {
 /// The pointer must be null, or writable for the lifetime of the result.
 pub(crate) unsafe fn writable<'a, T>(what: &'static str, pointer: *mut T) -> Done<&'a mut T> {
     crate::buffers::Extent::new(what, pointer, align_of::<T>(), (size_of::<T>(), size_of::<T>(), 1))?;
-    // SAFETY: the pointer is not null and aligned; the caller guarantees the rest.
+    // SAFETY: the pointer is aligned and not null; the caller guarantees the rest.
     Ok(unsafe { &mut *pointer })
 }
 
@@ -149,7 +149,7 @@ fn set(session: *mut planish_session, name: &str, value: SettingValue) -> Done<(
 /// Sets a setting from text, such as "sensor" to "d435". An empty value restores the default.
 ///
 /// # Safety
-/// The texts must be null or end with a zero.
+/// `name` and `value` must be null or point to zero-terminated strings.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set(
     session: *mut planish_session,
@@ -167,7 +167,7 @@ pub unsafe extern "C" fn planish_session_set(
 /// Sets a numeric setting, such as "radius_m".
 ///
 /// # Safety
-/// The name must be null or end with a zero.
+/// `name` must be null or point to a zero-terminated string.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set_number(
     session: *mut planish_session,
@@ -181,7 +181,7 @@ pub unsafe extern "C" fn planish_session_set_number(
 /// Sets a boolean setting, such as "remove_isolated".
 ///
 /// # Safety
-/// The name must be null or end with a zero.
+/// `name` must be null or point to a zero-terminated string.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn planish_session_set_bool(
     session: *mut planish_session,

@@ -157,9 +157,8 @@ pub unsafe extern "C" fn planish_smooth_new(
     })
 }
 
-/// Submits a frame, whose result planish_receive returns; results come in the order of submission. The frame is
-/// copied, or smoothed during this call. A GPU works on several frames at a time. `outputs` is as in
-/// planish_smooth_new.
+/// Submits a frame. planish_receive returns the results in the order of submission. The frame is either copied or
+/// smoothed during this call. A GPU works on several frames at a time. `outputs` is as in planish_smooth_new.
 ///
 /// # Safety
 /// `frame` must be null, or point to a struct whose pointers are null or valid as its members state.

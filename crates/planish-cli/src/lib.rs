@@ -18,8 +18,8 @@ use planish_bench::errln;
 
 use args::{Args, Command};
 
-/// Runs the command with its arguments, the program's name first, and returns its exit code. Bad arguments and `--help`
-/// end the process.
+/// Runs the command with the given arguments, which begin with the program's name, and returns its exit code. Bad
+/// arguments and `--help` end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     quiet_caught_panics();
     if let Err(error) = signals::install() {
@@ -82,7 +82,7 @@ fn parse(arguments: impl IntoIterator<Item = OsString>) -> Args {
         // The message quotes the arguments. Line breaks in them must not look like line breaks of the message.
         let message = arguments.iter().fold(error.render().to_string(), |message, argument| {
             let argument = argument.to_string_lossy();
-            // It may quote the value of an option alone.
+            // The message may quote only the value of an option.
             let value = argument.split_once('=').map_or(&*argument, |(_, value)| value);
             let message = message.replace(&*argument, &planish::io::printable_line(&argument));
             message.replace(value, &planish::io::printable_line(value))
@@ -106,7 +106,7 @@ pub fn end_without_memory(bytes: usize) -> ! {
         end_now();
     }
     if IS_CLAIMED.swap(true, Ordering::Relaxed) {
-        // Another thread ends the process.
+        // Another thread is ending the process.
         loop {
             std::thread::park();
         }

@@ -1,5 +1,5 @@
-//! Publishes the transforms of a robot for tests: once `base` to `lens` on `/tf_static`, then 50 times a second `odom`
-//! to `base` on `/tf`, at the current time. No package on PyPI has the messages of tf2.
+//! Publishes the transforms of a robot for tests: `base` to `lens` once on `/tf_static`, then `odom` to `base` on `/tf`
+//! 50 times a second, with the current time. No PyPI package contains the messages of tf2.
 
 use std::thread::sleep;
 use std::time::{Duration, SystemTime};

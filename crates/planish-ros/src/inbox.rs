@@ -34,8 +34,8 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Returns true if a message is up to a second older than the last one: best-effort messages overtake each other.
-    /// A larger step back means that the clock was set back.
+    /// Returns true if a message is up to a second older than the last one: best-effort messages may arrive out of
+    /// order. A larger step back means that the clock was set back.
     fn is_late(&self, stamp: Time) -> bool {
         const SHORTLY_S: f64 = 1.0;
         let after_s = self.last.seconds() - stamp.seconds();

@@ -58,9 +58,10 @@ fn end_on_panics() {
     }));
 }
 
-/// Configures the allocator in two ways. Freed messages return to the system; otherwise about a gigabyte is kept,
-/// since messages are freed by a different thread from the one that allocated them. The heap grows in large steps: a
-/// message grows within one step while it is written, and its pages need not be cleared for each message.
+/// Configures the allocator in two ways. The memory of freed messages returns to the system. Otherwise the process
+/// would keep about a gigabyte, since messages are freed by a different thread from the one that allocated them. The
+/// heap grows in large steps, so that a message can grow within one step while it is written, and the pages need not be
+/// cleared for each message.
 fn set_up_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

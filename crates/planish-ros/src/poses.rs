@@ -18,7 +18,7 @@ use crate::node::topic;
 
 /// Time for which transforms are kept, in seconds.
 const KEPT_S: f64 = 10.0;
-/// Maximum wait of a frame for transforms of its time, since its arrival.
+/// Maximum time that a frame waits for transforms of its timestamp, counted from its arrival.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// Number of messages that a subscription keeps, as in tf2.
 const DEPTH: usize = 100;
@@ -80,8 +80,8 @@ impl Poses {
         Ok((Self(received), receive))
     }
 
-    /// Returns the pose of the camera of a message that arrived at `since`. Waits until 0.1 s after that, because
-    /// transforms arrive later than the images of the same time.
+    /// Returns the pose of the camera of a message that arrived at `since`. Waits at most until 0.1 s after `since`,
+    /// because transforms arrive later than images with the same timestamp.
     pub fn wait_for(&self, header: &Header, since: Instant) -> Result<SensorPose, TransformError> {
         let Self(received) = self;
         let mut buffer = received.lock();

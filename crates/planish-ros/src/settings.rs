@@ -34,7 +34,7 @@ pub fn declared() -> Vec<Declared> {
             "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, or auto: estimated from the first frame",
         ),
         ("edges", NotSet, true, "robust or off [default: robust for images, off for unorganized clouds]"),
-        ("fill", NotSet, true, "Holes up to this many pixels wide are filled, 1 to 64; flagged in status and origin"),
+        ("fill", NotSet, true, "Fill holes up to this many pixels wide, 1 to 64; status and origin flag filled pixels"),
         ("remove_isolated", NotSet, true, "Whether isolated points of unorganized clouds become holes"),
         ("window", NotSet, true, "Half-width of the window in samples, 1 to 7"),
         ("stride", NotSet, true, "Distance between samples in pixels, 1 to 8"),
@@ -50,12 +50,7 @@ pub fn declared() -> Vec<Declared> {
             "Poses of a moving camera, with temporal: off, tf (/tf, /tf_static), odometry (odom, /tf_static), or pose \
              or pose_with_covariance of the camera itself (pose)",
         ),
-        (
-            "fixed_frame",
-            text(""),
-            false,
-            "Frame that does not move, for poses [default: odom, or the root of the frames]",
-        ),
+        ("fixed_frame", text(""), false, "Fixed frame, for poses [default: odom, or the root of the frames]"),
         ("degree", NotSet, true, "Degree of the surface, 1 to 3"),
         ("bandwidth_m", NotSet, true, "Bandwidth of the Gaussian weights in metres"),
         ("ridge", NotSet, true, "Ridge of the fit, 1e-3 to 100"),
@@ -76,7 +71,7 @@ pub fn declared() -> Vec<Declared> {
         ("publish_qos", text("reliable"), false, "QoS of the output: reliable or sensor_data"),
         ("engine", text("auto"), false, "auto, cpu, gpu or reference"),
         ("adapter", NotSet, false, "The GPU by index or part of its name; needs engine: gpu"),
-        ("threads", Integer(0), false, "Threads of the CPU engine; 0 is one per core"),
+        ("threads", Integer(0), false, "Threads of the CPU engine; 0 means one per core"),
     ]
 }
 
@@ -99,7 +94,7 @@ pub struct NodeSettings {
     pub input: Input,
     /// Type of the messages with the poses of a moving camera; `None` if it stands still or is tracked.
     pub poses: Option<PoseKind>,
-    /// The frame that does not move; `None` for the default.
+    /// The fixed frame; `None` for the default.
     pub fixed_frame: Option<String>,
     pub publish_points: bool,
     pub publish_depth: bool,

@@ -1,4 +1,4 @@
-"""What the tests share: the programs, and messages as a camera gives them."""
+"""Shared by the tests: the programs under test, and depth images like those of a camera."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ WIDTH, HEIGHT, FOCAL = 160, 120, 131.25
 
 
 def program(name):
-    """A program of this project, from the newest build."""
+    """Returns the path of one of the project's programs, from the newest build."""
     built = [path for profile in ("release", "debug") if (path := TARGET / profile / name).exists()]
     if not built:
         pytest.fail(f"{name} is not built: cargo build --workspace")
@@ -21,7 +21,7 @@ def program(name):
 
 
 def smooth(*arguments, code=0):
-    """Runs planish, checks its exit code, and returns what it wrote."""
+    """Runs `planish smooth`, checks the exit code, and returns the output."""
     run = subprocess.run([program("planish"), "smooth", *map(str, arguments)], capture_output=True, text=True, timeout=120)
     assert run.returncode == code, run.stdout + run.stderr
     return run.stdout + run.stderr
@@ -39,7 +39,7 @@ def depth_mm(seed, width=WIDTH, height=HEIGHT):
 
 
 def roughness(depth):
-    """The median second difference along rows, where there is depth."""
+    """Returns the median second difference of depth along rows, without the columns of holes."""
     depth = np.asarray(depth, float)
     second = np.abs(depth[:, 10:-2] - 2 * depth[:, 11:-1] + depth[:, 12:])
     return float(np.nanmedian(second))

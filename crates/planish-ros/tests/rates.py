@@ -1,8 +1,9 @@
-"""Publishes depth at 30 Hz from rclpy, lets the node smooth it, and measures what comes back.
+"""Publishes depth at 30 Hz with rclpy, lets the node smooth it, and measures the results.
 
     rates.py NODE [--seconds 60] [--depth] [--best-effort] [--parameter NAME:=VALUE ...]
 
-Publisher and subscriber are processes of their own, as on a robot. Prints frames per second and latencies, from stamp to arrival.
+The publisher and the subscriber are separate processes, as on a robot. Prints the frame rate and the latencies
+from stamp to arrival.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Recordings written by rosbags are smoothed; what comes out is read by another library, mcap-ros2-support."""
+"""Smooths recordings written by rosbags, and reads the results with another library, mcap-ros2-support."""
 
 import json
 import signal
@@ -28,7 +28,7 @@ def message(name, *values):
 
 
 def png(depth):
-    """16-bit grayscale."""
+    """Encodes depth as a 16-bit greyscale PNG."""
     height, width = depth.shape
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in depth)
     chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -57,7 +57,7 @@ def camera_info(header):
 
 @pytest.fixture
 def bag(tmp_path):
-    """A recording of all kinds of depth, and of what is none."""
+    """Writes a recording with every kind of depth topic, and with topics that have no depth."""
     folder = tmp_path / "bag"
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -129,7 +129,7 @@ def test_all_kinds_are_smoothed_alike(bag, tmp_path):
     assert compressed[:12] == b"\0" * 12 and compressed[12:16] == b"\x89PNG"
     cloud = decoded(out, CLOUD)[1]
     points = np.frombuffer(bytes(cloud.data), np.float32).reshape(HEIGHT, WIDTH, 8)
-    # Along the ray, as depth is.
+    # Clouds are smoothed along the rays, like depth.
     assert np.nanmax(np.abs(points[..., 2] - metres)) < 1e-5
     was = np.frombuffer(bytes(decoded(bag, CLOUD)[1].data), np.uint8).reshape(HEIGHT, WIDTH, 32)
     assert (points.view(np.uint8)[..., 12:] == was[..., 12:]).all()
@@ -144,7 +144,7 @@ def test_the_result_is_that_of_the_command_on_the_image(bag, tmp_path):
     smooth(tmp_path / "frame.png", tmp_path / "smooth.png", "--camera", camera)
     assert (folder / "000001.png").read_bytes() == (tmp_path / "smooth.png").read_bytes()
     assert json.loads((folder / "camera.json").read_text())["fx"] == FOCAL
-    # And back into a recording, whose image another library reads.
+    # The frames become a recording again, whose image another library reads.
     back = tmp_path / "back.mcap"
     smooth(folder, back, "--strength", "0")
     image = decoded(back, "/camera/depth/image_rect")[2]
@@ -189,7 +189,7 @@ def test_a_folder_of_rosbag2_is_its_recording(bag, tmp_path):
 
 
 def copy(source, path, leave_out=(), **options):
-    """The same messages in a recording written another way."""
+    """Copies the messages to a recording that is written with other options."""
     with open(source, "rb") as old, open(path, "wb") as new:
         writer, channels = McapWriter(new, **options), {}
         writer.start("ros2")
@@ -266,7 +266,7 @@ def test_a_signal_leaves_no_part_of_a_recording(bag, tmp_path):
     for i in range(300):
         (frames / f"{i:03}.png").write_bytes(png(depth_mm(i % 3, 640, 480)))
     command = [program("planish"), "smooth", frames, out, "--camera", "525,525,319.5,239.5", "--engine", "cpu"]
-    # One that a shell in the background started would ignore SIGINT.
+    # A process that a shell starts in the background would ignore SIGINT.
     heeds = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heeds)
     time.sleep(0.7)
@@ -284,7 +284,7 @@ def test_a_recording_that_was_cut_off_is_smoothed_up_to_there(bag, tmp_path):
     with open(out, "rb") as file:
         # Complete, with a summary.
         assert make_reader(file).get_summary().statistics.message_count > 0
-    # Chunks are unchanged although the summary that describes them was cut off.
+    # Chunks stay uncompressed although the summary that states their compression was cut off.
     copy(bag, tmp_path / "plain.mcap", chunk_size=100_000, compression=CompressionType.NONE)
     plain = (tmp_path / "plain.mcap").read_bytes()
     cut.write_bytes(plain[: len(plain) * 2 // 3])
@@ -311,7 +311,7 @@ def test_attachments_metadata_and_channels_come_through(tmp_path):
         other = writer.register_channel("/json", "json", 0)
         data = np.ascontiguousarray(depth_mm(3)).view(np.uint8).ravel()
         sent = message("sensor_msgs/Image", header, HEIGHT, WIDTH, "16UC1", 0, 2 * WIDTH, data)
-        # Before its camera, and one that is damaged.
+        # One image precedes its camera, and another one is damaged.
         writer.add_message(image, 10, cdr(sent, "sensor_msgs/msg/Image"), 11, 42)
         writer.add_message(info, 12, cdr(camera_info(header), "sensor_msgs/msg/CameraInfo"), 13)
         writer.add_message(other, 14, b'{"a": 1}', 15)

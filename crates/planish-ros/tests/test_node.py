@@ -1,4 +1,4 @@
-"""The node between a publisher and a subscriber of rclpy, as nodes of ROS 2 are."""
+"""Tests the node between an rclpy publisher and an rclpy subscriber, as between other ROS 2 nodes."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).paren
 
 
 class Robot:
-    """A camera and a listener, spun on a thread of their own."""
+    """A camera and a listener, which spin on a separate thread."""
 
     def __init__(self, namespace):
         self.node = rclpy.create_node("robot", namespace=namespace)
@@ -36,7 +36,7 @@ class Robot:
         self.node.create_subscription(kind, topic, self.received[topic].append, 5)
 
     def publish_until(self, sends, done, seconds=20):
-        """Sends again and again until something holds."""
+        """Publishes the messages repeatedly until `done` returns true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for publisher, message in sends:
@@ -44,7 +44,7 @@ class Robot:
             time.sleep(0.05)
             if done():
                 return
-        pytest.fail("nothing came back in time")
+        pytest.fail("no result arrived in time")
 
     def call(self, kind, service, request):
         client = self.node.create_client(kind, service)
@@ -72,7 +72,7 @@ def robot(request):
 
 @pytest.fixture
 def start(robot):
-    """Starts the node in the robot's namespace; it must end by itself when it is told to."""
+    """Starts the node in the robot's namespace, and checks that it exits without an error when it is terminated."""
     nodes = []
 
     def started(*arguments):
@@ -119,7 +119,7 @@ def test_depth_becomes_clouds_and_depth(robot, start):
     assert np.nanmax(np.abs(1000 * points[..., 2] - pixels)[pixels > 0]) <= 0.51
     assert np.isnan(points[:, :4, :3]).all() and np.nanmax(points[..., 6]) < 0
 
-    # Metres come back as metres; another camera's resolution reopens the engine.
+    # Depth in metres stays in metres.
     smoothed.clear()
     metres = np.where(depth > 0, depth / 1000, np.nan).astype(np.float32)
     robot.publish_until([(infos, camera_info()), (images, image(metres, "32FC1"))],
@@ -135,7 +135,7 @@ def test_normals_are_images_of_their_own(robot, start):
     clouds, normals = robot.received["points"], robot.received["normals"]
     sends = [(infos, camera_info()), (images, image(depth_mm(4)))]
     robot.publish_until(sends, lambda: clouds and normals)
-    # Clouds have none for that.
+    # Clouds do not contain these normals.
     assert clouds[-1].point_step == 16
 
     def check(message):
@@ -230,13 +230,13 @@ def test_bad_input_is_said_and_the_next_frame_is_smoothed(robot, start):
     robot.publish_until([(infos, camera_info()), (images, colour)], lambda: said("rgb8"))
     assert not robot.received["points"]
     robot.publish_until([(infos, camera_info()), (images, good)], lambda: robot.received["points"])
-    # The same is not said at every frame.
+    # The same warning is not repeated for every frame.
     assert sum("rgb8" in line for line in lines) == 1
 
 
 @pytest.mark.parametrize("poses", ["odometry", "tf"])
 def test_the_poses_of_a_moving_camera_are_taken(robot, start, poses):
-    # Static transforms published before the node starts reach it.
+    # The node also receives static transforms that were published before it started.
     publisher = subprocess.Popen([program("examples/publish_tf")], stdout=subprocess.PIPE) if poses == "tf" else None
     try:
         if publisher:
@@ -251,7 +251,7 @@ def test_the_poses_of_a_moving_camera_are_taken(robot, start, poses):
         unknown = lambda: [line for line in lines if "as if the camera stood still" in line]
 
         def frames(with_poses):
-            """Sends frames of the current time until three more clouds arrive."""
+            """Publishes frames with the current time until three more clouds arrive."""
             before, end = len(robot.received["points"]), time.monotonic() + 20
             while len(robot.received["points"]) < before + 3:
                 assert time.monotonic() < end, lines
@@ -309,7 +309,7 @@ def test_the_domain_of_the_environment_is_taken(robot, start, monkeypatch):
 def test_wrong_arguments_end_the_node_with_the_reason():
     for arguments, text in [(["--fast"], "--fast"), (["--ros-args", "-p", "strength:=7"], "strength"),
                             (["--ros-args", "-p", "speed:=7"], "speed"), (["--ros-args", "-r", "__ns:=x"], "slash"),
-                            # Its output would return to it forever.
+                            # The node would receive its own output forever.
                             (["--ros-args", "-p", "input:=points", "-r", "input:=/points"], "remap"),
                             # Without a driver there is no GPU.
                             (["--ros-args", "-p", "engine:=gpu"], "the engine cannot be opened")]:

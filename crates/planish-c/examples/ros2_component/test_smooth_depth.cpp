@@ -7,7 +7,7 @@
 int main() {
   planish::Session session("engine=cpu");
   const double intrinsics[4] = {131.25, 131.25, 79.5, 59.5};
-  // Rows of 170 values, of which 160 are the image.
+  // Each row has 170 values, the first 160 of which belong to the image.
   std::vector<std::uint16_t> rows(170 * 120);
   for (std::size_t i = 0; i < rows.size(); ++i) rows[i] = static_cast<std::uint16_t>(1500 + (i * 7919) % 7);
   std::vector<std::uint8_t> data(2 * rows.size()), smoothed;

@@ -13,7 +13,7 @@ namespace planish {
 template <typename Scalar>
 using PointsMap = Eigen::Ref<const Eigen::Matrix<Scalar, 3, Eigen::Dynamic>, 0, Eigen::OuterStride<>>;
 
-/// Borrows points, one per column; a height above 1 is a grid, row by row.
+/// Borrows points, one per column. If `height` is above 1, the points form a grid, row by row.
 template <typename Scalar>
 Frame frame_of(const PointsMap<Scalar> &points, std::size_t height = 1) {
   static_assert(std::is_same<Scalar, float>::value || std::is_same<Scalar, double>::value, "float or double");

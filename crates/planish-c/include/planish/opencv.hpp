@@ -33,7 +33,8 @@ inline Checked smooth(Session &session, const cv::Mat &depth, const Camera &came
   done = Result(planish_output_shape(session.c(), frame.width(), frame.height(), &width, &height));
   if (!done) return detail::checked(std::move(done));
   const int rows = static_cast<int>(height), cols = static_cast<int>(width);
-  // Results have no gaps between rows, so an image that is part of another is written by a copy.
+  // The output buffer must be contiguous, so a result that is part of a larger image is written through a temporary
+  // image.
   cv::Mat result = smoothed;
   if (result.type() != input.type() || result.rows != rows || result.cols != cols || !result.isContinuous()) {
     result = cv::Mat(rows, cols, input.type());

@@ -1,7 +1,7 @@
 // planish for PCL: smooths clouds of any registered point type, keeping every field, and replaces
 // pcl::MovingLeastSquares.
 //
-//   planish::smooth(cloud, smoothed);              // frames on a grid, and clouds without one
+//   planish::smooth(session, cloud, smoothed);     // frames on a grid, and clouds without one
 //
 //   planish::MovingLeastSquares<pcl::PointXYZ, pcl::PointNormal> mls;     // instead of pcl::MovingLeastSquares
 #ifndef PLANISH_PCL_HPP
@@ -71,13 +71,14 @@ Output output_of(pcl::PointCloud<PointT> &cloud, bool normals, std::vector<float
   return output;
 }
 
-/// Whether the library can copy the other fields while it writes the points. Normals would be overwritten.
+/// Returns true if the library can copy the other fields while it writes the points. It cannot for types with normals
+/// or curvature, which the copy would overwrite.
 template <typename PointT>
 constexpr bool copies_fields() {
   return offset_of<PointT, pcl::fields::x>() == 0 && !pcl::traits::has_normal<PointT>::value && !pcl::traits::has_curvature<PointT>::value;
 }
 
-/// Copies everything but the points, for which it makes room.
+/// Copies the header, shape and sensor pose of a cloud, and makes room for its points.
 template <typename PointT>
 void copy_shape(const pcl::PointCloud<PointT> &cloud, pcl::PointCloud<PointT> &to) {
   to.header = cloud.header;
@@ -148,9 +149,9 @@ pcl::PointCloud<PointT> smooth(const pcl::PointCloud<PointT> &cloud, const std::
   return smoothed;
 }
 
-/// Replaces pcl::MovingLeastSquares, with the same names: the same neighbourhood, degree and Gaussian weights, on
-/// planish's engine. As in PCL, points with fewer than three neighbours are omitted. Features that planish lacks
-/// (upsampling, projection methods, distinct clouds) throw an exception.
+/// A replacement for pcl::MovingLeastSquares with the same function names, neighbourhood, degree and Gaussian weights,
+/// computed by planish's engine. As in PCL, points with fewer than three neighbours are omitted. planish does not
+/// upsample: setUpsamplingMethod throws an exception for every method but NONE.
 template <typename PointInT, typename PointOutT>
 class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   using Base = pcl::PCLBase<PointInT>;
@@ -168,7 +169,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
   /// Sets the radius of a neighbourhood in metres.
   void setSearchRadius(double radius) {
     session_.set("radius_m", radius);
-    // As in PCL, the Gaussian follows the radius until it is set again.
+    // As in PCL, the Gaussian's bandwidth follows the radius until setSqrGaussParam is called again.
     session_.set("bandwidth_m", "");
     search_radius_ = radius;
     gauss_ = 0;
@@ -204,7 +205,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     session_.set(name, value);
   }
 
-  /// Smooths the cloud; the output contains the points of the indices that have a surface.
+  /// Smooths the cloud. The output contains those of the selected points (setIndices) that have a surface.
   void process(PointCloudOut &result) {
     kept_.reset(new pcl::PointIndices);
     // The result may be the input.
@@ -218,13 +219,13 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
     for (const auto index : *indices_) {
       if (static_cast<std::size_t>(index) >= input_->size()) {
         Base::deinitCompute();
-        throw Error(Result(PLANISH_ARGUMENT, "setIndices: index " + std::to_string(index) + " is beyond the cloud"));
+        throw Error(Result(PLANISH_ARGUMENT, "setIndices: index " + std::to_string(index) + " is out of range"));
       }
     }
     output.header = kept_->header = input_->header;
     output.sensor_origin_ = input_->sensor_origin_;
     output.sensor_orientation_ = input_->sensor_orientation_;
-    // Read without a grid, as in PCL.
+    // As in PCL, the grid is ignored.
     using namespace pcl::fields;
     Frame frame(PLANISH_POINTS_F32, input_->size(), 1);
     frame.data(input_->points.data());
@@ -270,7 +271,7 @@ class MovingLeastSquares : public pcl::PCLBase<PointInT> {
 
  private:
   [[noreturn]] static void refuse(const char *what, const char *allowed) {
-    throw Error(Result(PLANISH_SETTING, std::string(what) + ": planish has " + allowed + " only"));
+    throw Error(Result(PLANISH_SETTING, std::string(what) + ": planish supports " + allowed + " only"));
   }
 
   Session session_;

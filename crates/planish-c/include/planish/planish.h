@@ -14,13 +14,13 @@
  *
  * Rules
  * - Set the first member `size` of a struct to its sizeof, and members that you do not need to 0.
- * - Functions return PLANISH_OK, which is 0, or an error; planish_last_error() has its text, for the thread that called.
+ * - Functions return PLANISH_OK (0) or an error code; planish_last_error() returns the message for the calling thread.
  * - Inputs are borrowed until the call returns. Buffers that are read and buffers that are written must not overlap.
- * - A session belongs to one thread at a time: a call while another thread is in one returns PLANISH_BUSY. Different
+ * - Only one thread may use a session at a time: a call during another thread's call returns PLANISH_BUSY. Different
  *   sessions may be used at the same time. planish_session_stop may be called from any thread at any time.
- * - A session or result that was freed is an error (PLANISH_HANDLE), not undefined behaviour. The pointers that
- *   planish_result_get returns end with their result.
- * - The setting fill needs the output status, which tells filled pixels from measured ones.
+ * - Using a session or result that was freed is an error (PLANISH_HANDLE), not undefined behaviour. The pointers that
+ *   planish_result_get writes are valid until their result is freed.
+ * - The setting fill requires the output status, which distinguishes filled pixels from measured ones.
  * - No function throws or prints. Running out of memory ends the process. */
 
 #ifndef PLANISH_H
@@ -289,8 +289,8 @@ planish_code planish_cuda_smooth(struct planish_cuda *cuda,
                                  float *result,
                                  void *stream);
 
-// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the
-// order of submission. At most 16 images can be in flight. Images that are submitted before the first call of
+// Submits an image in the same form as for planish_cuda_smooth; planish_cuda_receive returns the results in the order
+// of submission. At most 16 images can be in flight. Images that are submitted before the first call to
 // planish_cuda_receive are smoothed together, which takes less time per image.
 planish_code planish_cuda_submit(struct planish_cuda *cuda, const void *depth, size_t row_stride, void *stream);
 
@@ -317,7 +317,7 @@ planish_code planish_result_get(const struct planish_result *result, struct plan
 // Frees a result. Null is allowed.
 planish_code planish_result_free(struct planish_result *result);
 
-// Makes a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
+// Creates a session. `settings` are words such as "preset=strong engine=cpu", a JSON object such as {"preset":
 // "strong"}, or null for the default.
 planish_code planish_session_new(const char *settings, struct planish_session **session);
 
@@ -384,9 +384,8 @@ planish_code planish_smooth_new(struct planish_session *session,
                                 uint32_t outputs,
                                 struct planish_result **result);
 
-// Submits a frame, whose result planish_receive returns; results come in the order of submission. The frame is
-// copied, or smoothed during this call. A GPU works on several frames at a time. `outputs` is as in
-// planish_smooth_new.
+// Submits a frame. planish_receive returns the results in the order of submission. The frame is either copied or
+// smoothed during this call. A GPU works on several frames at a time. `outputs` is as in planish_smooth_new.
 planish_code planish_submit(struct planish_session *session, const struct planish_frame *frame, uint32_t outputs);
 
 // Waits for the oldest frame in flight and writes its result. `received` becomes false if no frame is in flight.

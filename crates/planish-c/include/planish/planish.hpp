@@ -30,11 +30,11 @@
 
 namespace planish {
 
-/// The outcome of a call: a code of planish.h, and its text.
+/// The outcome of a call: a code from planish.h, and the error message.
 class [[nodiscard]] Result {
  public:
   Result() = default;
-  /// Stores the code of a C function, and the text of its error.
+  /// Stores the code that a C function returned, and the message if it is an error.
   explicit Result(planish_code code) : code_(code), text_(code == PLANISH_OK ? "" : planish_last_error()) {}
   Result(planish_code code, std::string text) : code_(code), text_(std::move(text)) {}
 
@@ -90,7 +90,7 @@ class Camera {
     return *this;
   }
 
-  /// Sets the lens distortion by its model's name in ROS, OpenCV or Kalibr.
+  /// Sets the lens distortion. `model` is the name of the distortion model in ROS, OpenCV or Kalibr.
   Camera &distortion(std::string model, std::vector<double> coefficients) {
     model_ = std::move(model);
     distortion_ = std::move(coefficients);
@@ -100,7 +100,7 @@ class Camera {
   std::size_t width() const { return values_.width; }
   std::size_t height() const { return values_.height; }
 
-  /// Returns the camera for C, valid as long as this object lives unchanged.
+  /// Returns the camera for C. It is valid until this object changes or is destroyed.
   planish_camera c() const {
     planish_camera camera = values_;
     if (!distortion_.empty() || !model_.empty()) {
@@ -408,7 +408,7 @@ class Session {
   std::size_t in_flight() const { return flights().first; }
   std::size_t max_in_flight() const { return flights().second; }
 
-  /// Stops the smoothing of a cloud that another thread runs with this session.
+  /// Stops another thread's smoothing of an unorganized cloud with this session.
   void stop() const { (void)planish_session_stop(session_); }
   /// Forgets all previous frames of the video.
   Checked restart_video() { return detail::checked(Result(planish_session_restart_video(session_))); }
@@ -435,7 +435,7 @@ class Session {
     }
   }
 
-  /// Returns the session for C.
+  /// Returns the C handle of the session.
   planish_session *c() const { return session_; }
 
  private:

@@ -15,7 +15,7 @@
 
 namespace planish {
 
-/// Returns the camera of a depth stream. A distortion that planish does not support becomes an error of the session.
+/// Returns the camera of a depth stream. If planish does not support the distortion, the session returns an error.
 inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit) {
   Camera camera(static_cast<std::size_t>(intrinsics.width), static_cast<std::size_t>(intrinsics.height), intrinsics.fx,
                 intrinsics.fy, intrinsics.ppx, intrinsics.ppy);
@@ -29,7 +29,7 @@ inline Camera camera_of(const rs2_intrinsics &intrinsics, float metres_per_unit)
   return camera;
 }
 
-/// Smooths depth frames. Frames of other streams pass through, also within framesets.
+/// Smooths depth frames. Frames of other streams pass through unchanged, including those in framesets.
 class DepthSmoother : public rs2::filter {
  public:
   explicit DepthSmoother(const std::string &settings = "")

@@ -23,13 +23,13 @@ pub enum BenchCommand {
     Rig(BenchRigArgs),
     /// Experiment 1 of the 2011 report: time per frame, and speedup over the serial method
     Speedup(ExperimentArgs),
-    /// Experiment 2: time over the number of candidates in a window
+    /// Experiment 2: time by the number of candidates in a window
     Connectivity(ExperimentArgs),
-    /// Experiment 3: several copies of the scene as a tall cloud and as a batch; threads
+    /// Experiment 3: time for several copies of the scene, as a tall cloud and as a batch, and by number of threads
     Scaleup(ExperimentArgs),
     /// Time per stage of a frame
     Profile(ExperimentArgs),
-    /// Raw and smoothed frame, and its largest plane before and after
+    /// Raw and smoothed frame, and the flatness of the largest plane before and after smoothing
     Quality(ExperimentArgs),
     /// Time per frame by instruction set of the CPU and by preset, on one thread
     Simd(ExperimentArgs),
@@ -70,15 +70,15 @@ pub struct BenchGpuArgs {
     pub input: Option<PathBuf>,
     #[command(flatten)]
     pub memory: MemoryArgs,
-    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
+    /// GPU: index or part of the name (see `planish devices`) [default: the first hardware GPU]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     #[command(flatten)]
     pub gpus: GpusArgs,
-    /// With --gpus: measure only several devices
+    /// With --gpus: measure only several devices together, not a single GPU
     #[arg(long, requires = "gpus")]
     pub only_devices: bool,
-    /// Frames per figure
+    /// Frames per measurement
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(2..))]
     pub runs: u32,
     /// Print a report as one JSON object
@@ -91,10 +91,10 @@ pub struct BenchRigArgs {
     /// Number of cameras, 1 to 8
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub cameras: u8,
-    /// Ways to fuse, separated by commas
+    /// Methods of fusion, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WAYS", default_value = "each")]
     pub fuse: Vec<RigWayArg>,
-    /// For merged points: size in metres of voxels to thin them to [default: keep all points]
+    /// For merged points: voxel size for thinning, in metres [default: keep all points]
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
     /// For merged points: radius in metres [default: the larger of 0.03 and three voxels]
@@ -106,12 +106,12 @@ pub struct BenchRigArgs {
     /// Engine
     #[arg(long, value_enum, default_value = "auto")]
     pub engine: EngineArg,
-    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
+    /// GPU: index or part of the name (see `planish devices`) [default: the first hardware GPU]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     #[command(flatten)]
     pub gpus: GpusArgs,
-    /// Maximum number of moments per figure (stops after 20 s)
+    /// Maximum number of moments per measurement (stops after 20 s)
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
     /// Print a report as one JSON array
@@ -121,7 +121,7 @@ pub struct BenchRigArgs {
 
 #[derive(clap::Args)]
 pub struct BenchGeneralArgs {
-    /// Clouds, whose grid is ignored [default: simulated scans of --points]
+    /// Clouds; their grids are ignored [default: simulated scans of --points]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub input: Vec<PathBuf>,
     #[command(flatten)]
@@ -129,10 +129,10 @@ pub struct BenchGeneralArgs {
     /// Numbers of points of simulated scans, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = clap::value_parser!(u32).range(5000..=1_000_000_000))]
     pub points: Vec<u32>,
-    /// Radii in metres, separated by commas; 0 is by density [default: 0]
+    /// Radii in metres, separated by commas; 0 derives the radius from the density [default: 0]
     #[arg(long, value_delimiter = ',', value_name = "M")]
     pub radius: Vec<f32>,
-    /// Target number of neighbours for radii by density
+    /// Target number of neighbours for radii derived from the density
     #[arg(long, value_name = "K", default_value_t = 40)]
     pub neighbours: u32,
     /// Degree of the polynomial
@@ -141,7 +141,7 @@ pub struct BenchGeneralArgs {
     /// Handling of creases and steps
     #[arg(long, value_enum, default_value = "off")]
     pub edges: EdgesArg,
-    /// Engines, separated by commas [default: CPU, and a real GPU if there is one]
+    /// Engines, separated by commas [default: the CPU, and a hardware GPU if available]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "ENGINES")]
     pub engine: Vec<EngineArg>,
     /// Measure the CPU engine at every SIMD level of this machine
@@ -150,13 +150,13 @@ pub struct BenchGeneralArgs {
     /// Threads of the CPU engine [default: one per core]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// GPU: index or part of the name (see `planish devices`) [default: the first real one]
+    /// GPU: index or part of the name (see `planish devices`) [default: the first hardware GPU]
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
     /// Maximum number of points on the GPU at once; larger clouds are smoothed in parts
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..))]
     pub points_at_once: Option<u32>,
-    /// Maximum runs per figure (stops after 20 s)
+    /// Maximum number of runs per measurement (stops after 20 s)
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     pub runs: u32,
     /// Print a report as one JSON array

@@ -23,10 +23,10 @@ pub struct CameraArgs {
     pub camera_file: Option<PathBuf>,
     /// Depth units per metre: 1000 for millimetres, 5000 for TUM and ICL-NUIM
     ///
-    /// The inverse of librealsense's depth scale. Floating-point depth is in metres without it.
+    /// The inverse of librealsense's depth scale. Without this option, floating-point depth is in metres.
     #[arg(long, value_name = "UNITS", alias = "depth-scale", allow_negative_numbers = true, hide_short_help = true, help_heading = CAMERA)]
     pub depth_units_per_metre: Option<f64>,
-    /// The camera that the input has itself.
+    /// The camera that the input itself contains.
     #[arg(skip)]
     own: Option<Camera>,
 }
@@ -35,17 +35,17 @@ pub struct CameraArgs {
 pub struct PosesArgs {
     /// Poses of a moving camera, with --temporal: TUM's groundtruth.txt, by time, or trajectory.log, by frame
     ///
-    /// TUM's: time stamp in seconds, position in metres and quaternion x, y, z, w of the camera in the world. Names of
-    /// files in a folder are then times in seconds.
+    /// A line of a TUM file has a time stamp in seconds, and the camera's position in metres and quaternion x, y, z, w
+    /// in the world. With such a file, the names of a folder's files must be times in seconds.
     #[arg(long, value_name = "FILE", hide_short_help = true, help_heading = CAMERA)]
     pub poses: Option<PathBuf>,
     /// Topic of an MCAP recording with the poses of a moving camera, with --temporal: /tf, or a topic with odometry
     ///
-    /// TFMessage, Odometry (static transforms lead from the robot to the camera), or PoseStamped or
-    /// PoseWithCovarianceStamped of the camera itself.
+    /// Supported messages are TFMessage, Odometry (which needs static transforms from the robot to the camera), and
+    /// PoseStamped or PoseWithCovarianceStamped of the camera itself.
     #[arg(long, value_name = "TOPIC", hide_short_help = true, help_heading = CAMERA, conflicts_with = "poses")]
     pub pose_topic: Option<String>,
-    /// Coordinate frame that does not move, with --pose-topic [default: odom, or the root of the camera's frames]
+    /// Fixed coordinate frame, with --pose-topic [default: odom, or the root of the camera's frames]
     #[arg(long, value_name = "FRAME", hide_short_help = true, help_heading = CAMERA, requires = "pose_topic")]
     pub fixed_frame: Option<String>,
 }
@@ -169,7 +169,7 @@ impl CameraArgs {
         self.read(Some(shape))
     }
 
-    /// Returns the camera for frames of unknown shape, which is then 0x0.
+    /// Returns the camera for frames of unknown shape; its width and height are 0.
     pub fn camera_of_any_shape(&self) -> Result<Option<Camera>> {
         self.read(None)
     }
@@ -197,7 +197,7 @@ impl CameraArgs {
         Ok(Some(camera))
     }
 
-    /// Returns the camera of a depth image; an error if no camera is given.
+    /// Returns the camera of a depth image, or an error if no camera is given.
     pub fn required(&self, shape: (usize, usize), file: &Path) -> Result<Camera> {
         let (width, height) = shape;
         self.camera(shape)?.with_context(|| {

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::camera::numbers;
 use super::{CameraArgs, EncodingArgs, ReadArgs};
 
-/// Steps apply in the order of these options. Organized clouds keep their grid, and removed points become holes; with
-/// --voxel the output is unorganized.
+/// The steps run in the order in which their options are listed here. Organized clouds keep their grid, and removed
+/// points become holes; with --voxel the output is unorganized.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  planish clean scan.ply clean.ply --voxel 0.005 --statistical 20,2")]
 pub struct CleanArgs {
@@ -17,9 +17,10 @@ pub struct CleanArgs {
     /// Box to keep, in metres in the cloud's frame
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub crop: Option<CropBox>,
-    /// Size in metres of voxels to thin to
+    /// Voxel size for thinning, in metres
     ///
-    /// Keeps one point per voxel: the centroid, with the means of colour, intensity, normals and floats.
+    /// Keeps one point per voxel: the centroid, with the means of colour, intensity, normals and other floating-point
+    /// fields.
     #[arg(long, value_name = "METRES")]
     pub voxel: Option<f64>,
     /// Remove points whose mean distance to K neighbours exceeds the average by R standard deviations [default R: 1]

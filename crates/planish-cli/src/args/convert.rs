@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::{CameraArgs, EncodingArgs, ReadArgs, SmoothingArgs};
 
-/// Nothing is smoothed. The output keeps fields, colours, grid and holes if its format can store them; a note names
-/// everything it drops.
+/// Nothing is smoothed. The output keeps fields, colours, grid and holes if its format can store them. A note lists
+/// everything that is dropped.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  planish convert scan.e57 scan.laz\n  planish convert depth.png cloud.ply --camera 525,525,319.5,239.5"
@@ -15,8 +15,9 @@ pub struct ConvertArgs {
     pub input: PathBuf,
     /// File to write
     ///
-    /// A depth image stays one in .png, .tiff and .npy, and becomes an organized cloud in other formats. An organized
-    /// cloud becomes a depth image in .png and .tiff, in millimetres unless --depth-units-per-metre says otherwise.
+    /// A depth image stays a depth image in .png, .tiff and .npy, and becomes an organized cloud in other formats. An
+    /// organized cloud becomes a depth image in .png and .tiff, in millimetres unless --depth-units-per-metre says
+    /// otherwise.
     pub output: PathBuf,
     #[command(flatten)]
     pub camera: CameraArgs,
@@ -45,16 +46,16 @@ pub struct ConvertArgs {
 pub struct CompareArgs {
     /// Cloud or depth image
     pub a: PathBuf,
-    /// The other one
+    /// Cloud or depth image to compare with
     pub b: PathBuf,
     #[command(flatten)]
     pub camera: CameraArgs,
     /// Compare with the nearest points, whatever their index
     #[arg(long)]
     pub nearest: bool,
-    /// Exit with 1 if a distance is larger, or if pixels are holes in one input only
+    /// Exit with 1 if a distance exceeds this value, or if pixels are holes in only one input
     ///
-    /// In metres; for depth images without --camera in their units.
+    /// In metres, or in the units of the images for depth images without --camera.
     #[arg(long, value_name = "DISTANCE")]
     pub max: Option<f64>,
     /// Picture of the distances to write, for two inputs on one grid
@@ -87,7 +88,7 @@ pub struct MeshArgs {
     pub reading: ReadArgs,
 }
 
-/// Holes are left out. The field `scan` has the number of each point's cloud, from 0.
+/// Holes are left out. The field `scan` contains the index of each point's cloud, starting at 0.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  planish merge 000.pcd 001.pcd 002.pcd --poses trajectory.log --out room.ply")]
 pub struct MergeArgs {
@@ -97,8 +98,8 @@ pub struct MergeArgs {
     /// Cloud to write
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Pose of each input in the common frame: trajectory.log, by number, or TUM's groundtruth.txt, by file names that
-    /// are times [default: all are in one frame]
+    /// File with the pose of each input in the common frame: trajectory.log (poses by number), or TUM's groundtruth.txt
+    /// (poses by file names that are times) [default: all inputs are in one frame]
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
     #[command(flatten)]

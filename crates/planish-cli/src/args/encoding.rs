@@ -11,9 +11,10 @@ use super::OUTPUT;
 
 #[derive(clap::Args)]
 pub struct EncodingArgs {
-    /// Encoding of a .pcd or .ply, and bytes of coordinates, such as compressed,f64 [default: the input's]
+    /// Encoding of a .pcd or .ply file, and precision of its coordinates, such as compressed,f64 [default: the input's]
     ///
-    /// Coordinates in .pcd have 4 bytes (f32) unless they are beyond 1000 m: PCL reads 8 bytes (f64) as zeros.
+    /// Coordinates in .pcd files have 4 bytes (f32) unless they exceed 1000 m, because PCL reads 8-byte coordinates
+    /// (f64) as zeros.
     #[arg(long, value_enum, value_name = "ENCODING", value_delimiter = ',', hide_short_help = true, help_heading = OUTPUT)]
     pub encoding: Vec<EncodingArg>,
 }

@@ -63,11 +63,11 @@ pub enum Command {
     Clean(CleanArgs),
     /// Convert a file to another format, without smoothing
     Convert(ConvertArgs),
-    /// Measure the differences of two clouds or depth images
+    /// Measure the differences between two clouds or depth images
     Compare(CompareArgs),
-    /// Put several clouds together, each with its pose
+    /// Merge several clouds, each with its pose
     Merge(MergeArgs),
-    /// Smooth a frame and connect its pixels to a triangle mesh
+    /// Smooth a frame and connect its pixels into a triangle mesh
     Mesh(MeshArgs),
     /// Describe a file: format, fields, extent, camera, sensor
     Info(InfoArgs),
@@ -83,7 +83,7 @@ pub enum Command {
     Record(RecordArgs),
     /// Complete a ROS 2 recording that was cut off
     Recover(RecoverArgs),
-    /// List instruction sets and GPUs of this machine, and the choice of `auto`
+    /// List this machine's instruction sets and GPUs, and the engine that `auto` selects
     Devices(DevicesArgs),
     /// Measure the error of smoothed surfaces, simulated or real
     Evaluate(EvaluateArgs),
@@ -133,8 +133,8 @@ pub struct SmoothArgs {
     pub input: PathBuf,
     /// File or folder to write
     ///
-    /// A depth image written to .png, .tiff or .npy gives a depth image, to other formats a cloud. A recording gives a
-    /// copy with smoothed depth, or a folder of its frames.
+    /// A depth image stays a depth image in .png, .tiff and .npy, and becomes a cloud in other formats. A recording
+    /// becomes a copy with smoothed depth, or a folder of its frames.
     pub output: PathBuf,
     #[command(flatten)]
     pub smoothing: SmoothingArgs,
@@ -162,7 +162,7 @@ pub struct SmoothArgs {
     /// Allow an output that replaces the input or a read-only file
     #[arg(long, hide_short_help = true, help_heading = OUTPUT)]
     pub overwrite: bool,
-    /// Smooth despite an unlikely camera, an unlikely range, or a radius over a fifth of a cloud
+    /// Smooth despite an unlikely camera or range, or a radius that is too large for the cloud
     #[arg(long, hide_short_help = true, help_heading = TUNING)]
     pub force: bool,
     #[command(flatten)]
@@ -225,7 +225,7 @@ pub struct RenderArgs {
     pub file: PathBuf,
     /// PNG picture to write: the relief, and the colours next to it if there are any
     pub output: PathBuf,
-    /// Direction from an unorganized cloud to the viewer; 0,0,1 looks from above if z points up
+    /// Direction from an unorganized cloud to the viewer; 0,0,1 is a view from above if z points up
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub from: Option<Direction>,
     #[command(flatten)]
@@ -242,7 +242,7 @@ pub struct ViewArgs {
     /// Port on this machine [default: a free one]
     #[arg(long, default_value_t = 0, hide_default_value = true)]
     pub port: u16,
-    /// Print the address and open no browser
+    /// Print the address without opening a browser
     #[arg(long)]
     pub no_browser: bool,
     /// Folder with the page, for builds that do not contain it
@@ -299,10 +299,10 @@ pub struct StreamArgs {
     /// Folder for each camera's results, in subfolders; --save writes the fused clouds
     #[arg(long, value_name = "DIR", requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub save_cameras: Option<PathBuf>,
-    /// For views: maximum distance between two cameras' surfaces due to errors of their poses, in mm [default: 10]
+    /// With --fuse views: maximum distance between two cameras' surfaces due to pose errors, in mm [default: 10]
     #[arg(long, value_name = "MM", requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub registration: Option<f64>,
-    /// For merged points: size in metres of voxels to thin them to, such as 0.005 [default: keep all points]
+    /// With --fuse merged: voxel size for thinning in metres, such as 0.005 [default: keep all points]
     #[arg(long, value_name = "METRES", requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub voxel: Option<f64>,
     /// Picture of points and cameras from above, updated once a second
@@ -364,7 +364,7 @@ impl From<AlignArg> for Alignment {
 
 #[derive(clap::Args)]
 pub struct LimitArgs {
-    /// Rate in frames per second, as of a live camera [default: as fast as possible]
+    /// Rate in frames per second at which to play the source, like a live camera [default: as fast as possible]
     #[arg(long, value_name = "N")]
     pub fps: Option<f64>,
     /// Number of frames [default: until the source ends]
@@ -410,23 +410,23 @@ pub struct DevicesArgs {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  planish evaluate --seeds 2 --sensor d435\n  planish evaluate --input table.pcd")]
 pub struct EvaluateArgs {
-    /// Number of simulated seeds, six frames each, with the noise of --sensor
+    /// Number of seeds to simulate, with six frames each and the noise of --sensor
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
     /// Single seed to simulate
     #[arg(long, value_name = "SEED", conflicts_with = "seeds")]
     pub seed: Option<u64>,
-    /// Real cloud, or depth image with --camera, whose flatness to measure before and after
+    /// Real cloud, or depth image with --camera, whose flatness is measured before and after smoothing
     ///
-    /// Measured in tiles of the grid; in patches of an unorganized cloud.
+    /// Flatness is measured in tiles of a grid, or in patches of an unorganized cloud.
     ///
     /// With --sequence: a folder of frames, a data set or a recording (.mcap).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["seeds", "seed"])]
     pub input: Option<PathBuf>,
     /// Measure smoothing over time on all simulated videos, the named one, or --input
     ///
-    /// Reports jitter, slow changes, errors against the truth, and how late or long moving objects show. With --out,
-    /// animated pictures show the measured, the smoothed and the steady frames. Names: still, fixed-pattern,
+    /// Reports jitter, slow changes, errors against the truth, and how late moving objects appear and disappear. With
+    /// --out, animated pictures show the measured, the smoothed and the steady frames. Names: still, fixed-pattern,
     /// flickering-holes, slow-object, fast-object, thin-pole, appearing-object, moving-camera.
     #[arg(long, value_name = "NAME", num_args = 0..=1, default_missing_value = "all", conflicts_with_all = ["rig", "general", "seeds"])]
     pub sequence: Option<SequenceArg>,
@@ -442,33 +442,34 @@ pub struct EvaluateArgs {
     pub smoothing: SmoothingArgs,
     #[command(flatten)]
     pub camera: CameraArgs,
-    /// Number of frames of a static camera over which to measure jitter; below 2 disables it
+    /// Number of frames of a static camera over which to measure jitter; values below 2 disable this measurement
     ///
-    /// With --general this takes most of the time.
+    /// With --general, this measurement takes most of the time.
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(..=300), conflicts_with_all = ["input", "rig", "export", "sequence"], hide_short_help = true)]
     pub still_frames: u64,
     /// Smooth the simulated frames as unorganized clouds, next to the default on the grid
     #[arg(long, conflicts_with_all = ["input", "export", "results"], hide_short_help = true)]
     pub general: bool,
-    /// Folder to write the simulated frames to for other programs to smooth: organized clouds, videos as depth images
+    /// Folder for the simulated frames, to be smoothed by other programs: organized clouds, or depth images for videos
     #[arg(long, value_name = "DIR", conflicts_with_all = ["results", "out"], hide_short_help = true, help_heading = OTHER_PROGRAMS)]
     pub export: Option<PathBuf>,
-    /// Results of another program to measure: a folder with the exported names; with --input a file
+    /// Another program's results to measure: a folder of files with the exported names, or a file with --input
     ///
     /// Organized clouds, with or without normals. With --sequence: folders of depth images or clouds; repeat the option
     /// for several programs. Depth in whole millimetres looks rougher than in .npy or .tiff.
     #[arg(long, value_name = "DIR|FILE", hide_short_help = true, help_heading = OTHER_PROGRAMS)]
     pub results: Vec<PathBuf>,
-    /// Number of cameras (2 to 8) of simulated rigs around a table, smoothed in every way
+    /// Number of cameras (2 to 8) of simulated rigs around a table, smoothed by every method
     ///
-    /// Reports the error where several cameras see a surface and where one does, and how far surfaces are doubled.
+    /// Reports the errors of surfaces that several cameras see and of those that one camera sees, and the distance
+    /// between doubled surfaces.
     #[arg(long, value_name = "CAMERAS", conflicts_with_all = ["input", "general", "export", "results", "out"],
           value_parser = clap::value_parser!(u8).range(2..=8), hide_short_help = true, help_heading = RIGS)]
     pub rig: Option<u8>,
     /// Errors of the stated poses of all cameras but the first
     #[arg(long, value_name = "DEG,MM", requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub pose_errors: Option<PoseErrorsArg>,
-    /// For merged points: size in metres of voxels to thin them to [default: keep all points]
+    /// For merged points: voxel size for thinning, in metres [default: keep all points]
     #[arg(long, value_name = "METRES", requires = "rig", hide_short_help = true, help_heading = RIGS)]
     pub voxel: Option<f64>,
     /// For views: add a viewpoint halfway between adjacent cameras
@@ -503,7 +504,7 @@ pub enum FieldArg {
     /// Surface variation, 0 to 1/3
     Curvature,
     /// Status: 0 hole, 1 too few neighbours, 2 collinear, 3 plane, 4 and 5 polynomial of degree 2 and 3, 6 isolated, 7
-    /// carried over from the frame before, 8 filled
+    /// carried over from the previous frame, 8 filled
     Status,
     /// With --temporal: effective number of frames averaged into the point, 1 to 16; 0 for holes
     Frames,

@@ -4,7 +4,7 @@ use planish::io::{LengthUnit, ReadOptions};
 
 use super::CameraArgs;
 
-/// The memory limit, which every command has that reads data.
+/// The memory limit of commands that read data.
 #[derive(Clone, Copy, clap::Args)]
 pub struct MemoryArgs {
     /// Memory limit for file and point data, such as 500M or 4G [default: 2G]
@@ -28,10 +28,10 @@ pub struct ReadArgs {
     pub memory: MemoryArgs,
     /// Unit of points and of floating-point depth in files that state none: mm, cm, m, inch or ft [default: m]
     ///
-    /// They become metres.
+    /// Lengths are converted to metres.
     #[arg(long, value_name = "UNIT", hide_short_help = true, help_heading = super::INPUT)]
     pub unit: Option<LengthUnit>,
-    /// Number of columns of a lidar's .bin, such as 4 for KITTI [default: found from its values]
+    /// Number of columns of a lidar's .bin, such as 4 for KITTI [default: inferred from the values]
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = super::INPUT)]
     pub columns: Option<usize>,
     /// Number of the image to read, from 1, of a TIFF with several pages or a .npy of shape [N, H, W] [default: 1]

@@ -14,7 +14,7 @@ pub enum RigWayArg {
     Each,
     /// All points as one unorganized cloud: surfaces seen by several cameras become one; slow without a GPU
     Merged,
-    /// Range images of all points from each camera's position: surfaces become one, as fast as frames
+    /// Range images of all points from each camera's position: surfaces become one too, at the speed of frames
     Views,
 }
 
@@ -46,12 +46,12 @@ pub struct RigArgs {
     /// Sources are those of `planish stream`; paths are relative to the current folder.
     #[arg(long, value_name = "NAME=SOURCE")]
     pub source: Vec<String>,
-    /// For ROS transforms: frame to use as the rig's [default: the root]
+    /// For ROS transforms: coordinate frame of the rig [default: the root]
     #[arg(long, value_name = "FRAME")]
     pub base: Option<String>,
     /// For ROS transforms: frame of a camera; may be repeated
     ///
-    /// By default, frames whose names end in depth_optical_frame; without any, in optical_frame.
+    /// By default, all frames whose names end in depth_optical_frame or, if there are none, in optical_frame.
     #[arg(long, value_name = "FRAME")]
     pub frame: Vec<String>,
     /// For COLMAP: metres per unit of the model

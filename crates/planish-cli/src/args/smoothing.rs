@@ -65,7 +65,7 @@ impl EdgesArg {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum GridArg {
-    /// Recognised by its points, which lie on the pixels of a camera
+    /// The grid is detected if the points lie on the pixels of a camera
     Auto,
     /// Unorganized clouds stay unorganized
     Off,
@@ -89,13 +89,13 @@ pub enum ProjectArg {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineArg {
-    /// A real GPU if available, otherwise the CPU; also the CPU if it finishes a single file before a GPU opens
+    /// A hardware GPU if available, otherwise the CPU; also the CPU if it finishes a single file before a GPU opens
     Auto,
     /// CPU in f32, with SIMD and threads
     Cpu,
     /// GPU through Vulkan or Metal
     Gpu,
-    /// CPU in f64, slow: the standard of accuracy
+    /// CPU in f64: slow, the reference for accuracy
     Reference,
 }
 
@@ -130,9 +130,9 @@ pub struct SmoothingArgs {
     pub sensor: Option<SensorArg>,
     /// Creases and steps
     ///
-    /// By default robust for frames. For unorganized clouds the shape decides: robust if that reduces the error at
-    /// held-out points, off with a given radius or number of neighbours. They take 1.5 to 3.6 times as long with robust
-    /// edges.
+    /// By default robust for frames. For unorganized clouds, robust if that reduces the error at held-out points, and
+    /// off if a radius or a number of neighbours is given. Smoothing an unorganized cloud takes 1.5 to 3.6 times as
+    /// long with robust edges.
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// Engine
@@ -149,16 +149,16 @@ pub struct SmoothingArgs {
     /// Turn pixels that float between two surfaces into holes before smoothing [default: false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_floating: Option<bool>,
-    /// Turn pixels of a frame that are nearer into holes before smoothing
+    /// Turn pixels of a frame that are nearer than this into holes before smoothing
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
     pub min_range: Option<f32>,
-    /// Turn pixels of a frame that are farther into holes before smoothing
+    /// Turn pixels of a frame that are farther than this into holes before smoothing
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true, help_heading = TUNING)]
     pub max_range: Option<f32>,
     /// Reduce the resolution before smoothing: blocks of KxK pixels become one, 2 to 8
     ///
-    /// A block becomes the mean of its pixels on the surface of the median; surfaces are not mixed. The camera is
-    /// scaled too.
+    /// Each block becomes the mean of those of its pixels that are on the same surface as its median, so surfaces are
+    /// not mixed. The camera is scaled too.
     #[arg(long, value_name = "K", hide_short_help = true, help_heading = TUNING)]
     pub decimate: Option<u32>,
     /// Fill holes up to N pixels wide with the surface around them, 1 to 64 [default: none are filled]
@@ -187,7 +187,7 @@ pub struct SmoothingArgs {
     /// By default the noise and the shape of each cloud decide; in streams it is 40.
     #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
     pub neighbours: Option<u32>,
-    /// For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: by the noise]
+    /// For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: depends on the noise]
     ///
     /// The first pass helps where the noise exceeds half the spacing of the points. With a given radius or number of
     /// neighbours, and in tiles, the default is 1.
@@ -198,23 +198,24 @@ pub struct SmoothingArgs {
     /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_isolated: Option<bool>,
-    /// For unorganized clouds: whether the grid of a frame that lost it is rebuilt [default: auto]
+    /// For unorganized clouds: whether to rebuild the grid of a frame that has lost it [default: auto]
     ///
     /// PCL and RealSense save frames as clouds without holes: at most one point per pixel of a camera without
-    /// distortion. On the rebuilt grid they are smoothed like any frame: faster, and with edges kept. Streams are not
-    /// examined.
+    /// distortion. On the rebuilt grid, such a cloud is smoothed like any frame: faster, and with its edges kept.
+    /// Streams are not examined.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub grid: Option<GridArg>,
     /// For unorganized clouds: space points evenly along the smoothed surface [default: false]
     ///
     /// Smoothing removes noise across the surface; noise along it leaves clumps and gaps. Points move by at most 1.5
-    /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Not for streams or tiles.
+    /// standard deviations of the noise along the surface. A lost grid is not rebuilt. Streams and tiles do not support
+    /// this option.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
     /// Smooth video from one camera over time [default: off]
     ///
-    /// Streams, rigs, folders of frames (in the order of their numbers) and recordings. Without --track or --poses, the
-    /// camera is stationary. Not for unorganized clouds.
+    /// Applies to streams, rigs, folders of frames (in the order of their numbers) and recordings, but not to
+    /// unorganized clouds. Without --track or --poses, the camera must be stationary.
     #[arg(long, value_enum, help_heading = TUNING)]
     pub temporal: Option<TemporalArg>,
     /// Smooth video from a moving camera over time: its motion is estimated from frame to frame
@@ -234,7 +235,7 @@ pub struct SmoothingArgs {
     /// Points always move along the normal in unorganized clouds, and in clouds whose sensor position is unknown.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub project: Option<ProjectArg>,
-    /// GPU for --engine gpu: index or part of the name (see `planish devices`) [default: the first real one]
+    /// GPU for --engine gpu: index or part of the name (see `planish devices`) [default: the first hardware GPU]
     #[arg(long, value_name = "NAME|INDEX", hide_short_help = true, help_heading = ENGINE)]
     pub adapter: Option<String>,
     /// Threads of the CPU engines [default: one per core]
@@ -245,7 +246,7 @@ pub struct SmoothingArgs {
 /// Several devices at once.
 #[derive(clap::Args)]
 pub struct GpusArgs {
-    /// Devices to share the frames: all (every GPU), or a list of indices, parts of names, and cpu
+    /// Devices that share the frames: all (every GPU), or a list of indices, parts of names, and cpu
     #[arg(long, value_name = "all|LIST", conflicts_with = "adapter", hide_short_help = true, help_heading = ENGINE)]
     pub gpus: Option<String>,
 }

@@ -99,7 +99,7 @@ pub fn check_radius(input: &Path, cloud: &PointCloud, radius_m: f32) -> Result<(
         let neighbours = cloud.mean_neighbours(radius_m);
         if neighbours > MOST_NEIGHBOURS {
             bail!(
-                "{}: a radius of {radius_m} m contains about {neighbours:.0} points, which would take long and \
+                "{}: a radius of {radius_m} m covers about {neighbours:.0} points, so smoothing would take long and \
                  flatten the surface; choose a smaller --radius in the file's unit (the cloud is {extent_m} m wide), \
                  or add --force",
                 input.display()

@@ -1,4 +1,4 @@
-//! `planish demo`: smooths a simulated frame and compares it with its truth.
+//! `planish demo`: smooths a simulated frame and compares it with the ground truth.
 
 use crate::exit::ExitCode;
 use std::time::Instant;

@@ -103,7 +103,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     let longest = args.source.limits.max_duration()?;
     super::checks::check_not_input(std::path::Path::new(args.source.name()), &args.folder, None)?;
     Recorder::check(&args.folder)?;
-    // Opening may take seconds; until then a signal ends the command at once.
+    // Opening may take seconds. Until it is done, a signal ends the command at once.
     let stop = Arc::default();
     let mut source = open_source(&args.source, &stop)?;
     stop_by(&stop);
@@ -147,7 +147,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode> {
     if frames > 0 || result.is_ok() {
         match (recorder.finish(), &result) {
             (Ok(()), Ok(())) => {}
-            (Ok(()), Err(_)) => errln!("{} contains {frames} whole frames", args.folder.display()),
+            (Ok(()), Err(_)) => errln!("{} contains {frames} complete frames", args.folder.display()),
             (Err(error), Ok(())) => result = Err(error),
             // A full disk may have no room for the index either.
             (Err(error), Err(_)) => {

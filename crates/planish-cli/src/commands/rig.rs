@@ -31,7 +31,7 @@ use crate::signals::stop_by;
 
 pub fn run(args: &RigArgs) -> Result<ExitCode> {
     if args.json && args.simulate.is_some() {
-        bail!("--json does not apply to --simulate; its rig.json has the data");
+        bail!("--json cannot be combined with --simulate, which writes the data to rig.json");
     }
     if let (Some(cameras), Some(folder)) = (args.simulate, &args.out) {
         return simulate::simulate(args, cameras.into(), folder);
@@ -182,7 +182,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
     }
     let unused: Vec<String> = settings.unused_by_clouds_of_known_spacing().into_iter().map(option_of).collect();
     if way == RigWay::Merged && !unused.is_empty() {
-        errln!("options without effect on merged points, which are an unorganized cloud: {}", unused.join(", "));
+        errln!("options that have no effect on merged points (an unorganized cloud): {}", unused.join(", "));
     }
     if args.voxel.is_some() && way != RigWay::Merged {
         bail!("--voxel needs --fuse merged");
@@ -193,7 +193,7 @@ pub fn stream(args: &StreamArgs, file: &Path) -> Result<ExitCode> {
         .with_max_duration(args.source.limits.max_duration()?);
     options.validate().map_err(planish::Error::from)?;
     check_outputs(args, &rig)?;
-    // Opening may take seconds; until then a signal ends the command at once.
+    // Opening may take seconds. Until it is done, a signal ends the command at once.
     let stop = Arc::default();
     let sources = open_sources(&rig, &args.source, &stop)?;
     stop_by(&stop);
@@ -255,7 +255,7 @@ fn check_outputs(args: &StreamArgs, rig: &Rig) -> Result<()> {
         && let (Ok(fused), Ok(cameras)) = (std::path::absolute(fused), std::path::absolute(cameras))
         && (fused.starts_with(&cameras) || cameras.starts_with(&fused))
     {
-        bail!("--save and --save-cameras need two folders, neither inside the other");
+        bail!("--save and --save-cameras need separate folders, neither inside the other");
     }
     let Some(picture) = &args.picture else { return Ok(()) };
     if !picture.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
@@ -363,7 +363,7 @@ fn print(report: &Report) {
         outln!(
             "  {name:<16} {frames_out} of {frames_in} frames smoothed; missing from {missing} moments, {late} late, \
              {out_of_order} out of \
-             order, {clock_jumps} jumps of its clock, {dropped} dropped, {unreadable} unreadable"
+             order, {clock_jumps} clock jumps, {dropped} dropped, {unreadable} unreadable"
         );
     }
 }

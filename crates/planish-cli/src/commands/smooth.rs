@@ -49,7 +49,7 @@ fn check_one_reads_standard_input(args: &SmoothArgs) -> Result<()> {
 }
 
 pub fn run(args: &SmoothArgs) -> Result<ExitCode> {
-    // Contradicting options are refused whatever the input is.
+    // Contradictory options are refused for any input.
     check_one_reads_standard_input(args)?;
     let mut settings = args.smoothing.settings_with(&args.gpus)?;
     if !args.fields.is_empty() {
@@ -323,8 +323,8 @@ impl Worker<'_> {
         }
     }
 
-    /// Returns the fields to write: those of `--fields` or else of the settings, the recomputed fields of the file,
-    /// and the status if holes are filled.
+    /// Returns the fields to write: those of `--fields` or, without that option, of the settings, the recomputed fields
+    /// of the file, and the status if holes are filled.
     fn outputs(&self) -> Outputs {
         let outputs = self.wanted_outputs();
         let Outputs { normals, curvature, .. } = self.renewed;

@@ -107,7 +107,7 @@ pub fn run(args: &StreamArgs) -> Result<ExitCode> {
         .with_poses(poses)
         .with_max_frames(args.source.limits.frames)
         .with_max_duration(args.source.limits.max_duration()?);
-    // Opening may take seconds; until then a signal ends the command at once.
+    // Opening may take seconds. Until it is done, a signal ends the command at once.
     let stop = Arc::default();
     let source = open_source(&args.source, &stop)?;
     stop_by(&stop);

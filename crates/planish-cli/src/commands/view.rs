@@ -26,7 +26,7 @@ const PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
 
 /// Maximum time to receive a request, which comes from this machine.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(1);
-/// Maximum time for each write of an answer.
+/// Maximum time for each write of a response.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Maximum size of a request in bytes.

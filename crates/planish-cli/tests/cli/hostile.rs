@@ -345,7 +345,7 @@ fn a_radius_with_thousands_of_neighbours_is_refused() {
     write_cloud(&input, &cloud, Encoding::Binary).unwrap();
     let smooth = ["smooth", str(&input), str(&output), "--radius"];
     let stderr = refused_at_once(&[&smooth[..], &["0.2"]].concat());
-    assert!(stderr.contains("contains about") && stderr.contains("--force"), "{stderr}");
+    assert!(stderr.contains("covers about") && stderr.contains("--force"), "{stderr}");
     ok(&[&smooth[..], &["0.02"]].concat());
     ok(&[&smooth[..], &["0.07", "--force"]].concat());
 }

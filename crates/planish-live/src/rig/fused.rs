@@ -17,7 +17,7 @@ use planish_core::{
 /// relative to the first camera.
 const MOST_WITHOUT_ORIGIN_M: f64 = 1000.0;
 
-/// Names of fields that are directions, one per component.
+/// Names of the fields that together hold a direction, one per component.
 pub(super) const DIRECTIONS: [[&str; 3]; 2] = [["normal_x", "normal_y", "normal_z"], ["nx", "ny", "nz"]];
 
 /// Name of the field with the index of each point's camera.
@@ -189,7 +189,7 @@ fn turn_directions(cloud: &mut PointCloud, names: [&str; 3], parts: &[Part<'_>],
     }
 }
 
-/// Returns the transform from a frame's points to the rig. A cloud's points may be in another frame than its
+/// Returns the transform from a frame's points to the rig. A cloud's points may be in a different frame from its
 /// camera's.
 pub(super) fn rig_from_points(rig_from_camera: RigidTransform, frame: Frame<'_>) -> Result<RigidTransform, FrameError> {
     match frame {

@@ -64,7 +64,7 @@ impl General {
             Some(smoother) => smoother,
             empty => {
                 let options = device.map_or_else(|| options.clone(), |device| device.options(options));
-                // Points are carried onto the voxels' tangent planes.
+                // Moving points onto the voxels' tangent planes needs points and normals.
                 let with_normals = outputs.with_points(true).with_normals(true);
                 let outputs = if self.voxel_m.is_some() { with_normals } else { outputs };
                 let smoother = Smoother::open_clouds(self.params, &options.with_outputs(outputs))?;

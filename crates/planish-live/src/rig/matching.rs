@@ -1,16 +1,16 @@
 //! Groups frames of several cameras into moments by their timestamps.
 //!
 //! Frames of each camera wait in a queue. The earliest waiting frame opens a moment. The first waiting frame of every
-//! other camera belongs to the moment if its timestamp is within the tolerance, and not closer to the next frame of
-//! the camera that opened the moment. For the frame of a recording, the moment waits until the frame arrives or the
-//! recording ends. For the frame of a live camera, it waits at most a given time after the first frame of the moment,
-//! and not at all once that camera has been missing for several moments.
+//! other camera belongs to the moment if its timestamp is within the tolerance, and not closer to the next frame of the
+//! camera that opened the moment. The moment waits for a frame of a recording until that frame arrives or the recording
+//! ends. It waits for a frame of a live camera at most a given time after the moment's first frame, and not at all once
+//! that camera has been missing for several moments.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Step between timestamps, in seconds, beyond which a clock is assumed to have been reset. A smaller step backwards
-/// is a frame out of order.
+/// means that a frame is out of order.
 const CLOCK_JUMP_S: f64 = 0.5;
 
 /// Number of consecutive moments without a live camera after which moments no longer wait for that camera.
@@ -208,7 +208,7 @@ impl<T> Queue<T> {
         let step_s = time_s - last_s;
         let arrived_after_s = now.saturating_duration_since(came).as_secs_f64();
         let is_behind = step_s < -CLOCK_JUMP_S;
-        // A step ahead in a recording is a gap. A live clock that advances more than the time that passed has jumped.
+        // In a recording, a step ahead is a gap. A live clock that advances by more than the elapsed time has jumped.
         let is_ahead = is_live && step_s - arrived_after_s > CLOCK_JUMP_S;
         let time_s = if is_behind || is_ahead {
             self.counts.jumps += 1;

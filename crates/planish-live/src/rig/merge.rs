@@ -18,11 +18,11 @@ const MOST_CLOUDS: usize = 256;
 /// Merges clouds into one coordinate frame, in which each cloud is placed by its pose (`world_from_cloud`; the
 /// identity leaves a cloud in place).
 ///
-/// Coordinates in another unit than metres, which LAS files may state, are converted. Holes are omitted. Fields with
-/// the same name are merged, with zeros for points of clouds without the field. Fields of different types become f64,
-/// and packed colours become red, green and blue. Normals are rotated. The field `scan` contains the index of each
-/// point's cloud, or of its scan if a cloud has several. Sensor positions are kept ([`PointCloud::scanners_m`]). The
-/// second value is a list of notes for users, one clause each.
+/// Coordinates in units other than metres, which LAS files may state, are converted. Holes are omitted. Fields with the
+/// same name are merged, with zeros for points of clouds without the field. Fields of different types become f64, and
+/// packed colours become red, green and blue. Normals are rotated. The field `scan` contains the index of each point's
+/// cloud, or of its scan if a cloud has several. Sensor positions are kept ([`PointCloud::scanners_m`]). The second
+/// value is a list of notes for users, one clause each.
 ///
 /// # Errors
 /// If a pose is invalid, there are more than 256 clouds, no cloud has a point, or a coordinate exceeds the range of
@@ -125,7 +125,7 @@ fn notes(clouds: &[(PointCloud, SensorPose)]) -> Vec<String> {
         }
     }
     if !partial.is_empty() {
-        notes.push(format!("fields that some clouds lack are set to 0 for their points: {}", partial.join(", ")));
+        notes.push(format!("fields missing from some clouds are set to 0 there: {}", partial.join(", ")));
     }
     if clouds.iter().any(|(cloud, _)| cloud.attribute(SCAN_FIELD).is_some()) {
         notes.push("the field scan is renumbered".to_owned());
@@ -199,7 +199,7 @@ mod tests {
         assert_eq!(field("camera"), &AttributeValues::U8(vec![7, 0]));
         assert_eq!(merged.scanners_m().unwrap(), [None, Some([0.0, 5.0, 0.0])]);
         merged.validate().unwrap();
-        // Far apart, with all digits.
+        // Clouds that are far apart keep all their digits.
         let mut far = PointCloud::new([[0.25, 0.0, 0.0]].into_iter().collect());
         far.origin_m = [500_000.0, 4_000_000.0, 0.0];
         let near = PointCloud::new([[0.1, 0.2, 0.3]].into_iter().collect());

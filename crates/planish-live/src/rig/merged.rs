@@ -54,8 +54,8 @@ impl RigSmoother {
     }
 }
 
-/// Smooths the points of all cameras as one cloud, and returns each camera's points on its grid and in the frame of its
-/// points.
+/// Smooths the points of all cameras as one cloud. Returns each camera's points on the camera's grid and in the
+/// coordinate frame of the input points.
 fn smooth(smoother: &mut Smoother, together: &Together) -> Result<Vec<Option<Smoothed>>, Error> {
     let mut smoothed = Smoothed::default();
     if !together.cloud.is_empty() {

@@ -173,7 +173,7 @@ impl RigOptions {
         Self { voxel_m, ..self }
     }
 
-    /// Distributes cameras over these devices; if empty, the options' device smooths all of them.
+    /// Distributes cameras over these devices; if the list is empty, the options' device smooths all cameras.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }

@@ -149,9 +149,9 @@ impl RigSmoother {
         })
     }
 
-    /// Distributes the cameras over these devices, each to the device with the fewest pixels; with an empty list, the
-    /// options' device smooths all cameras. The first device smooths merged clouds. If a device fails, smoothing
-    /// returns an error; a [`RigStream`](super::RigStream) then continues without the device.
+    /// Distributes the cameras over these devices: each camera goes to the device with the fewest pixels so far. With
+    /// an empty list, the options' device smooths all cameras. The first device smooths merged clouds. If a device
+    /// fails, smoothing returns an error; a [`RigStream`](super::RigStream) then continues without the device.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }
@@ -331,7 +331,7 @@ impl RigSmoother {
             .zip(&measured)
             .map(|(view, of)| view.as_ref().zip(of.as_ref()).map(|(view, of)| view.frame(of)).transpose())
             .collect::<Result<_, _>>()?;
-        // Points are moved to tangent planes, which need points and normals.
+        // Moving points onto tangent planes needs points and normals.
         let of_views = outputs.with_depth(false).with_depth_m(false).with_points(true).with_normals(true);
         let results = self.smooth_each(&frames, of_views)?;
         drop(frames);

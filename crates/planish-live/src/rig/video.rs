@@ -77,8 +77,8 @@ impl RigSmoother {
 }
 
 impl CameraSmoother {
-    /// Prepares a frame, which is then smoothed in space, for smoothing its result over time; `None` if the result is
-    /// not smoothed over time.
+    /// Prepares for smoothing the result of a frame over time, before the frame is smoothed in space. Returns `None` if
+    /// the result is not smoothed over time.
     pub(super) fn look_at(&mut self, frame: Frame<'_>, time_s: Option<f64>, outputs: Outputs) -> Option<ResultSight> {
         self.video.as_mut()?.look_at(frame, time_s, self.params.sensor, outputs)
     }

@@ -336,8 +336,8 @@ impl Seen<'_> {
         if along.abs() <= f64::from(GRAZING_COSINE) {
             return;
         }
-        // Noise has moved the sample along its ray, and thus to another pixel than the one where the ray meets the
-        // surface.
+        // Noise has moved the sample along its ray, and thus into a different pixel from the one where the ray meets
+        // the surface.
         let met = lens + (point - lens).dot(normal) / along * ray_in_view;
         let Tangent { point, normal } = self.surface_at(met, normal).unwrap_or(Tangent { point, normal });
         let turn = self.here_from_view.rotation;

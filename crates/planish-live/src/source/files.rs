@@ -1,4 +1,4 @@
-//! A folder of frames, a file with several, or one file repeated.
+//! Reads a folder of frames, a file with several frames, or one file repeatedly.
 
 use std::path::{Path, PathBuf};
 

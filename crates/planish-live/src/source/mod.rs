@@ -82,7 +82,7 @@ pub trait Source: Send {
 
 /// Returns the warning for the `number`th unreadable frame of a source, counted from 1; `None` after the tenth.
 ///
-/// Otherwise, a list of a million missing files would fill the terminal.
+/// Without this limit, a list of a million missing files would fill the terminal.
 pub fn unreadable_warning(error: &Error, number: u64) -> Option<String> {
     const MOST_TOLD: u64 = 10;
     let only_counted = if number == MOST_TOLD { "; further unreadable frames are only counted" } else { "" };

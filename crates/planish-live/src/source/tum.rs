@@ -95,7 +95,7 @@ impl Source for TumSource {
                 let image = planish_io::internal::read_rgb_png_with(&file, &self.read)?;
                 if (image.width, image.height) != (depth.camera.width, depth.camera.height) {
                     let problem = format!(
-                        "the colour image is {}x{}, but the depth image has another size",
+                        "the colour image is {}x{}, but the depth image has a different size",
                         image.width, image.height
                     );
                     return Err(malformed(&file, problem).into());
@@ -286,7 +286,7 @@ impl TumRecorder {
         // Names are timestamps: a clock that stands still or jumps back must not overwrite earlier files.
         let name_of = |seconds: f64| format!("{seconds:.6}");
         let is_used = seconds <= self.last_s || name_of(seconds) == name_of(self.last_s);
-        // Large numbers have fewer decimals.
+        // For large timestamps, adding 1 us may not change the f64.
         let seconds = if is_used { (self.last_s + 1e-6).max(self.last_s.next_up()) } else { seconds };
         self.last_s = seconds;
         let name = name_of(seconds);

@@ -24,7 +24,7 @@ impl BagSink {
         Ok(Self { writer: Some(BagWriter::create(path)?), name: path.display().to_string(), outputs, discard: None })
     }
 
-    /// Sets a flag that discards the recording if it is set at the end, so that no partial one is left.
+    /// Sets a flag. If the flag is true at the end, the recording is discarded, so that no partial recording remains.
     pub fn discarding_if(self, discard: Arc<AtomicBool>) -> Self {
         Self { discard: Some(discard), writer: self.writer.map(BagWriter::all_or_nothing), ..self }
     }

@@ -19,7 +19,7 @@ pub(super) struct Arrived {
 /// A frame, or an error with a flag that is true if the error ends the source.
 pub(super) type Item = Result<Arrived, (Error, bool)>;
 
-/// Accumulated time, added to by one thread and read by another.
+/// Accumulated time that one thread increases and another one reads.
 #[derive(Default)]
 pub(crate) struct TimeSpent(AtomicU64);
 

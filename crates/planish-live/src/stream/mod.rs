@@ -136,9 +136,9 @@ impl<'a> Stream<'a> {
     /// Runs the stream until its source ends, its limits are reached, all sinks have failed, or the stop flag is set;
     /// then waits for the sinks and closes them.
     ///
-    /// A frame with another shape reopens the smoother. A lost GPU is reopened once; if it is lost again, the CPU
-    /// engine takes over. With several devices, the other devices continue instead. Frames keep their order. A frame
-    /// or sink that fails is reported and counted, and the stream continues.
+    /// A frame of a different shape reopens the smoother. A lost GPU is reopened once; if it is lost again, the CPU
+    /// engine takes over. With several devices, the other devices continue instead. Frames keep their order. A frame or
+    /// sink that fails is reported and counted, and the stream continues.
     ///
     /// # Errors
     /// If the settings are invalid, or an engine or the source fails permanently. If no frame could be smoothed,
@@ -281,7 +281,7 @@ impl Running<'_> {
             }
             if self.left_out_in_a_row >= MOST_LEFT_OUT {
                 tell(StreamEvent::Warning(format!(
-                    "the stream stops after {MOST_LEFT_OUT} unreadable or refused frames in a row"
+                    "the stream stops after {MOST_LEFT_OUT} consecutive unreadable or refused frames"
                 )));
                 break;
             }

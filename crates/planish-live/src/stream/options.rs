@@ -51,7 +51,7 @@ impl StreamOptions {
     /// Creates options from settings, without limits.
     ///
     /// # Errors
-    /// If settings contradict each other or are not for frames on a grid, or if a device is missing.
+    /// If settings contradict each other or do not apply to frames on a grid, or if a device is missing.
     pub fn from_settings(settings: Settings) -> Result<Self, Error> {
         // Checked before anything is opened or written. The errors are the same for known and estimated sensors.
         let mut of_known_sensor = settings.clone();
@@ -103,7 +103,7 @@ impl StreamOptions {
         Ok(session.with_cloud_estimates(false))
     }
 
-    /// Distributes frames over these devices; if empty, the options' device smooths all of them.
+    /// Distributes frames over these devices; if the list is empty, the options' device smooths all frames.
     pub fn with_devices(self, devices: Vec<FleetDevice>) -> Self {
         Self { devices, ..self }
     }

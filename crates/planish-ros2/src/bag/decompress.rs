@@ -10,7 +10,7 @@ use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
 use mcap::{McapError, McapResult};
 use ruzstd::decoding::FrameDecoder;
 
-/// Registers decompressors for all compressions that MCAP names.
+/// Registers decompressors for all compression formats that MCAP defines.
 pub(super) fn register(reader: &mut LinearReader) -> McapResult<()> {
     reader.add_decompressor(Zstd::default())?;
     reader.add_decompressor(Lz4::default())

@@ -63,7 +63,7 @@ fn listed(metadata: &str) -> Vec<String> {
 }
 
 /// Number of copies of the schemas and channels of a recording in memory: here, in the reader's records, in the writer,
-/// and in the end of a recording.
+/// and in the summary at the end of a recording.
 pub(super) const DEFINITION_COPIES: usize = 4;
 
 /// Returns the memory for a channel in bytes.
@@ -88,7 +88,7 @@ pub(super) struct Numbers {
     /// Shared number of each channel, by its number in the current file.
     channel: BTreeMap<u16, u16>,
     is_later: bool,
-    /// Bytes of all schemas and channels. Programs keep these, and write them again at the end of a recording.
+    /// Bytes of all schemas and channels. These stay in memory, and are written again at the end of a recording.
     definitions: usize,
     /// Number from which the search for a free number continues.
     next_free: u16,

@@ -21,8 +21,8 @@ pub struct PoseTopic {
     /// The topic: `tf2_msgs/TFMessage` such as `/tf`; `nav_msgs/Odometry`; or `geometry_msgs/PoseStamped` or
     /// `PoseWithCovarianceStamped` with the pose of the camera itself.
     pub topic: String,
-    /// The coordinate frame that does not move; `None` for the parent frame of odometry and poses, and for tf the
-    /// camera's ancestor `odom` or the root of its tree.
+    /// The fixed coordinate frame. `None` selects the parent frame for odometry and poses and, for tf, the camera's
+    /// ancestor `odom` or the root of its tree.
     pub fixed_frame: Option<String>,
 }
 
@@ -53,7 +53,7 @@ impl Poses {
             let record = match records.next() {
                 Ok(Next::Record(record)) => record,
                 Ok(Next::DamagedChunk | Next::DamagedFile(_)) => continue,
-                // Whatever smooths the frames reports where the recording ends.
+                // The code that smooths the frames reports a premature end.
                 Ok(Next::End | Next::CutOff) | Err(_) => break,
             };
             match record {
@@ -86,7 +86,7 @@ impl Poses {
             None => format!("the recording has no topic {} in CDR; {}", name(), told(&channels)),
             Some((_, None)) => format!("the topic {} has no poses; {}", name(), told(&channels)),
             Some((_, Some(PoseKind::Transforms))) if is_static(topic) => {
-                format!("the topic {} has only static transforms; name the topic with the others, such as /tf", name())
+                format!("the topic {} has only static transforms; name the topic with moving ones, such as /tf", name())
             }
             Some(_) if messages == 0 => format!("the topic {} has no messages", name()),
             Some(_) if buffer.is_empty() => format!(
@@ -99,7 +99,7 @@ impl Poses {
         Err(FormatError::Unsupported(problem))
     }
 
-    /// Checks that the poses of a camera are known at some times.
+    /// Returns an error if no pose of a camera is known.
     pub(super) fn check(&self, camera_frame: &str) -> Result<(), FormatError> {
         self.trajectory(camera_frame).map(drop)
     }
@@ -155,8 +155,8 @@ fn is_static(name: &str) -> bool {
     name.rsplit('/').next() == Some(STATIC)
 }
 
-/// Returns true if a topic has the static transforms that belong to a topic with poses: it is in the same namespace, or
-/// in one around it. Other namespaces may be other robots.
+/// Returns true if a topic has the static transforms that belong to a topic with poses: it is in the same namespace or
+/// in an enclosing one. Other namespaces may belong to other robots.
 fn is_static_beside(name: &str, topic: &str) -> bool {
     let [name, topic] = [name, topic].map(|name| name.trim_start_matches('/'));
     let namespace = name.strip_suffix(STATIC).filter(|namespace| namespace.is_empty() || namespace.ends_with('/'));

@@ -355,7 +355,7 @@ impl Scan {
     /// Keeps schemas and channels.
     ///
     /// # Errors
-    /// If all that are kept exceed the memory limit.
+    /// If all schemas and channels kept so far exceed the memory limit.
     fn define(&mut self, contents: &Contents, options: &ReadOptions) -> Result<(), FormatError> {
         let bytes_of =
             |(header, text): &(SchemaHeader, Vec<u8>)| text.len() + header.name.len() + header.encoding.len();

@@ -1,4 +1,4 @@
-//! Copies a recording with its depth smoothed.
+//! Copies a recording and smooths its depth.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

@@ -38,7 +38,8 @@ impl BagSource {
         Self::open_with(path, topic, camera_info_topic, camera, ReadOptions::default())
     }
 
-    /// Same as [`open`](Self::open), with a memory limit. Refuses frames that a stream could not smooth within it.
+    /// Same as [`open`](Self::open), with a memory limit. Refuses frames that a stream could not smooth within this
+    /// limit.
     ///
     /// # Errors
     /// Same as [`open`](Self::open).

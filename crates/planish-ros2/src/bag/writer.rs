@@ -129,7 +129,8 @@ impl BagWriter {
         Ok(Self { path: path.to_path_buf(), open, frames: 0 })
     }
 
-    /// Makes drop and signals delete the recording instead of finishing it, for results that can be computed again.
+    /// Makes the writer delete the recording, instead of finishing it, if the writer is dropped or a signal ends the
+    /// process. Use this for results that can be computed again.
     pub fn all_or_nothing(self) -> Self {
         if let Some(open) = &mut *self.lock() {
             open.is_all_or_nothing = true;
@@ -374,7 +375,7 @@ impl Open {
                 format!("the name is now taken by something other than a file; the recording is in {}", part.display());
             return Err(FormatError::Unsupported(text));
         }
-        // Windows renames closed files only.
+        // Windows can rename only closed files.
         drop(file);
         Ok(std::fs::rename(&part, &path)?)
     }

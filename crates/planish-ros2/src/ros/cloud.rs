@@ -143,8 +143,8 @@ impl PointCloud2 {
         // Check that each field is within its point, and each point within the data.
         self.is_bigendian = cfg!(target_endian = "big");
         self.view()?;
-        // Fields may share their bytes, as rgb and rgba do; each value is swapped once. Thousands of fields may claim
-        // the same bytes.
+        // Fields may share their bytes, as rgb and rgba do, so each value is swapped once, even if thousands of fields
+        // claim the same bytes.
         let mut bytes_at = vec![0u8; self.point_step as usize];
         for field in &self.fields {
             let bytes = scalar_bytes(field.datatype).unwrap_or(1);

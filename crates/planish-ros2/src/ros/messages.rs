@@ -7,7 +7,8 @@ use std::marker::PhantomData;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Reads a list of at most 1000 elements. Elements need more memory than bytes in a message.
+/// Reads a list of at most 1000 elements. The limit exists because an element takes more bytes in memory than in a
+/// message.
 pub(crate) fn few<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     const MOST: usize = 1000;
     struct Few<T>(PhantomData<T>);

@@ -77,8 +77,8 @@ pub struct PoseBuffer {
 }
 
 impl PoseBuffer {
-    /// Creates an empty buffer. `fixed_frame` is the frame that does not move; if `None`, it is the parent frame of
-    /// odometry and poses, and for tf the camera's ancestor `odom` or the root of its tree.
+    /// Creates an empty buffer. `fixed_frame` is the frame that does not move. `None` selects the parent frame for
+    /// odometry and poses and, for tf, the camera's ancestor `odom` or the root of its tree.
     pub fn new(fixed_frame: Option<String>) -> Self {
         Self { fixed_frame, ..Self::default() }
     }
@@ -88,7 +88,7 @@ impl PoseBuffer {
         Self { transforms: self.transforms.keeping_s(seconds), ..self }
     }
 
-    /// Returns about the memory of all transforms, in bytes.
+    /// Returns the approximate memory use of all transforms, in bytes.
     pub fn bytes(&self) -> usize {
         self.transforms.bytes()
     }

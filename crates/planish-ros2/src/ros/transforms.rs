@@ -94,7 +94,7 @@ pub enum TransformError {
         known: String,
     },
     /// All transforms of the frame are later, those around this time are more than 0.2 s apart, or the frame's parent
-    /// changes there.
+    /// changes between them.
     #[error("the transform of the frame {frame:?} is unknown at this time")]
     Unknown {
         /// The frame.
@@ -108,7 +108,7 @@ pub enum TransformError {
     },
 }
 
-/// The pose of a frame in its parent; it is valid.
+/// A valid pose of a frame in its parent.
 #[derive(Debug, Clone)]
 struct Sample {
     parent: Arc<str>,
@@ -118,7 +118,7 @@ struct Sample {
 /// A frame's transforms to its parents.
 #[derive(Debug, Clone, Default)]
 struct Edge {
-    /// The transform that is valid at all times. Transforms over time replace it.
+    /// The transform that is valid at all times. Transforms over time take precedence over it.
     fixed: Option<Sample>,
     /// By time in nanoseconds.
     samples: BTreeMap<i64, Sample>,
@@ -132,7 +132,7 @@ impl Edge {
         sample.or(self.fixed.as_ref()).map(|sample| &sample.parent)
     }
 
-    /// Returns the pose of this edge's `frame`.
+    /// Returns the pose at a time of `frame`, to which this edge belongs.
     fn at(&self, at_ns: i64, frame: &str) -> Result<SensorPose, TransformError> {
         let unknown = || TransformError::Unknown { frame: frame.to_owned() };
         let Some((newest_ns, _)) = self.samples.last_key_value() else {
@@ -183,7 +183,7 @@ impl Transforms {
         self.count == 0
     }
 
-    /// Returns about the memory of all transforms, in bytes.
+    /// Returns the approximate memory use of all transforms, in bytes.
     pub fn bytes(&self) -> usize {
         /// Memory for a frame besides its name.
         const FRAME: usize = 400;
@@ -262,7 +262,7 @@ impl Transforms {
             } else if between.is_disjoint(&others) {
                 return Err(self.not_connected(frame, fixed));
             } else {
-                // Transforms above both frames move neither against the other.
+                // Transforms above both frames do not move the frames relative to each other.
                 between = &between ^ &others;
             }
         }
@@ -271,7 +271,7 @@ impl Transforms {
         Ok(times.into_iter().map(of_ns).collect())
     }
 
-    /// Returns a frame and all that were its ancestors at any time, up to `last`.
+    /// Returns a frame and all frames that were its ancestors at any time, up to `last`.
     fn frames_above<'a>(&'a self, frame: &'a str, last: &str) -> BTreeSet<&'a str> {
         let (mut found, mut open) = (BTreeSet::new(), vec![frame]);
         while let Some(frame) = open.pop() {

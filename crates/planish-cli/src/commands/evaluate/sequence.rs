@@ -404,7 +404,7 @@ fn depth_in(memory: &MemoryArgs, file: &Path, camera: Option<&Camera>, len: usiz
     Ok(depth_m)
 }
 
-/// Draws reliefs side by side, at half size: of the measured depth, and of two smoothed depths.
+/// Draws reliefs of the measured depth and of two smoothed depths, side by side and at half size.
 fn picture((width, height): (usize, usize), camera: Option<&Camera>, depths_m: [&[f32]; 3]) -> RgbImage {
     let camera = camera
         .copied()

@@ -58,7 +58,7 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
         for (way, evaluation, time) in &mut ways {
             let mut smoother = RigSmoother::new(&rig, *way, &vec![params; cameras], general_params, &options)?
                 .with_voxel_m(args.voxel);
-            // Engines are opened by the first moment, which is not timed.
+            // An additional, untimed run opens the engines.
             if *way != RigWay::Merged {
                 smoother.smooth(&frames)?;
             }
@@ -67,7 +67,7 @@ pub fn evaluate(args: &EvaluateArgs, cameras: usize) -> Result<ExitCode> {
             *time += start.elapsed();
             let points = results.into_iter().map(|result| match result {
                 Some(result) => Ok(result.map_err(planish::Error::from)?.points),
-                None => bail!("a camera without a result"),
+                None => bail!("a camera has no result"),
             });
             evaluation.add(&case, &points.collect::<Result<Vec<_>>>()?);
         }

@@ -173,7 +173,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
     for topic in report.topics.iter().filter(|topic| topic.failed > 0) {
         let first = printable_line(topic.first_failure.as_deref().unwrap_or_default());
         errln!(
-            "{}: {} copied unchanged because of errors; the first error: {first}",
+            "{}: {} copied unchanged because of errors; first error: {first}",
             printable_line(&topic.topic),
             count(topic.failed, "message")
         );
@@ -205,8 +205,7 @@ fn show(args: &SmoothArgs, report: &SmoothBagReport, engine: Option<&'static str
 fn report_unknown_poses(args: &SmoothArgs, without_pose: u64) {
     if without_pose > 0 {
         errln!(
-            "{}: the poses of {} are unknown; they were smoothed as if the camera stood still; poses must be at most \
-             0.2 s apart",
+            "{}: no pose is known for {}, so the camera was assumed to stand still; poses must be at most 0.2 s apart",
             args.input.display(),
             count(without_pose, "frame")
         );

@@ -167,7 +167,7 @@ pub(super) fn transforms(text: &str) -> Result<Tree, FormatError> {
     Ok(tree)
 }
 
-/// Reads the joints of a URDF; movable joints are taken at zero.
+/// Reads the joints of a URDF; movable joints are assumed to be at their zero position.
 pub(super) fn urdf(text: &str) -> Result<Tree, FormatError> {
     let document = roxmltree::Document::parse(text).map_err(|error| malformed(format!("not a URDF: {error}")))?;
     let robot = document.root_element();

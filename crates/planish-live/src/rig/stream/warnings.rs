@@ -4,7 +4,7 @@ use super::{Inbox, Received, RigEvent, Running, SinkThread};
 use crate::{source::OwnedFrame, stream::ALL_SINKS_FAILED};
 use planish_core::{FrameError, IntoFrame, Smoothed};
 
-/// Minimum time in seconds by which a camera's frames must end before another camera's for a warning.
+/// Minimum time in seconds between the ends of two cameras' frames that causes a warning.
 const TOLD_EARLIER_S: f64 = 0.5;
 
 /// Maximum number of reported reasons why a camera's frames are refused; further ones are only counted.

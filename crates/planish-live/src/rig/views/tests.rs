@@ -55,7 +55,7 @@ fn from_where_nothing_stands_surfaces_are_the_mean_and_nothing_shows_through_the
 fn what_two_cameras_see_of_a_wall_is_their_mean_and_what_is_beyond_stays() {
     let all = [Some(wall(0.0, 0.0)), Some(wall(0.2, 0.004))];
     let view = all[0].as_ref().unwrap().view(0, &all, 0.01);
-    // Both cameras see the right half, the first alone sees the left edge.
+    // Both cameras see the right half; only the first sees the left edge.
     let at = |u: usize| view.points.get(30 * SHAPE.0 + u);
     assert_eq!(at(2)[2], 1.0);
     assert!((at(60)[2] - 1.002).abs() < 1e-4, "{:?}", at(60));
@@ -69,7 +69,7 @@ fn what_two_cameras_see_of_a_wall_is_their_mean_and_what_is_beyond_stays() {
 #[test]
 fn a_surface_seen_from_behind_is_another_surface() {
     let mut behind = wall(0.0, 0.0);
-    // It looks back from z = 2.005 at the other side of a 5 mm board.
+    // The second camera looks back from z = 2.005 at the other side of a 5 mm board.
     behind.rig_from_camera = RigidTransform {
         rotation: DMat3::from_rotation_y(std::f64::consts::PI),
         translation: DVec3::new(0.0, 0.0, 2.005),

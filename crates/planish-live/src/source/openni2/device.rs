@@ -162,7 +162,7 @@ impl Watch {
         let mut callbacks =
             DeviceCallbacks { connected: None, disconnected: Some(on_disconnected), state_changed: Some(on_state) };
         let mut registration = std::ptr::null_mut();
-        // Frees the box when dropped, also if the registration fails.
+        // Frees the box when dropped, even if the registration fails.
         let mut watch = Self { library, registration: std::ptr::null_mut(), watched };
         // SAFETY: the watched data live until the callbacks are unregistered.
         let status =

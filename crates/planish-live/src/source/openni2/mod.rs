@@ -119,8 +119,8 @@ impl OpenNi2Source {
                 depth.set_mode(mode)?;
             }
         }
-        // Map depth to colour only if colour is delivered; otherwise the camera of the depth image would be unknown.
-        // A recording does not state whether its depth was mapped, but the caller may, by the alignment.
+        // Map depth to colour only if colour is delivered; otherwise the camera of the depth image would be unknown. A
+        // recording does not state whether its depth was mapped, but the caller can state this with `alignment`.
         let wants_colour = alignment.map_or(recording.is_none(), |alignment| alignment == Alignment::Colour);
         let color =
             if wants_colour { colour_stream(library, device.handle, &depth, recording.is_some()) } else { None };

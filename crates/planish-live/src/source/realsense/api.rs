@@ -248,8 +248,9 @@ impl Functions {
         self.call("", call).is_ok_and(|status| status != PLAYBACK_STOPPED)
     }
 
-    /// Returns the next frames that belong together; `None` after `timeout`. Polls, because if the device is gone,
-    /// the library's own wait restarts the pipeline on any other device and takes 15 s to find none.
+    /// Returns the next frames that belong together; `None` after `timeout`. Polls instead of using the library's own
+    /// wait: if the device is gone, that wait restarts the pipeline on any other device, and takes 15 s if there is
+    /// none.
     pub(super) fn wait(&self, pipeline: &Owned, timeout: Duration) -> Result<Option<Owned>, DeviceError> {
         let deadline = Instant::now() + timeout;
         loop {

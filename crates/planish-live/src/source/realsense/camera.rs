@@ -4,9 +4,9 @@
 //! distortion. It is replaced by OpenCV's model with five coefficients, fitted over the image, with an error of at most
 //! a hundredth of a pixel for these cameras.
 //!
-//! Depth aligned to the colour camera states that camera's distortion, but the library's `align` applies it only for
-//! the modified Brown-Conrady model (sse-align.cpp and neon-align.cpp). With other models, the aligned image has no
-//! distortion.
+//! The library reports the colour camera's distortion for depth that is aligned to that camera, but its `align` applies
+//! the distortion only for the modified Brown-Conrady model (sse-align.cpp and neon-align.cpp). With other models, the
+//! aligned image has no distortion.
 
 use std::ffi::c_int;
 

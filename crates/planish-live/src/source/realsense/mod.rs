@@ -161,7 +161,8 @@ impl RealSenseSource {
         })
     }
 
-    /// Returns frames whose depth was not yet delivered, unless the same depth may follow with closer colour.
+    /// Returns frames whose depth has not been delivered yet. Holds them back while the same depth may still arrive
+    /// with a colour image that is closer in time.
     fn take(&mut self, frames: Owned) -> Result<Option<Owned>, DeviceError> {
         let Some(depth) = self.library.frame_of(&frames, STREAM_DEPTH)? else { return Ok(None) };
         // SAFETY: the frame outlives the call.

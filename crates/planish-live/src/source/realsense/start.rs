@@ -133,7 +133,7 @@ fn configure(
     }
 }
 
-/// Describes the request, for errors.
+/// Describes a failed request, for error messages.
 fn asked_for(mode: Option<StreamMode>, colour: bool) -> String {
     let colour = if colour { " with colour" } else { "" };
     match mode {

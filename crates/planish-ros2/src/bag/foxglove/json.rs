@@ -16,7 +16,7 @@ use planish_io::internal::{brief, quoted};
 
 /// Maximum number of fields of a message.
 const MOST_MEMBERS: usize = 1000;
-/// Maximum length of the text of a number, a text, or a list of numbers, in bytes.
+/// Maximum length of the JSON of a number, a string or a list of numbers, in bytes.
 const LONGEST_VALUE: usize = 1 << 20;
 
 pub(super) struct Json;
@@ -107,7 +107,7 @@ impl<'a> Message<'a> {
         value.ok_or_else(|| unreadable(name, text, expected))
     }
 
-    /// Returns the bytes of the message with other values of these fields.
+    /// Returns the bytes of the message with the values of these fields replaced.
     fn with<const N: usize>(mut self, fields: [(&str, Box<RawValue>); N]) -> Result<Vec<u8>, FormatError> {
         for (name, value) in fields {
             self.0.retain(|(other, _)| other != name);
@@ -117,7 +117,7 @@ impl<'a> Message<'a> {
     }
 
     fn text(&self, name: &str) -> Result<String, FormatError> {
-        self.read(name, "a text")
+        self.read(name, "a string")
     }
 
     fn number(&self, name: &str) -> Result<u32, FormatError> {

@@ -1,7 +1,7 @@
 //! Foxglove's messages for images, clouds and cameras, converted to the corresponding ROS messages.
 //!
 //! They come in three encodings: Protocol Buffers, JSON, and CDR as ROS 2's package `foxglove_msgs`. A smoothed message
-//! is a copy of the original with other data, so that unknown fields are kept.
+//! is a copy of the original with its data replaced, so that unknown fields are kept.
 
 mod cdr;
 mod json;
@@ -70,7 +70,7 @@ impl Encoding {
     }
 }
 
-/// Reads messages, and copies them with other data.
+/// Reads messages, and writes copies of them with their data replaced.
 pub(super) trait Codec {
     /// Reads a `RawImage`.
     fn image(&self, message: &[u8]) -> Result<Image, FormatError>;
@@ -131,7 +131,7 @@ pub(super) fn png_of(image: &Image, options: &ReadOptions) -> Result<Vec<u8>, Fo
     }
 }
 
-/// Completes a cloud whose stamp, fields, stride and points were read: all points are one row.
+/// Completes a cloud whose stamp, fields, stride and points were read: arranges all points in one row.
 fn in_one_row(mut cloud: PointCloud2) -> Result<PointCloud2, FormatError> {
     if cloud.point_step == 0 {
         return Err(FormatError::Malformed("the point stride of the cloud is 0".into()));

@@ -125,7 +125,7 @@ pub(super) fn contents_of(chunk: &[u8], with_bytes: bool, options: &ReadOptions)
                 if !matches!(opcode, 0 | op::CHUNK) && contents.add(opcode, &data, with_bytes) =>
             {
                 count += 1;
-                // Messages leave an entry in the index.
+                // A message leaves only an entry in the index.
                 let is_kept = with_bytes || matches!(opcode, op::SCHEMA | op::CHANNEL);
                 kept_bytes +=
                     if is_kept { data.len() + RECORD_HEADER as usize } else { size_of::<MessageIndexEntry>() };
