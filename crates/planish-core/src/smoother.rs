@@ -10,7 +10,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{CloudParams, Edges, EngineParams, FrameParams, Params, Radius, Window, WindowSize};
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video};
+use crate::smoothing_engine::{AdmittedFrame, DeviceSteps, SmoothingEngine, Video};
 use crate::threads::ONE_THREAD;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
@@ -288,10 +288,10 @@ impl Smoother {
         self.opened.smooth_over_time(video)
     }
 
-    /// Enables standard errors in all later results; returns false if the engine does not support them. Only for
-    /// sessions, which check buffers.
-    pub(crate) fn enable_sigma(&mut self) -> Result<bool, Error> {
-        self.opened.enable_sigma()
+    /// Adds steps to all later frames; returns false if the engine does not support them. Only for sessions, which check
+    /// buffers.
+    pub(crate) fn take_steps(&mut self, steps: &DeviceSteps) -> Result<bool, Error> {
+        self.opened.take_steps(steps)
     }
 
     /// Submits a frame whose shape was already checked.

@@ -44,6 +44,29 @@ pub(crate) struct VideoStep {
     pub(crate) motion: Option<CameraMotion>,
 }
 
+/// Steps after smoothing that an engine may compute itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct DeviceSteps {
+    /// Whether to estimate standard errors (docs/method.md, section 17).
+    pub(crate) sigma: bool,
+    /// Maximum width in pixels of the holes to fill (docs/method.md, section 18).
+    pub(crate) fill_px: Option<u32>,
+    /// The outputs that the user requested. The engine is opened for those that the steps need.
+    pub(crate) outputs: Outputs,
+}
+
+impl DeviceSteps {
+    /// Returns true if the steps finish a frame. Otherwise, the session must fill the frame's holes: its camera is not
+    /// known, has a distorted lens, or saw colours too.
+    pub(crate) fn finish(&self, frame: &Frame<'_>, geometry: &FrameGeometry) -> bool {
+        self.fill_px.is_none() || {
+            let camera = if let Frame::Depth(depth) = frame { Some(depth.camera()) } else { None };
+            let is_pinhole = camera.is_some_and(|camera| camera.distortion.is_none());
+            is_pinhole && frame.colours().is_none() && geometry.cloud_from_sensor.is_none()
+        }
+    }
+}
+
 impl<'a> AdmittedFrame<'a> {
     /// Creates a frame that is not part of a video.
     pub(crate) fn new(frame: Frame<'a>, geometry: FrameGeometry) -> Self {
@@ -73,9 +96,9 @@ pub(crate) trait SmoothingEngine: Send {
         Ok(false)
     }
 
-    /// Enables standard errors (docs/method.md, section 17) in all later results; returns false if the engine does
-    /// not support them.
-    fn enable_sigma(&mut self) -> Result<bool, Error> {
+    /// Adds steps to all later frames; returns false, without changes, if the engine does not support them. Frames that
+    /// [`DeviceSteps::finish`] then have only the requested outputs.
+    fn take_steps(&mut self, _: &DeviceSteps) -> Result<bool, Error> {
         Ok(false)
     }
 

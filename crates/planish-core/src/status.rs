@@ -63,11 +63,20 @@ impl Status {
         }
     }
 
-    /// Returns the status for a code that an engine wrote. Engines never write [`Status::Filled`].
+    /// Returns the status for a code that an engine wrote.
     #[inline(always)]
     pub(crate) fn of_code(code: u8) -> Self {
-        // Every 3-bit index has a status, so the code needs no check.
-        Self::ALL[usize::from(code & 7)]
+        /// Every status, then holes: every 4-bit index has a status, so the code needs no check.
+        const BY_CODE: [Status; 16] = {
+            let mut statuses = [Status::Hole; 16];
+            let mut code = 0;
+            while code < Status::ALL.len() {
+                statuses[code] = Status::ALL[code];
+                code += 1;
+            }
+            statuses
+        };
+        BY_CODE[usize::from(code & 15)]
     }
 
     /// Returns the status of a point that was moved to a polynomial of this degree.

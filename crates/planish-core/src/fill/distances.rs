@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::pixel::DIRECTIONS;
+use super::constants::DIRECTIONS;
 
 /// Value for a direction without a point within 254 steps.
 pub(super) const NONE: u8 = u8::MAX;

@@ -1,11 +1,7 @@
 //! The image in which holes are filled, and its steps.
 
+use super::constants::{STEP_DEVIATIONS, STEP_SHARE};
 use crate::sensor::SensorModel;
-
-/// Difference in range above which two points are on different surfaces, in standard deviations of the sensor.
-const STEP_DEVIATIONS: f64 = 8.0;
-/// Difference in range above which two points are on different surfaces, as a share of the range.
-const STEP_SHARE: f64 = 0.02;
 
 /// 1/z of each pixel, which is linear over the pixels of a plane.
 #[derive(Clone, Copy)]

@@ -4,10 +4,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::constants::RIM_PX;
 use super::image::Image;
-
-/// Distance in pixels from a hole pixel within which points determine whether the rim is a single surface.
-const RIM_PX: usize = 2;
 
 /// A run of adjacent hole pixels in a row.
 #[derive(Debug, Clone)]

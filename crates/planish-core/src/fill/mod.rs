@@ -1,5 +1,6 @@
 //! Fills the holes of a frame with the surface around them (docs/method.md, section 18).
 
+pub(crate) mod constants;
 mod distances;
 mod image;
 mod labels;

@@ -3,42 +3,16 @@
 
 use rayon::prelude::*;
 
+use super::constants::{
+    DIRECTIONS, GROWTH, REACH, RIDGES, RIM_DEVIATIONS, RIM_SHARE, SAMPLES, SHADOW_CHANGE, SHADOW_MARGIN_PX, SHADOW_PX,
+    SHADOW_SAMPLES, SHADOW_SHARES, SHADOW_SPACING_PX, SPACING_PX,
+};
 use super::distances::{Distances, NONE};
 use super::image::Image;
 use super::labels::Labels;
 use crate::camera::solve;
 use crate::frame::Colours;
 
-/// The eight directions, as steps in columns and rows; opposite ones are adjacent.
-pub(super) const DIRECTIONS: [[isize; 2]; 8] = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]];
-/// Maximum number of steps to a rim, as a multiple of the maximum hole width.
-const REACH: usize = 2;
-/// Number of samples in each direction, at the rim and behind it.
-const SAMPLES: usize = 4;
-/// Distance between the samples of a direction, in pixels.
-const SPACING_PX: isize = 2;
-/// Number of samples in each direction, for surfaces that are extended into a shadow.
-const SHADOW_SAMPLES: usize = 6;
-/// Distance between the samples of a direction in pixels, for surfaces that are extended into a shadow.
-const SHADOW_SPACING_PX: isize = 3;
-/// Ridge of the second-order terms, as a share of the sum of the weights.
-const RIDGE: f64 = 0.3;
-/// Distance from the fit within which a rim point belongs to the surface, in standard deviations of the sensor.
-const RIM_DEVIATIONS: f64 = 4.0;
-/// Distance from the fit within which a rim point belongs to the surface, as a share of the range.
-const RIM_SHARE: f64 = 0.01;
-/// Minimum and maximum width of a shadow, as shares of the width that the depth step explains.
-const SHADOW_SHARES: [f32; 2] = [0.7, 1.25];
-/// Number of pixels added to the minimum and the maximum width of a shadow.
-const SHADOW_PX: [f32; 2] = [-2.0, 3.0];
-/// Width of the strip next to the near surface that stays a hole, since it could belong to that surface, in pixels.
-/// If the hole is wider than the depth step explains, the excess is added to the strip.
-const SHADOW_MARGIN_PX: f32 = 2.0;
-/// Maximum change of 1/z over a surface that is extended into a shadow, as a share of 1/z at its rim.
-const SHADOW_CHANGE: f32 = 0.1;
-/// Factor from the residuals and standard errors at the rim to the standard error of a filled pixel: its value at the
-/// rim, and its increase per pixel of distance from the nearest rim point. Measured on simulated frames.
-const GROWTH: [f64; 2] = [0.95, 0.03];
 /// Maximum difference between the colours of one object, in the channel that differs most.
 const OTHER_COLOUR: i16 = 50;
 
@@ -139,8 +113,7 @@ impl Fit {
 
     /// Returns the matrix of the normal equations, with the ridge added.
     fn matrix(&self) -> [[f64; 6]; 6] {
-        let ridge = [0.0, 1e-3, 1e-3, RIDGE, RIDGE, RIDGE];
-        let of_ridge = |i: usize, j: usize| if i == j { ridge[i] * self.a[0][0] } else { 0.0 };
+        let of_ridge = |i: usize, j: usize| if i == j { RIDGES[i] * self.a[0][0] } else { 0.0 };
         std::array::from_fn(|i| std::array::from_fn(|j| self.a[i.min(j)][i.max(j)] + of_ridge(i, j)))
     }
 

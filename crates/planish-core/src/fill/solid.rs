@@ -2,19 +2,9 @@
 
 use rayon::prelude::*;
 
+use super::constants::{DIRECTIONS, LEAST_FILLED, LEAST_NEIGHBOURS, LEAST_SHARE, LEAST_STRIPE_PX, ROUNDS};
 use super::labels::Labels;
 use super::pixel::{Holes, Patch};
-
-/// Minimum share of fillable pixels for a hole with one surface at its rim to be filled.
-const LEAST_SHARE: f64 = 0.7;
-/// Number of rounds in which gaps are closed.
-const ROUNDS: usize = 2;
-/// Minimum number of neighbours of a gap (of eight) that are not holes, for the gap to be closed.
-const LEAST_NEIGHBOURS: usize = 4;
-/// Minimum number of neighbours of a gap that were filled, for the gap to be closed.
-const LEAST_FILLED: usize = 3;
-/// Minimum width in pixels of a filled stripe between holes; narrower stripes are removed.
-const LEAST_PX: usize = 4;
 
 /// Discards the patches of holes that could be filled only in part although their rim is one surface.
 pub(super) fn keep_whole_holes(rows: &mut [Vec<Patch>], labels: &Labels) {
@@ -32,12 +22,12 @@ pub(super) fn keep_whole_holes(rows: &mut [Vec<Patch>], labels: &Labels) {
 pub(super) fn make_solid(holes: &Holes<'_>, rows: &mut [Vec<Patch>]) {
     let run_px = |v: usize, patch: &Patch, [x, y]: [isize; 2]| {
         let is_there = |k: &isize| Neighbour::of(holes, rows, (patch.u, v), [k * x, k * y]).is_some();
-        (1..LEAST_PX as isize).take_while(is_there).count()
+        (1..LEAST_STRIPE_PX as isize).take_while(is_there).count()
     };
     let is_solid = |v: usize, patch: &Patch| {
         [[[1, 0], [-1, 0]], [[0, 1], [0, -1]]]
             .iter()
-            .all(|axis| 1 + axis.iter().map(|direction| run_px(v, patch, *direction)).sum::<usize>() >= LEAST_PX)
+            .all(|axis| 1 + axis.iter().map(|direction| run_px(v, patch, *direction)).sum::<usize>() >= LEAST_STRIPE_PX)
     };
     let narrow = |v: usize| rows[v].iter().map(|patch| !is_solid(v, patch)).collect::<Vec<bool>>();
     let narrow: Vec<Vec<bool>> = (0..rows.len()).into_par_iter().map(narrow).collect();
@@ -93,7 +83,7 @@ fn closed_gaps(holes: &Holes<'_>, rows: &[Vec<Patch>], v: usize) -> Vec<Patch> {
 fn close(holes: &Holes<'_>, rows: &[Vec<Patch>], at: (usize, usize)) -> Option<Patch> {
     let (mut neighbours, mut filled) = (0, Vec::with_capacity(8));
     let (mut least, mut most) = (f32::INFINITY, 0.0f32);
-    for direction in super::pixel::DIRECTIONS {
+    for direction in DIRECTIONS {
         let inverse = match Neighbour::of(holes, rows, at, direction) {
             None => continue,
             Some(Neighbour::Measured(inverse)) => inverse,

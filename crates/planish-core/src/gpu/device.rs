@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use super::kernel::KernelKey;
 use super::queues;
-use super::sigma_kernels::SigmaPass;
+use super::step_kernels::StepPass;
 use crate::devices::{AdapterKind, GpuAdapter, GpuOptions};
 use crate::error::EngineError;
 
@@ -60,7 +60,7 @@ pub(super) struct GpuDevice {
     pub(super) pipeline_layout: wgpu::PipelineLayout,
     kernels: Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>,
     /// Kernels for standard errors, by pass and whether bounds are checked.
-    sigma_kernels: Mutex<HashMap<(SigmaPass, bool), wgpu::ComputePipeline>>,
+    step_kernels: Mutex<HashMap<(StepPass, bool), wgpu::ComputePipeline>>,
     fault: Arc<Mutex<Option<EngineError>>>,
     /// Serializes polling. If two threads poll at once, wgpu 30 may panic: one thread can see an empty queue before
     /// the other records the last submission as done.
@@ -231,7 +231,7 @@ impl GpuDevice {
             bind_group_layout,
             pipeline_layout,
             kernels: Mutex::default(),
-            sigma_kernels: Mutex::default(),
+            step_kernels: Mutex::default(),
             fault,
             turn: Mutex::default(),
             submitting: AtomicUsize::new(0),
@@ -340,9 +340,9 @@ impl GpuDevice {
         })
     }
 
-    /// Same as [`kernel`](Self::kernel), for the kernels that compute standard errors.
-    pub(super) fn sigma_kernel(&self, pass: SigmaPass, checks: bool) -> Result<wgpu::ComputePipeline, EngineError> {
-        cached(&self.sigma_kernels, (pass, checks), || {
+    /// Same as [`kernel`](Self::kernel), for the kernels of the steps after smoothing.
+    pub(super) fn step_kernel(&self, pass: StepPass, checks: bool) -> Result<wgpu::ComputePipeline, EngineError> {
+        cached(&self.step_kernels, (pass, checks), || {
             self.compile(pass.entry_point(), pass.wgsl(), &self.pipeline_layout, checks)
         })
     }
@@ -402,8 +402,9 @@ impl GpuDevice {
             // the number of points. Or an earlier pass over the same cloud computed it, and it is below the number of
             // points: positions in the sorted cloud are a permutation, and the others are indices of positions, nodes
             // and leaves. Loops end after a constant number of rounds, tree walks because the node index only
-            // increases, and radius searches because trial radii grow up to a limit. No divisor is zero. The tests
-            // also run every kernel with bounds checks and compare the results.
+            // increases, radius searches because trial radii grow up to a limit, and searches for the first pixel of
+            // a hole because labels only decrease. No divisor is zero. The tests also run every kernel with bounds
+            // checks and compare the results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),

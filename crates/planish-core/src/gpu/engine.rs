@@ -8,12 +8,14 @@ use rayon::prelude::*;
 
 use super::copier::{Copied, Copier};
 use super::device::{self, GpuDevice, OpenAdapter, Purpose, lock};
+use super::fill_kernels;
 use super::flight::{Flight, FreeSlots};
 use super::kernel::{KernelKey, Pass};
 use super::layout::{InputKind, Layout};
 use super::over_time::OverTime;
-use super::sigma_kernels::{SigmaPass, scratch_words};
-use super::slot::{Dispatch, Slot};
+use super::sigma_kernels::scratch_words;
+use super::slot::{Dispatch, Kernels, Slot, SlotUse};
+use super::steps::{compile_steps, step_kernels};
 use super::upload::Uploader;
 use super::view::MappedView;
 use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
@@ -21,7 +23,7 @@ use crate::error::{EngineError, Error, FrameError};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine, Video, VideoStep};
+use crate::smoothing_engine::{AdmittedFrame, DeviceSteps, SmoothingEngine, Video, VideoStep};
 use crate::threads::on_a_thread_each;
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
@@ -66,6 +68,8 @@ pub(crate) struct Gpu {
     uploader: Uploader,
     /// The temporal filter, if the frames are a video.
     over_time: Option<OverTime>,
+    /// The steps after smoothing, if any.
+    steps: Option<DeviceSteps>,
     pending: VecDeque<Pending>,
     /// The copying threads: at least one, and one per device if the system allows it.
     copiers: Vec<Copier>,
@@ -136,6 +140,7 @@ impl Gpu {
             allocated: 0,
             uploader: Uploader::new(params),
             over_time: None,
+            steps: None,
             pending: VecDeque::new(),
             copiers: Vec::new(),
             timings: None,
@@ -175,8 +180,12 @@ impl Gpu {
         let compiled = on_a_thread_each(all, |(gpu, key)| gpu.kernel(key).map(drop));
         let failed = || Err(self.gpu().failed("a kernel could not be compiled"));
         compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))?;
-        let all = adapter.devices.iter().flat_map(|gpu| InputKind::ALL.map(|kind| (gpu, kind)));
-        all.into_iter().try_for_each(|(gpu, kind)| self.sigma_kernels(gpu, kind).map(drop))
+        let checks = self.options.bounds_checks;
+        let compile = |gpu: &Arc<GpuDevice>| match &self.steps {
+            Some(steps) => compile_steps(gpu, steps, self.outputs, checks),
+            None => Ok(()),
+        };
+        adapter.devices.iter().try_for_each(compile)
     }
 
     /// Computes a frame of holes in every slot and starts the copiers, so that the driver's one-time work per buffer
@@ -185,10 +194,10 @@ impl Gpu {
         while self.copiers.len() < self.adapter.devices.len() {
             self.copiers.push(Copier::start()?);
         }
-        let layout = self.layout(InputKind::Depth);
+        let used_for = self.slot_use(InputKind::Depth, true);
         let mut landed = Vec::new();
         for _ in 0..self.options.slots {
-            let slot = self.slot(layout, 1)?;
+            let slot = self.slot(used_for, 1)?;
             let step = VideoStep { starts: true, motion: None };
             landed.push(MappedView::of(self.submit_slot(slot, &step)?)?);
         }
@@ -200,6 +209,22 @@ impl Gpu {
         let keeps_planes = self.params.edges != Edges::Off;
         let keeps_points = keeps_planes || self.params.averages_blocks();
         Layout { width, height, kind, outputs: self.outputs, keeps_points, keeps_planes, cell: self.params.cell_px() }
+    }
+
+    /// Returns what a slot is used for. `finishes` states whether the steps after smoothing finish the frames.
+    fn slot_use(&self, kind: InputKind, finishes: bool) -> SlotUse {
+        let layout = self.layout(kind);
+        let results = match (&self.over_time, self.steps) {
+            (Some(over_time), _) => over_time.results(layout),
+            (None, Some(steps)) if finishes => Layout { outputs: steps.outputs, ..layout },
+            _ => layout,
+        };
+        SlotUse { layout, results, fill_px: self.steps.and_then(|steps| steps.fill_px).filter(|_| finishes) }
+    }
+
+    /// Returns true if the steps after smoothing, if any, finish a frame.
+    fn finishes(&self, frame: &AdmittedFrame<'_>) -> bool {
+        self.steps.is_none_or(|steps| steps.finish(&frame.frame, &frame.geometry))
     }
 
     /// Returns the keys of the kernels of a frame's passes, in order.
@@ -216,14 +241,6 @@ impl Gpu {
         self.kernel_keys(kind).map(|key| Ok((gpu.kernel(key)?, key.workgroups(self.shape)))).collect()
     }
 
-    /// Returns the kernels that estimate a frame's standard errors, in order; empty unless `sigma` is among the
-    /// outputs.
-    fn sigma_kernels(&self, gpu: &GpuDevice, kind: InputKind) -> Result<Vec<Dispatch>, EngineError> {
-        let passes = SigmaPass::of(kind).into_iter().filter(|_| self.outputs.sigma);
-        let checks = self.options.bounds_checks;
-        passes.map(|pass| Ok((gpu.sigma_kernel(pass, checks)?, pass.workgroups(self.shape)))).collect()
-    }
-
     /// Returns the largest number of workgroups, across or down, among a frame's kernels.
     fn most_workgroups(&self, kind: InputKind) -> usize {
         self.kernel_keys(kind).flat_map(|key| key.workgroups(self.shape)).max().unwrap_or(0)
@@ -236,23 +253,26 @@ impl Gpu {
     }
 
     /// Returns the size of a frame's largest buffer in bytes.
-    fn frame_bytes(layout: Layout) -> u64 {
+    fn frame_bytes(&self, layout: Layout) -> u64 {
         let [points, planes] = layout.kept_words();
-        let scratch = layout.sigma().map_or(0, |_| scratch_words(&layout));
-        4 * layout.input_words().max(layout.output_words()).max(points).max(planes).max(scratch) as u64
+        let of_sigma = layout.sigma().map_or(0, |_| scratch_words(&layout));
+        let fill_px = self.steps.and_then(|steps| steps.fill_px);
+        let of_fill = fill_px.map_or(0, |_| fill_kernels::scratch_words(&layout));
+        let all = [layout.input_words(), layout.output_words(), points, planes, of_sigma, of_fill];
+        4 * all.into_iter().max().unwrap_or(0) as u64
     }
 
     /// Returns the maximum number of a batch's frames per submission. It keeps submissions within the device's
     /// limits, and short enough not to block other users of the device or trigger a desktop watchdog.
     fn frames_at_once(&self, layout: Layout) -> usize {
         let bytes = self.buffer_limit().min(MAX_BATCH_BYTES);
-        (bytes / Self::frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
+        (bytes / self.frame_bytes(layout)).clamp(1, MAX_BATCH_FRAMES) as usize
     }
 
     /// Returns an error if `frames` frames of a layout exceed the device's limits.
     fn check_limits(&self, layout: Layout, frames: usize) -> Result<(), EngineError> {
         let limits = [
-            ("bytes in a buffer", self.buffer_limit(), Self::frame_bytes(layout) * frames as u64),
+            ("bytes in a buffer", self.buffer_limit(), self.frame_bytes(layout) * frames as u64),
             (
                 "workgroups across or down",
                 u64::from(self.gpu().limits.max_compute_workgroups_per_dimension),
@@ -267,13 +287,13 @@ impl Gpu {
         }
     }
 
-    /// Returns a slot for `frames` frames of a layout: the matching slot that has been free longest, or a new slot.
-    fn slot(&mut self, layout: Layout, frames: usize) -> Result<Slot, EngineError> {
+    /// Returns a slot for `frames` frames: the matching slot that has been free longest, or a new slot.
+    fn slot(&mut self, used_for: SlotUse, frames: usize) -> Result<Slot, EngineError> {
         {
             let mut free = lock(&self.free);
             // Slots that views returned may belong to a device that is no longer used.
             free.retain(|slot| self.adapter.devices.iter().any(|gpu| Arc::ptr_eq(gpu, &slot.gpu)));
-            if let Some(at) = free.iter().position(|slot| slot.layout == layout && slot.frames == frames) {
+            if let Some(at) = free.iter().position(|slot| slot.used_for == used_for && slot.frames == frames) {
                 return Ok(free.remove(at));
             }
             // Only one batch is processed at a time, so slots for other batch sizes are dropped.
@@ -282,7 +302,7 @@ impl Gpu {
         let devices = &self.adapter.devices;
         let gpu = Arc::clone(&devices[self.allocated % devices.len()]);
         let Self { params, options, over_time, bytes, .. } = self;
-        let slot = Slot::new(gpu, layout, frames, params, options, over_time.as_ref(), bytes)?;
+        let slot = Slot::new(gpu, used_for, frames, params, options, over_time.as_ref(), bytes)?;
         self.allocated += 1;
         Ok(slot)
     }
@@ -293,20 +313,19 @@ impl Gpu {
             return Err(FrameError::LengthMismatch { what: "a batch".into(), len: 0, expected: 1 }.into());
         };
         self.gpu().check()?;
-        let layout = self.layout(InputKind::of(&first.frame));
-        self.check_limits(layout, frames.len())?;
-        let mut slot = self.slot(layout, frames.len())?;
+        let used_for = self.slot_use(InputKind::of(&first.frame), self.finishes(first));
+        self.check_limits(used_for.layout, frames.len())?;
+        let mut slot = self.slot(used_for, frames.len())?;
         slot.write(frames, &mut self.uploader)?;
         Ok(self.submit_slot(slot, &first.step)?)
     }
 
     /// Submits a slot whose frames have been written.
     fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
-        let kind = slot.layout.kind;
-        let kernels = self.kernels(&slot.gpu, kind)?;
-        let sigma_kernels = self.sigma_kernels(&slot.gpu, kind)?;
-        let submission =
-            slot.submit(&kernels, &sigma_kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
+        let smooth = self.kernels(&slot.gpu, slot.used_for.layout.kind)?;
+        let [sigma, fill] = step_kernels(&slot.gpu, &slot.used_for, self.options.bounds_checks)?;
+        let kernels = Kernels { smooth, sigma, fill };
+        let submission = slot.submit(&kernels, self.over_time.as_mut().map(|over_time| (over_time, step)));
         self.gpu().check()?;
         Ok(Flight { slot, submission, free: Arc::clone(&self.free) })
     }
@@ -324,9 +343,10 @@ impl SmoothingEngine for Gpu {
     fn smooth_batch(&mut self, frames: &[AdmittedFrame<'_>], out: &mut [Smoothed]) -> Result<(), Error> {
         let (mut done, mut timings) = (0, None::<FrameTimings>);
         while let Some(first) = frames.get(done) {
-            let kind = InputKind::of(&first.frame);
-            let most = self.frames_at_once(self.layout(kind));
-            let alike = frames[done..].iter().take_while(|frame| InputKind::of(&frame.frame) == kind).count();
+            let use_of = |frame: &AdmittedFrame<'_>| (InputKind::of(&frame.frame), self.finishes(frame));
+            let used_for = use_of(first);
+            let most = self.frames_at_once(self.layout(used_for.0));
+            let alike = frames[done..].iter().take_while(|frame| use_of(frame) == used_for).count();
             // Divide the frames evenly, because submissions of the same size use the same slot.
             let count = alike.div_ceil(alike.div_ceil(most));
             let view = MappedView::of(self.launch(&frames[done..done + count])?)?;
@@ -394,16 +414,18 @@ impl SmoothingEngine for Gpu {
         }
     }
 
-    /// Returns false if points, status or neighbours are not among the outputs, if frames are smoothed over time, or
-    /// if the device has too few workgroups or too little memory.
-    fn enable_sigma(&mut self) -> Result<bool, Error> {
+    /// Returns false if the steps need outputs that the engine was not opened for, if frames are smoothed over time, if
+    /// rows are too long, or if the device has too few workgroups or too little memory.
+    fn take_steps(&mut self, steps: &DeviceSteps) -> Result<bool, Error> {
         let Outputs { points, status, neighbours, .. } = self.outputs;
-        let workgroups = SigmaPass::CorrelateRows.workgroups(self.shape)[0];
-        let fits = workgroups <= self.gpu().limits.max_compute_workgroups_per_dimension as usize;
-        if !(points && status && neighbours && fits) || self.over_time.is_some() {
+        let (width, height) = self.shape;
+        let fits = height <= self.gpu().limits.max_compute_workgroups_per_dimension as usize;
+        let fits = fits && (steps.fill_px.is_none() || width <= fill_kernels::WIDEST_PX);
+        if !(points && status && (neighbours || !steps.sigma) && fits) || self.over_time.is_some() {
             return Ok(false);
         }
-        self.outputs.sigma = true;
+        self.outputs.sigma = steps.sigma;
+        self.steps = Some(*steps);
         lock(&self.free).clear();
         let adapter = Arc::clone(&self.adapter);
         let opened = self.check_limits(self.layout(InputKind::Points), 1).and_then(|()| self.compile(&adapter));
@@ -412,7 +434,7 @@ impl SmoothingEngine for Gpu {
             Err(lost @ EngineError::Lost { .. }) => Err(lost.into()),
             // For example, out of memory.
             Err(_) => {
-                self.outputs.sigma = false;
+                (self.outputs.sigma, self.steps) = (false, None);
                 lock(&self.free).clear();
                 Ok(false)
             }

@@ -171,6 +171,23 @@ impl Layout {
         self.packed()[2].clone()
     }
 
+    /// Returns the range of each output, in the order of the result.
+    pub(super) fn parts(&self) -> [Option<Range<usize>>; 9] {
+        let of_vectors = |channels: Option<[Range<usize>; 3]>| channels.map(|[x, _, z]| x.start..z.end);
+        let [status, neighbours, depth] = self.packed();
+        [
+            of_vectors(self.points()),
+            of_vectors(self.normals()),
+            self.curvature(),
+            self.depth_m(),
+            self.frames(),
+            self.sigma(),
+            status,
+            neighbours,
+            depth,
+        ]
+    }
+
     /// Returns the number of output words per frame.
     pub(super) fn output_words(&self) -> usize {
         let packed = self.packed().into_iter().flatten().map(|range| range.end).max();
@@ -225,7 +242,7 @@ pub(super) struct Channels {
     pub(super) curvature: usize,
     pub(super) depth_m: usize,
     pub(super) frames: usize,
-    sigma: usize,
+    pub(super) sigma: usize,
     pub(super) count: usize,
 }
 

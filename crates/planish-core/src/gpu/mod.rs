@@ -18,6 +18,10 @@ mod device;
 #[cfg(feature = "gpu")]
 mod engine;
 #[cfg(feature = "gpu")]
+mod fill;
+#[cfg(feature = "gpu")]
+mod fill_kernels;
+#[cfg(feature = "gpu")]
 mod flight;
 #[cfg(feature = "gpu")]
 mod general;
@@ -41,6 +45,10 @@ mod sigma_kernels;
 mod slot;
 #[cfg(feature = "gpu")]
 mod stamps;
+#[cfg(feature = "gpu")]
+mod step_kernels;
+#[cfg(feature = "gpu")]
+mod steps;
 #[cfg(feature = "gpu")]
 #[cfg(test)]
 mod tests;

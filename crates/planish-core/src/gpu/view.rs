@@ -27,7 +27,7 @@ impl MappedView {
         let Flight { slot, free, .. } = flight;
         let words = slot.readback.get_mapped_range(..).map_err(|error| slot.gpu.failed(error))?;
         let timings = slot.timings();
-        Ok(Self { layout: slot.results, timings, mapped: Some((words, slot)), free })
+        Ok(Self { layout: slot.used_for.results, timings, mapped: Some((words, slot)), free })
     }
 
     pub(super) fn timings(&self) -> Option<FrameTimings> {

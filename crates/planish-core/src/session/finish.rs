@@ -1,5 +1,6 @@
 //! Steps on the CPU after the engine: estimating standard errors, unless the engine has done so, and filling holes.
 
+use super::open::Open;
 use super::{Chosen, Session, SessionEvent};
 use crate::error::{Error, FrameError, ParamError};
 use crate::fill::{Fill, FillBuffers};
@@ -8,6 +9,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::EngineParams;
 use crate::sigma::{Sigma, SigmaBuffers};
 use crate::smoothed::Smoothed;
+use crate::smoothing_engine::{AdmittedFrame, DeviceSteps};
 use crate::threads::{ONE_THREAD, Threads};
 
 /// The steps that finish the result of an engine.
@@ -18,7 +20,7 @@ pub(super) struct Finish {
     params: EngineParams,
     /// The requested outputs.
     outputs: Outputs,
-    /// Width of the widest holes to fill, in pixels; `None` if holes are not filled.
+    /// Width of the widest holes to fill, in pixels; `None` if the session fills no holes.
     fill_px: Option<u32>,
     /// Whether the session estimates standard errors because the engine has not.
     estimates_sigma: bool,
@@ -54,6 +56,8 @@ pub(super) struct FinishBuffers {
     fill: FillBuffers,
     /// Whether the session has reported that holes cannot be filled.
     told: bool,
+    /// The requested outputs, while a frame is smoothed that is finished in the same call.
+    requested: Option<Outputs>,
 }
 
 impl FinishBuffers {
@@ -102,6 +106,23 @@ impl Session {
         }
     }
 
+    /// Returns the steps after smoothing that an engine should compute for frames like this one if it can; `None` if there
+    /// are none, or if they follow smoothing over time. `sigma` states whether the engine may estimate standard errors.
+    pub(super) fn steps_of_engine(&mut self, frame: Frame<'_>, sigma: bool) -> Option<DeviceSteps> {
+        let fill_px = self.fill_px();
+        if !(sigma || fill_px.is_some()) || frame.grid().is_none() || self.over_time(frame).is_some() {
+            return None;
+        }
+        let outputs = self.finish_buffers().requested.unwrap_or(self.flagged_outputs());
+        Some(DeviceSteps { sigma, fill_px, outputs })
+    }
+
+    /// Returns true if the open engine finishes a frame.
+    pub(super) fn engine_finishes(&self, frame: &AdmittedFrame<'_>) -> bool {
+        let steps = self.open.as_ref().and_then(Open::steps);
+        steps.is_some_and(|steps| steps.finish(&frame.frame, &frame.geometry))
+    }
+
     /// Returns the width of the widest holes to fill, in pixels; `None` if holes are not filled.
     pub(super) fn fill_px(&self) -> Option<u32> {
         match &self.chosen {
@@ -144,7 +165,9 @@ impl Session {
         // The session lends buffers for results that were not requested.
         self.finish_buffers().exchange(out, outputs);
         self.options.outputs = self.outputs_to_finish(frame);
+        self.finish_buffers().requested = Some(outputs);
         let result = self.smooth_unfinished(frame, out);
+        self.finish_buffers().requested = None;
         self.options.outputs = requested;
         if over_time {
             out.sigma = sigma_m;
@@ -191,10 +214,12 @@ impl Session {
             return None;
         }
         let open = self.open.as_ref()?;
-        let (outputs, fill_px) = (self.options.outputs, self.fill_px());
-        let estimates_sigma = outputs.sigma && !open.estimates_sigma();
-        let is_left = estimates_sigma || fill_px.is_some();
-        let geometry = is_left.then(|| FrameGeometry::of(frame, true, &mut GeometryScratch::default()));
+        let (outputs, steps) = (self.options.outputs, open.steps());
+        let estimates_sigma = outputs.sigma && !steps.is_some_and(|steps| steps.sigma);
+        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
+        let is_finished = steps.is_some_and(|steps| steps.finish(&frame, &geometry));
+        let fill_px = self.fill_px().filter(|_| !is_finished);
+        let geometry = (estimates_sigma || fill_px.is_some()).then_some(geometry);
         Some(Finish { geometry, params: open.open_for().params, outputs, fill_px, estimates_sigma })
     }
 

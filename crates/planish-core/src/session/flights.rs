@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use super::Session;
-use super::open::Open;
 use super::pending::{AnyFrame, OnReceipt, Pending};
 use crate::error::{EngineError, Error, ParamError};
 use crate::fleet::SharedFrame;
@@ -41,22 +40,23 @@ impl Session {
     }
 
     /// Submits a frame that the caller does not share. The frame is copied unless it is computed during this call,
-    /// and it is lost if its device is lost. The result stays where the device wrote it. The output `sigma` needs a
-    /// GPU that estimates it; the result then also has points, status and neighbours.
+    /// and it is lost if its device is lost. The result stays where the device wrote it.
     ///
     /// # Errors
-    /// Same as [`submit`](Self::submit). Also if holes are to be filled, or if `sigma` is requested but no GPU
-    /// estimates it.
+    /// Same as [`submit`](Self::submit). Also if `sigma` is requested or holes are to be filled, but no GPU does so: it
+    /// needs frames that are not smoothed over time and, to fill holes, depth without colours and lens distortion.
     pub fn submit_in_place<'a>(&mut self, frame: impl IntoFrame<'a>) -> Result<(), Error> {
         let frame = frame.into_frame()?;
         self.check_room()?;
         self.check_can_finish(frame)?;
         // Checked before the frame becomes part of a video.
-        if self.fill_px().is_some() || self.options.outputs.sigma && self.over_time(frame).is_some() {
+        self.check_flags()?;
+        let has_steps = self.finishes();
+        if has_steps && self.over_time(frame).is_some() {
             return Err(self.needs_frame().into());
         }
         let admitted = self.open_in_flight(frame, false)?;
-        if self.options.outputs.sigma && !self.open.as_ref().is_some_and(Open::estimates_sigma) {
+        if has_steps && !self.engine_finishes(&admitted) {
             return Err(self.needs_frame().into());
         }
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {

@@ -359,7 +359,7 @@ impl Session {
         let engine_params = self.with_window(engine_params, params, frame, &geometry);
         let mut options = self.options.clone();
         options.outputs = self.outputs_before_time(frame);
-        let wants_sigma = !ONE_THREAD && std::mem::take(&mut options.outputs.sigma);
+        let sigma = !ONE_THREAD && std::mem::take(&mut options.outputs.sigma);
         options.engine = self.engine_for(frame.grid().is_none());
         options.only_points = self.is_single.then(|| frame.shape().0 * frame.shape().1);
         let uses_fleet = in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
@@ -367,8 +367,9 @@ impl Session {
             options = device.options(&options);
         }
         let video = self.video_of_engine(&options, uses_fleet);
-        let wants_sigma = wants_sigma && !uses_fleet && matches!(options.engine, Engine::Auto | Engine::Gpu);
-        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video, wants_sigma };
+        let is_possible = !ONE_THREAD && !uses_fleet && matches!(options.engine, Engine::Auto | Engine::Gpu);
+        let steps = if is_possible { self.steps_of_engine(frame, sigma) } else { None };
+        let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video, steps };
         if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
             check_options(params, &wanted.options, frame.grid())?;
             self.finish_flights()?;

@@ -11,7 +11,7 @@ use crate::params::EngineParams;
 use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
-use crate::smoothing_engine::Video;
+use crate::smoothing_engine::{DeviceSteps, Video};
 use crate::view::SmoothedView;
 
 /// Maximum number of frames from a live source that are in flight on one device. With more frames, the newest would
@@ -27,8 +27,8 @@ pub(super) struct OpenFor {
     pub(super) uses_fleet: bool,
     /// The video that the engine should smooth over time if it can.
     pub(super) video: Option<Video>,
-    /// Whether the engine should estimate standard errors if it can.
-    pub(super) wants_sigma: bool,
+    /// The steps after smoothing that the engine should compute if it can.
+    pub(super) steps: Option<DeviceSteps>,
 }
 
 #[derive(Debug)]
@@ -37,8 +37,8 @@ pub(super) struct Open {
     smoothing: Smoothing,
     /// Whether the engine smooths over time.
     is_over_time: bool,
-    /// Whether the engine estimates standard errors.
-    estimates_sigma: bool,
+    /// Whether the engine computes the steps after smoothing.
+    takes_steps: bool,
 }
 
 #[derive(Debug)]
@@ -56,22 +56,22 @@ enum Smoothing {
 impl Open {
     /// Opens a fleet if devices are given, otherwise a smoother.
     pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
-        let OpenFor { grid, params, options, video, wants_sigma, .. } = &open_for;
-        let (mut is_over_time, mut estimates_sigma) = (false, false);
+        let OpenFor { grid, params, options, video, steps, .. } = &open_for;
+        let (mut is_over_time, mut takes_steps) = (false, false);
         let smoothing = if devices.is_empty() {
             let mut smoother = Box::new(Smoother::open_decided(*params, options, *grid)?);
             if let Some(video) = video {
                 is_over_time = smoother.smooth_over_time(video)?;
             }
-            if *wants_sigma {
-                estimates_sigma = smoother.enable_sigma()?;
+            if let Some(steps) = steps {
+                takes_steps = smoother.take_steps(steps)?;
             }
             Smoothing::One(smoother)
         } else {
             let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid)?);
             Smoothing::Fleet { fleet, devices: devices.to_vec(), reported: Vec::new() }
         };
-        Ok(Self { open_for, smoothing, is_over_time, estimates_sigma })
+        Ok(Self { open_for, smoothing, is_over_time, takes_steps })
     }
 
     pub(super) fn open_for(&self) -> &OpenFor {
@@ -82,8 +82,9 @@ impl Open {
         self.is_over_time
     }
 
-    pub(super) fn estimates_sigma(&self) -> bool {
-        self.estimates_sigma
+    /// Returns the steps after smoothing that the engine computes; `None` if the session must compute them.
+    pub(super) fn steps(&self) -> Option<DeviceSteps> {
+        self.open_for.steps.filter(|_| self.takes_steps)
     }
 
     pub(super) fn one(&self) -> Option<&Smoother> {

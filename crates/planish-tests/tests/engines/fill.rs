@@ -6,7 +6,7 @@ use planish::evaluate::{FillEvaluation, cut_holes};
 use planish::simulate::{DepthNoise, DepthSimulator, Scene};
 use planish::{
     Camera, DepthFrame, DepthView, IntoFrame, OrganizedCloud, Origin, Outputs, PointsView, SensorPose, Session,
-    SessionEvent, Settings, Smoothed, Status, Xyz,
+    SessionEvent, Settings, Smoothed, SmoothedMut, Status, Xyz,
 };
 use planish_tests::data::skip;
 use planish_tests::engines::test_adapter;
@@ -130,6 +130,13 @@ fn steps_gaps_between_objects_and_borders_stay_open() {
 
 #[test]
 fn a_shadow_becomes_the_surface_behind_where_the_sensor_casts_it() {
+    let gpu = test_adapter().map(|adapter| format!("engine=gpu adapter={}", adapter.index));
+    for engine in std::iter::once("engine=cpu".to_owned()).chain(gpu) {
+        check_shadows(&engine);
+    }
+}
+
+fn check_shadows(engine: &str) {
     // A box at 1 m in front of a wall at 2 m. A Kinect's shadow is 0.075 * 131.25 * (1 - 1/2) = 4.9 pixels wide.
     let with_shadow = |shadow: std::ops::Range<usize>| {
         frame(move |u, v| match (u, v) {
@@ -146,11 +153,14 @@ fn a_shadow_becomes_the_surface_behind_where_the_sensor_casts_it() {
     };
     let left = with_shadow(54..60);
     // Not all of the shadow is filled, because pixels next to the box may belong to the box.
-    assert!(count(&smoothed("engine=cpu sensor=kinect1 fill=12", &left)) > 100);
-    assert_eq!(count(&smoothed("engine=cpu sensor=azure-kinect fill=12", &left)), 0, "it casts none");
-    assert!(count(&smoothed("engine=cpu sensor=kinect1 fill=12", &with_shadow(100..106))) > 100, "a mirrored frame");
+    assert!(count(&smoothed(&format!("{engine} sensor=kinect1 fill=12"), &left)) > 100);
+    assert_eq!(count(&smoothed(&format!("{engine} sensor=azure-kinect fill=12"), &left)), 0, "it casts none");
+    assert!(
+        count(&smoothed(&format!("{engine} sensor=kinect1 fill=12"), &with_shadow(100..106))) > 100,
+        "a mirrored frame"
+    );
     // This hole is much wider than the shadow that these depths explain.
-    assert_eq!(count(&smoothed("engine=cpu sensor=kinect1 fill=32", &with_shadow(30..60))), 0);
+    assert_eq!(count(&smoothed(&format!("{engine} sensor=kinect1 fill=32"), &with_shadow(30..60))), 0);
 }
 
 #[test]
@@ -252,7 +262,8 @@ fn results_do_not_depend_on_engine_threads_flight_or_pose() {
         }
         assert!(are_same(&found, &expected), "{settings}");
     }
-    // Other engines differ slightly, so single pixels may be filled or not.
+    // Other engines differ slightly, so single pixels may be filled or not. The GPU fills the holes of frames without
+    // colours itself.
     let mut engines = vec!["engine=reference fill=8".to_owned()];
     match test_adapter() {
         Some(adapter) => engines.push(format!("engine=gpu adapter={} fill=8", adapter.index)),
@@ -284,6 +295,54 @@ fn results_do_not_depend_on_engine_threads_flight_or_pose() {
     session.smooth(view.with_grid(WIDTH, HEIGHT).unwrap().with_pose(pose).unwrap(), &mut of_moved).unwrap();
     let (found, expected) = (filled(&of_moved), filled(&expected[0]));
     assert!(found.abs_diff(expected) as f64 <= 0.02 * expected as f64, "{found} {expected}");
+}
+
+#[test]
+fn a_gpu_fills_holes_before_it_returns_results_also_in_place() {
+    let Some(adapter) = test_adapter() else { return skip("no Vulkan adapter") };
+    let new = |outputs| {
+        let settings = format!("engine=gpu adapter={} fill=12 sensor=kinect1", adapter.index);
+        let mut session = Session::new(settings.parse().unwrap()).unwrap();
+        session.set_outputs(outputs);
+        session
+    };
+    let (scene, pose) = Scene::tabletop(6);
+    let truth = scene.render(&camera(), &pose);
+    let mut frame = DepthSimulator::new(DepthNoise::default(), camera(), 6).frame(&truth, 0).unwrap();
+    cut_holes(&mut frame, 6, 6);
+    let frame = DepthFrame::new(camera(), frame.raw).unwrap();
+    let outputs = Outputs::DEPTH.with_status(true).with_sigma(true);
+    let mut session = new(outputs);
+    let mut expected = Smoothed::default();
+    session.smooth(&frame, &mut expected).unwrap();
+    assert!(expected.has_filled() && expected.points.is_empty() && expected.sigma.is_some());
+    let is_same = |found: &Smoothed| {
+        let bits =
+            |smoothed: &Smoothed| smoothed.sigma.as_ref().unwrap().iter().map(|m| m.to_bits()).collect::<Vec<_>>();
+        (&found.depth, &found.status) == (&expected.depth, &expected.status) && bits(found) == bits(&expected)
+    };
+    session.submit_in_place(&frame).unwrap();
+    let in_place = session.receive().unwrap().unwrap();
+    assert!(in_place.points().is_none() && is_same(&in_place.into_smoothed()));
+    session.submit(Arc::new(frame.clone()), Smoothed::default()).unwrap();
+    assert!(is_same(&session.receive().unwrap().unwrap().into_smoothed()));
+    let (mut depth, mut status) = (vec![0; WIDTH * HEIGHT], vec![Status::Hole; WIDTH * HEIGHT]);
+    let into = SmoothedMut::new().with_depth(&mut depth).with_status(&mut status);
+    session.smooth_into(&frame, into).unwrap();
+    assert_eq!((Some(&depth), Some(&status)), (expected.depth.as_ref(), expected.status.as_ref()));
+    // The session fills frames with colours, which the GPU does not have: the colours keep holes open.
+    let mut again = Smoothed::default();
+    let rgb = |value: u8| frame.clone().with_rgb(vec![value; 3 * WIDTH * HEIGHT]);
+    session.smooth(&rgb(90), &mut again).unwrap();
+    assert!(again.has_filled() && again.points.is_empty());
+    let error = session.submit_in_place(&rgb(90)).unwrap_err().to_string();
+    assert!(error.contains("fill = 12"), "{error}");
+    // The same session returns to frames without colours, and to other outputs.
+    session.smooth(&frame, &mut again).unwrap();
+    assert!(is_same(&again));
+    session.set_outputs(Outputs::POINTS.with_status(true));
+    session.smooth(&frame, &mut again).unwrap();
+    assert_eq!((&again.status, again.sigma.is_none(), again.points.len()), (&expected.status, true, WIDTH * HEIGHT));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use crate::params::{EngineParams, FrameParams, Window, WindowSize};
 use crate::pose::SensorPose;
 use crate::sigma::{Sigma, SigmaBuffers};
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, SmoothingEngine};
+use crate::smoothing_engine::{AdmittedFrame, DeviceSteps, SmoothingEngine};
 use crate::testing::{DepthNoise, Random, Scene, simulated_frame};
 use crate::threads::Threads;
 
@@ -24,7 +24,8 @@ fn compare(name: &str, frame: Frame<'_>, params: FrameParams, bounds_checks: boo
     let params = EngineParams::from(params);
     let shape = frame.grid().unwrap();
     let mut engine = Gpu::open(params, OUTPUTS, &options, shape).unwrap();
-    assert!(engine.enable_sigma().unwrap(), "{name}");
+    let steps = DeviceSteps { sigma: true, fill_px: None, outputs: OUTPUTS.with_sigma(true) };
+    assert!(engine.take_steps(&steps).unwrap(), "{name}");
     let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
     let admitted = AdmittedFrame::new(frame, geometry);
     let mut found = Smoothed::default();
@@ -117,6 +118,7 @@ fn what_the_device_cannot_estimate_is_left_to_the_session() {
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
     let params = EngineParams::from(FrameParams::paper());
     for outputs in [Outputs::POINTS, OUTPUTS.with_points(false).with_normals(true)] {
-        assert!(!Gpu::open(params, outputs, &options, (64, 48)).unwrap().enable_sigma().unwrap());
+        let steps = DeviceSteps { sigma: true, fill_px: None, outputs: outputs.with_sigma(true) };
+        assert!(!Gpu::open(params, outputs, &options, (64, 48)).unwrap().take_steps(&steps).unwrap());
     }
 }
