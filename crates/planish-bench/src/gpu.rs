@@ -88,6 +88,8 @@ struct Bench<'a> {
 /// If the GPU is unavailable, or a result is wrong.
 pub fn run(args: &GpuOptions) -> Result<()> {
     let (input, depth) = frame(args)?;
+    // Without colours, which only the CPU uses to fill holes.
+    let depth = DepthFrame::new(depth.camera, depth.raw).map_err(Error::from)?;
     let cloud = depth.deproject().map_err(Error::from)?;
     let bench = Bench { args, depth: Arc::new(depth), cloud };
     let paper = FrameParams::paper();

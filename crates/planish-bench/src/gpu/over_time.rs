@@ -1,4 +1,5 @@
-//! Compares sessions that smooth over time, or estimate standard errors, with one that does neither, all else equal.
+//! Compares sessions that smooth over time, estimate standard errors or fill holes with one that does not, all else
+//! equal.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -21,7 +22,7 @@ enum Way {
     Poses,
     /// No smoothing over time, with standard errors.
     Sigma,
-    /// No smoothing over time, with standard errors, and with holes filled on the CPU.
+    /// No smoothing over time, with standard errors and filled holes.
     Filled,
 }
 
@@ -37,11 +38,6 @@ impl Way {
             Self::Filled => "off, with sigma and fill = 8",
         }
     }
-
-    /// Returns true if results can be read in place.
-    fn is_in_place(self) -> bool {
-        self != Self::Filled
-    }
 }
 
 impl Bench<'_> {
@@ -56,20 +52,18 @@ impl Bench<'_> {
                 })?;
                 let mut number = 0;
                 let kernel_us = self.spread(|| {
-                    let buffer = (!way.is_in_place()).then(Smoothed::default);
-                    self.submit(&mut session, way, buffer, &mut number)?;
+                    self.submit(&mut session, way, None, &mut number)?;
                     let timings = session.receive()?.and_then(|view| view.timings());
                     Ok(timings.map_or(f64::NAN, |timings| 1e6 * timings.kernel.as_secs_f64()))
                 })?;
                 let rate = |take| self.rate(way, take, transfer);
-                let in_place = |take| way.is_in_place().then(|| rate(take)).transpose();
                 rows.push(OverTimeRow {
                     way: way.name(),
                     transfer: format!("{transfer:?}").to_lowercase(),
                     kernel_us,
-                    points_in_place: in_place(Take::PointsInPlace)?,
+                    points_in_place: rate(Take::PointsInPlace)?,
                     points_copied: rate(Take::PointsCopied)?,
-                    depth_in_place: in_place(Take::DepthInPlace)?,
+                    depth_in_place: rate(Take::DepthInPlace)?,
                 });
             }
         }

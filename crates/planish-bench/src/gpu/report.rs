@@ -54,9 +54,9 @@ pub(super) struct OverTimeRow {
     pub(super) way: &'static str,
     pub(super) transfer: String,
     pub(super) kernel_us: Spread,
-    pub(super) points_in_place: Option<f64>,
+    pub(super) points_in_place: f64,
     pub(super) points_copied: f64,
-    pub(super) depth_in_place: Option<f64>,
+    pub(super) depth_in_place: f64,
 }
 
 #[derive(Serialize)]
@@ -116,9 +116,8 @@ pub(super) fn print_text(report: &Report) {
          place |\n|---|---|---|---|---|---|"
     );
     for OverTimeRow { way, transfer, kernel_us, points_in_place, points_copied, depth_in_place } in &report.over_time {
-        let [points, depth] =
-            [points_in_place, depth_in_place].map(|rate| rate.map_or("-".to_owned(), |rate| format!("{rate:.0}")));
-        crate::outln!("| {way} | {transfer} | {:.1} | {points} | {points_copied:.0} | {depth} |", kernel_us.median);
+        let rates = format!("{points_in_place:.0} | {points_copied:.0} | {depth_in_place:.0}");
+        crate::outln!("| {way} | {transfer} | {:.1} | {rates} |", kernel_us.median);
     }
     print_fleets(&report.fleets);
     crate::outln!("\n| batch | setting | kernel, µs | kernel per frame, µs |\n|---|---|---|---|");
