@@ -288,8 +288,8 @@ impl Smoother {
         self.opened.smooth_over_time(video)
     }
 
-    /// Adds steps to all later frames; returns false if the engine does not support them. Only for sessions, which check
-    /// buffers.
+    /// Adds steps to all later frames; returns false if the engine does not support them. Only for sessions, which
+    /// check buffers.
     pub(crate) fn take_steps(&mut self, steps: &DeviceSteps) -> Result<bool, Error> {
         self.opened.take_steps(steps)
     }

@@ -35,8 +35,8 @@ pub(super) struct SlotFill {
 }
 
 impl SlotFill {
-    /// Creates the buffers for `frames` frames whose holes are up to `width_px` wide. `bound` contains the input and the
-    /// result.
+    /// Creates the buffers for `frames` frames whose holes are up to `width_px` wide. `bound` contains the input and
+    /// the result.
     pub(super) fn new(
         gpu: &GpuDevice,
         layout: &Layout,

@@ -159,8 +159,8 @@ fn fill_constants(outputs: Outputs) -> String {
     text
 }
 
-/// Generates `fn solve`, which returns the surface of the normal equations by an LDL^T decomposition. z is L^-1 times the
-/// first unit vector; it gives the first entry of the inverse matrix, and so the leverage.
+/// Generates `fn solve`, which solves the normal equations by an LDL^T decomposition. z is L^-1 times the first unit
+/// vector; the first entry of the inverse matrix, and so the leverage, follows from it.
 fn solve() -> String {
     /// Exponents of the terms 1, x, y, x², xy and y².
     const TERMS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];

@@ -172,6 +172,7 @@ impl Layout {
     }
 
     /// Returns the range of each output, in the order of the result.
+    #[cfg(feature = "gpu")]
     pub(super) fn parts(&self) -> [Option<Range<usize>>; 9] {
         let of_vectors = |channels: Option<[Range<usize>; 3]>| channels.map(|[x, _, z]| x.start..z.end);
         let [status, neighbours, depth] = self.packed();

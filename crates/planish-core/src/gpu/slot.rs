@@ -194,8 +194,8 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the kernels of the frames, then those for standard errors and holes, or for the temporal filter. Requests
-    /// that the buffers be mapped once the kernels have run.
+    /// Submits the kernels of the frames, then those for standard errors and holes, or for the temporal filter.
+    /// Requests that the buffers be mapped once the kernels have run.
     pub(super) fn submit(
         &self,
         kernels: &Kernels,
