@@ -40,7 +40,7 @@ fn embed_page() {
 fn main() {
     embed_page();
     let version = std::env::var("CARGO_PKG_VERSION").unwrap_or_default();
-    // A package from a registry has no repository, but may be inside another one.
+    // A package from a registry has no repository of its own, but may be inside an unrelated one.
     let own_repository = Path::new("../../.git").exists() && Path::new("../planish/Cargo.toml").exists();
     let git_folder = own_repository.then(|| first_line("git", &["rev-parse", "--git-common-dir"])).flatten();
     let commit = match git_folder {

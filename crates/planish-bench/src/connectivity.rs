@@ -85,8 +85,8 @@ pub fn run(context: &Bench<'_>) -> Result<Section> {
         (curve.intercept_ms, curve.slope_ms, curve.r2) = line_through(&curve.points());
     }
     section.note(format!(
-        "The table shows milliseconds per frame by the number of candidates in the window ({}; radius 1 cm per pixel \
-         of the half-width).",
+        "The table shows the time per frame in milliseconds for each number of candidates in the window ({}; the \
+         radius is 1 cm times the half-width in pixels).",
         input.describe()
     ));
     let mut header = vec!["engine, degree".to_owned()];

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::timing::{Spread, Timing, milliseconds};
 
-/// Number of points compared with the reference, which takes about a second for ten thousand points.
+/// Maximum number of points compared with the reference engine, which takes about a second for 10,000 points.
 const CHECKED_POINTS: usize = 10_000;
 /// Time after which no further run begins.
 const LONGEST: Duration = Duration::from_secs(20);

@@ -66,7 +66,7 @@ pub fn run(options: &RigBenchOptions) -> Result<()> {
     }
     crate::outln!("{} cameras of 640x480 around a simulated table, default setting", options.cameras);
     crate::outln!(
-        "| way | engine | points | one moment, ms | in flight | moments per second |\n|---|---|--:|--:|--:|--:|"
+        "| mode | engine | points | ms per moment | in flight | moments per second |\n|---|---|--:|--:|--:|--:|"
     );
     for Row { way, engine, points, one_ms, moments_a_second, in_flight } in &rows {
         crate::outln!("| {way} | {engine} | {points} | {} | {in_flight} | {moments_a_second:.1} |", one_ms.cell());

@@ -36,7 +36,8 @@ impl State {
     fn smooth_into(&mut self, given: &Given, wanted: &mut Wanted) -> Done<()> {
         self.check_idle()?;
         self.session.set_outputs(wanted.outputs());
-        // SAFETY: the callers of this module's C functions guarantee the memory, and check_apart was called.
+        // SAFETY: the callers of this module's C functions guarantee that the pointers are valid, and check_apart has
+        // verified that the buffers do not overlap.
         let (frame, out) = unsafe { (given.frame()?, wanted.buffers()) };
         let done = self.with_prepared(frame, |session, frame| Ok(session.smooth_into(frame, out)?));
         self.take_events();

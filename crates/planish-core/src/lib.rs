@@ -1,7 +1,7 @@
 //! The types and engines of planish: everything from depth or points in memory to smoothed points in memory.
 //!
-//! Most programs depend on the crate `planish`, which re-exports this one and adds files, cameras and ROS 2.
-//! The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.
+//! Most programs should depend on the crate `planish`, which re-exports this one and adds support for files, cameras
+//! and ROS 2. The method is defined in the project's `docs/method.md`; comments that name a section refer to that page.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![deny(

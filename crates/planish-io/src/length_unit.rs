@@ -96,8 +96,8 @@ impl std::fmt::Display for LengthUnit {
 /// Returns the linear unit of a coordinate system in well-known text, version 1 or 2.
 #[cfg(any(test, feature = "scans"))]
 pub(crate) fn unit_of_wkt(text: &str) -> Option<LengthUnit> {
-    // Ellipsoids and parameters also have units, so the search starts at the axes. Units of angles are skipped, and the
-    // first unit of length is the horizontal one.
+    // Ellipsoids and parameters also have units, so the search starts at the axes. Angular units are skipped, and the
+    // first linear unit is the horizontal one.
     let axes = [",CS[", "PROJECTION["].iter().find_map(|part| text.find(part));
     let text = &text[axes.unwrap_or(0)..];
     let units = text.match_indices("UNIT[").map(|(at, start)| &text[at + start.len()..]);

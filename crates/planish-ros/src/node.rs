@@ -488,7 +488,7 @@ impl Work {
         if is_new {
             eprintln!("warning: {}", planish::io::printable(&text));
             rosout!(self.node, LogLevel::Warn, "{}", text);
-            // Texts that differ each time must not fill the memory.
+            // Warnings that differ each time would otherwise fill the memory.
             if self.warned.len() > 100 {
                 self.warned.clear();
             }

@@ -214,7 +214,7 @@ fn two_frames_of_one_name_are_told_apart_and_an_engine_that_is_not_there_is_refu
     let out = folder.path().join("out");
     let bench = ["bench", "quality", "--quick", "--engine", "reference", "--input", str(&path), str(&other)];
     let stdout = ok(&[&bench[..], &["--out", str(&out)]].concat());
-    assert!(stdout.contains("Engine: reference (f64)"), "{stdout}");
+    assert!(stdout.contains("engine: reference (f64)"), "{stdout}");
     let quality: Value = serde_json::from_slice(&fs::read(out.join("quality.json")).unwrap()).unwrap();
     let variances: Vec<_> = (0..4).map(|i| quality["results"][i]["smoothed_variance_mm2"].as_f64().unwrap()).collect();
     assert!(variances[0] != variances[2] && variances[1] != variances[3], "{quality}");

@@ -70,7 +70,7 @@ fn a_rig_is_streamed_saved_and_what_is_saved_is_a_rig_again() {
     }
     let both = str(&path("both")).to_owned();
     let stderr = refused(&["stream", "--rig", str(&rig), "--save", &both, "--save-cameras", &both]);
-    assert!(stderr.contains("need two folders"), "{stderr}");
+    assert!(stderr.contains("need separate folders"), "{stderr}");
     let within = str(&path("both").join("within")).to_owned();
     assert!(
         refused(&["stream", "--rig", str(&rig), "--save", &within, "--save-cameras", &both])

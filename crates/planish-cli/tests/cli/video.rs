@@ -23,7 +23,7 @@ fn videos_are_measured_simulated_exported_and_from_folders() {
     let animation = fs::read(pictures.join("moving-camera.png")).unwrap();
     assert!(animation.windows(4).any(|chunk| chunk == b"acTL"));
 
-    // The exported frames give the same scores. Another program's results are measured next to planish's.
+    // The exported frames give the same scores. Another program's results are measured alongside planish's.
     run(&["--sequence", "still", "--export", str(&exported)]);
     let still = exported.join("still");
     let camera_file = still.join("camera.json");

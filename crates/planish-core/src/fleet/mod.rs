@@ -17,6 +17,7 @@ use crate::frame::{Frame, FrameGeometry, GeometryScratch};
 use crate::params::{CloudParams, EngineParams, FrameParams, Params, Window, WindowSize};
 use crate::smoothed::Smoothed;
 use crate::smoother::{Smoother, check_grid, check_options, for_engine};
+use crate::smoothing_engine::DeviceSteps;
 use crate::threads::{ONE_THREAD, on_a_thread_each};
 use crate::view::SmoothedView;
 pub use devices::FleetDevice;
@@ -75,6 +76,8 @@ pub struct Fleet {
     grid: Option<(usize, usize)>,
     /// Maximum number of frames in flight while at least one device works.
     room: usize,
+    /// Whether the devices compute the steps after smoothing.
+    takes_steps: bool,
     /// The window, if its size depends on the resolution and the resolution is not known yet.
     undecided: Option<Window>,
     /// The window size, if it depends on the resolution and a frame has determined it.
@@ -117,17 +120,19 @@ impl Fleet {
     ) -> Result<Self, Error> {
         check_options(params, options, grid)?;
         let (params, undecided) = for_engine(params);
-        let mut fleet = Self::open_decided(params, options, devices, grid)?;
+        let mut fleet = Self::open_decided(params, options, devices, grid, None)?;
         fleet.undecided = undecided;
         Ok(fleet)
     }
 
-    /// Opens a fleet whose window is already decided.
+    /// Opens a fleet whose window is already decided. The devices compute `steps` after smoothing if all of them
+    /// support it ([`takes_steps`](Self::takes_steps)).
     pub(crate) fn open_decided(
         params: EngineParams,
         options: &SmootherOptions,
         devices: &[FleetDevice],
         grid: Option<(usize, usize)>,
+        steps: Option<&DeviceSteps>,
     ) -> Result<Self, Error> {
         if devices.is_empty() {
             let reason = "a fleet needs at least one device".to_owned();
@@ -145,16 +150,22 @@ impl Fleet {
         let open = |device: &FleetDevice| {
             let mut smoother = Smoother::open_decided(params, &options_of(device), grid)?;
             smoother.prepare_in_flight();
-            Ok(smoother)
+            let takes_steps = steps.map_or(Ok(false), |steps| smoother.take_steps(steps))?;
+            Ok((smoother, takes_steps))
         };
         let panicked = || EngineError::Unavailable {
             engine: "fleet",
             reason: "the thread that opens a device panicked".to_owned(),
         };
         let opened = on_a_thread_each(devices, open).into_iter();
-        let smoothers: Result<Vec<Smoother>, Error> =
+        let opened: Result<Vec<(Smoother, bool)>, Error> =
             opened.map(|result| result.unwrap_or_else(|_| Err(panicked().into()))).collect();
-        let smoothers = smoothers?;
+        let (smoothers, take_steps): (Vec<Smoother>, Vec<bool>) = opened?.into_iter().unzip();
+        let takes_steps = take_steps.iter().all(|takes_steps| *takes_steps);
+        if !takes_steps && take_steps.contains(&true) {
+            // All results of a fleet must need the same steps, so the devices are opened again without them.
+            return Self::open_decided(params, options, devices, grid, None);
+        }
         let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);
         let shared = Arc::new(Shared::new(&smoothers, window));
         let start = |(device, smoother)| Worker::start(Arc::clone(&shared), device, smoother);
@@ -162,7 +173,13 @@ impl Fleet {
         // If a worker fails to start, stop the threads that have started, which would otherwise wait forever.
         let workers = workers.inspect_err(|_| shared.close())?;
         let scratch = GeometryScratch::default();
-        Ok(Self { shared, workers, grid, room: window, undecided: None, size: None, scratch, next_in: 0, next_out: 0 })
+        let (undecided, size, next_in, next_out) = (None, None, 0, 0);
+        Ok(Self { shared, workers, grid, room: window, takes_steps, undecided, size, scratch, next_in, next_out })
+    }
+
+    /// Returns true if the devices compute the steps after smoothing.
+    pub(crate) fn takes_steps(&self) -> bool {
+        self.takes_steps
     }
 
     /// Submits a frame, and a buffer for its result. Returns at once; another thread smooths the frame.

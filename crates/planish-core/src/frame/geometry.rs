@@ -142,8 +142,8 @@ fn assumed_sensor(sample: &mut Vec<DVec3>, origin: DVec3) -> Option<RigidTransfo
     (!may_be_sensor).then(|| extent.sensor_beside(None))
 }
 
-/// Returns true if a position is on the surface of the sampled points: the number of points within a distance of the
-/// position grows with the square of that distance. Around a sensor, by contrast, even the nearest points are some
+/// Returns true if a position is on the surface of the sampled points, that is, if the number of points within a given
+/// distance of it grows with the square of the distance. Around a sensor, by contrast, even the nearest points are some
 /// distance away.
 fn is_on_surface(sample: &[DVec3], place: DVec3) -> bool {
     // Zeros encode missing data.

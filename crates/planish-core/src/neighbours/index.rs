@@ -278,7 +278,7 @@ impl Iterator for Nearest<'_> {
     }
 }
 
-/// Returns point `i` of three channels. Written out, because `array::map` is not inlined in kernels; see
+/// Returns point `i` from arrays of x, y and z. Written out, because `array::map` is not inlined in kernels; see
 /// cpu/vector.rs.
 #[inline]
 fn point_of([x, y, z]: &[Vec<f32>; 3], i: usize) -> [f32; 3] {

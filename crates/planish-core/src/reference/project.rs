@@ -75,7 +75,7 @@ mod tests {
             let along = along_ray(surface, normal, ray, 0.1);
             assert!(((along * ray - surface).dot(normal)).abs() < 1e-15, "{along}");
         }
-        // At grazing incidence, the motion falls to 0 without a jump.
+        // At grazing incidence, the motion falls continuously to 0.
         let grazing = |cosine: f64| {
             let across = ray.cross(DVec3::X).normalize();
             let normal = cosine * ray.normalize() + (1.0 - cosine * cosine).sqrt() * across;

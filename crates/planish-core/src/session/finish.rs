@@ -107,7 +107,8 @@ impl Session {
     }
 
     /// Returns the steps after smoothing that an engine should compute for frames like this one if it can; `None` if
-    /// there are none, or if they follow smoothing over time. `sigma` states whether the engine may estimate standard errors.
+    /// there are none, or if they follow smoothing over time. `sigma` states whether the engine may estimate standard
+    /// errors.
     pub(super) fn steps_of_engine(&mut self, frame: Frame<'_>, sigma: bool) -> Option<DeviceSteps> {
         let fill_px = self.fill_px();
         if !(sigma || fill_px.is_some()) || frame.grid().is_none() || self.over_time(frame).is_some() {

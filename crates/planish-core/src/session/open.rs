@@ -68,7 +68,8 @@ impl Open {
             }
             Smoothing::One(smoother)
         } else {
-            let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid)?);
+            let fleet = Box::new(Fleet::open_decided(*params, options, devices, *grid, steps.as_ref())?);
+            takes_steps = fleet.takes_steps();
             Smoothing::Fleet { fleet, devices: devices.to_vec(), reported: Vec::new() }
         };
         Ok(Self { open_for, smoothing, is_over_time, takes_steps })

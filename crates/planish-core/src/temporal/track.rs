@@ -145,7 +145,7 @@ impl Tracker {
     ) -> (Alignment, Vec<Match>) {
         let height = self.camera.height;
         let rows: Vec<usize> = (0..height).step_by(step).collect();
-        // This loop is compiled for each instruction set, because rounding is a function call without SSE4.1.
+        // This loop is compiled for each instruction set, because without SSE4.1 rounding is a function call.
         let tasks: Vec<(usize, Vec<Match>)> = rows
             .par_chunks(TASK_ROWS)
             .map(|rows| dispatch!(self.level, simd => self.find_rows(simd, previous, current, motion, (rows, step))))

@@ -61,7 +61,7 @@ impl RigScene {
         Self { scene, poses: (0..cameras).map(pose).collect() }
     }
 
-    /// Returns the poses that a calibration with `errors` would state. The first camera's pose is exact; all others
+    /// Returns the poses that a calibration with `errors` would produce. The first camera's pose is exact; all others
     /// are rotated about a random axis and shifted in a random direction.
     pub fn poses_with_errors(&self, errors: PoseErrors, seed: u64) -> Vec<Pose> {
         let mut random = Random::new(seed, STREAM_POSES);

@@ -140,7 +140,7 @@ pub fn smooth_tiles(
 ) -> Result<TilesReport, Error> {
     if !are_tiled(input, output) {
         let reason =
-            "smoothing in tiles needs an input and an output of the same kind: .las or .laz, or .ply".to_owned();
+            "smoothing in tiles needs an input and an output of one kind: both .las or .laz, or both .ply".to_owned();
         return Err(IoError::at(output)(FormatError::Unsupported(reason)).into());
     }
     match Format::of_extension(input) {

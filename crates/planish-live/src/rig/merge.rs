@@ -19,7 +19,7 @@ const MOST_CLOUDS: usize = 256;
 /// identity leaves a cloud in place).
 ///
 /// Coordinates in units other than metres, which LAS files may state, are converted. Holes are omitted. Fields with the
-/// same name are merged, with zeros for points of clouds without the field. Fields of different types become f64, and
+/// same name are merged; points from clouds that lack a field get zeros. Fields of different types become f64, and
 /// packed colours become red, green and blue. Normals are rotated. The field `scan` contains the index of each point's
 /// cloud, or of its scan if a cloud has several. Sensor positions are kept ([`PointCloud::scanners_m`]). The second
 /// value is a list of notes for users, one clause each.

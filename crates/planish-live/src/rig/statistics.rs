@@ -24,7 +24,7 @@ pub struct CameraStatistics {
     pub dropped: u64,
     /// Frames that could not be read, or that the engine refused.
     pub unreadable: u64,
-    /// Whether the camera ended before the stream.
+    /// Whether the camera's source ended before the stream did.
     pub has_ended: bool,
 }
 

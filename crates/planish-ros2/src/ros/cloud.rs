@@ -81,7 +81,7 @@ impl PointCloud2 {
         }
         let (step, row) = (u64::from(self.point_step), u64::from(self.point_step) * u64::from(self.width));
         let is_short = self.height > 1 && row > u64::from(self.row_step);
-        // The padding behind the last point may be missing, but not more than that.
+        // Only the padding after the last point may be missing.
         if is_short || step > (self.data.len() as u64).max(MOST_PADDING) {
             return Err(FormatError::Malformed(format!(
                 "sizes contradict each other: points of {step} bytes, {} points in a row of {} bytes, and {} bytes of \

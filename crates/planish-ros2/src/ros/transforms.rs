@@ -378,7 +378,7 @@ mod tests {
         let expected = [45.0f64.to_radians().cos(), 1.0 + 45.0f64.to_radians().sin(), 0.0];
         assert!((DVec3::from(pose.position_m) - DVec3::from(expected)).length() < 1e-9, "{pose:?}");
         assert!((pose.orientation[3] - 22.5f64.to_radians().sin()).abs() < 1e-9, "{pose:?}");
-        // Against the direction of the tree, and between frames of different branches.
+        // Poses are also found from parent to child, and between frames on different branches.
         let back = transforms.pose("odom", "camera", at(10.0)).unwrap();
         assert_eq!(back.position_m, [-1.0, 0.0, 0.0]);
         let mut beside = robot();

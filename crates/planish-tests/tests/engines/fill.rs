@@ -330,6 +330,22 @@ fn a_gpu_fills_holes_before_it_returns_results_also_in_place() {
     let into = SmoothedMut::new().with_depth(&mut depth).with_status(&mut status);
     session.smooth_into(&frame, into).unwrap();
     assert_eq!((Some(&depth), Some(&status)), (expected.depth.as_ref(), expected.status.as_ref()));
+    // Two members of a fleet fill holes too; a CPU among them leaves all holes to the session.
+    for devices in [format!("{0},{0}", adapter.index), format!("{},cpu", adapter.index)] {
+        let mut fleet = new(outputs);
+        fleet.set_settings(format!("devices={devices} fill=12 sensor=kinect1").parse().unwrap()).unwrap();
+        fleet.set_outputs(outputs);
+        for _ in 0..3 {
+            fleet.submit(Arc::new(frame.clone()), Smoothed::default()).unwrap();
+        }
+        while let Some(found) = fleet.receive().unwrap() {
+            let found = found.into_smoothed();
+            let filled = |smoothed: &Smoothed| smoothed.status_counts().unwrap()[Status::Filled as usize];
+            let (found_px, expected_px) = (filled(&found), filled(&expected));
+            assert!(found_px.abs_diff(expected_px) <= expected_px / 50, "{devices}: {found_px} {expected_px}");
+            assert!(found.points.is_empty() && found.sigma.is_some());
+        }
+    }
     // The session fills frames with colours, which the GPU does not have: the colours keep holes open.
     let mut again = Smoothed::default();
     let rgb = |value: u8| frame.clone().with_rgb(vec![value; 3 * WIDTH * HEIGHT]);

@@ -447,7 +447,7 @@ fn print(video: &Video) {
     line("  wander of the noisiest 5 %, mm", &both(|range| range.wander_95_mm));
     let share = |value: Option<f64>| value.map(percent);
     line("distance from the plane of 8x8 pixels, median, mm", &|way| mm(way.flatness_mm));
-    line("moving object: its pixels that show it", &|way| share(way.found_share));
+    line("pixels of a moving object that show it", &|way| share(way.found_share));
     line("surfaces that have just appeared, but do not show", &|way| share(way.late_share));
     line("pixels that an object has just left, but still show it", &|way| share(way.left_share));
     line("lag of moving surfaces, mean, mm", &|way| mm(way.lag_mm));

@@ -278,7 +278,8 @@ fn frames(args: &SmoothArgs, input: &Path) -> Result<ExitCode> {
         .with_events(tell)
         .run()?;
     if stop.load(Ordering::Relaxed) {
-        let left = if is_mcap(&args.output) { "nothing was written" } else { "the frames so far were written" };
+        let left =
+            if is_mcap(&args.output) { "nothing was written" } else { "the frames smoothed so far were written" };
         errln!("{}: stopped; {left}", args.output.display());
         return Ok(ExitCode::from(INTERRUPTED));
     }

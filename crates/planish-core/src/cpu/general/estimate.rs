@@ -192,7 +192,7 @@ impl Compared<'_> {
         let robust = |neighbours| Way { edges: Edges::Robust, neighbours };
         let neighbours = smooth.way.neighbours;
         let mut kept = self.try_way(robust(self.above(neighbours, 2)));
-        // Next to thin walls and fine detail, fewer neighbours keep edges better.
+        // Next to thin walls and fine detail, fewer neighbours preserve edges better.
         let is_few = neighbours <= TRIED[0];
         let fewer = [neighbours, self.above(neighbours, 1)];
         for neighbours in fewer.into_iter().take(if is_few { 2 } else { 1 }) {
@@ -279,8 +279,8 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the misses are distributed more evenly than noise, as they are if the surface is between the two
-    /// sides of a wall.
+    /// Returns true if the distribution of the misses is flatter than that of Gaussian noise, which indicates that the
+    /// fitted surface is between the two sides of a wall.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);

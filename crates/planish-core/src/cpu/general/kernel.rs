@@ -1,4 +1,4 @@
-//! Inputs of the kernels for unorganized clouds, and the gathering of candidates.
+//! Inputs of the kernels for unorganized clouds, and functions that gather candidates.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 

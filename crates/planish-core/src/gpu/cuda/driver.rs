@@ -270,7 +270,7 @@ impl Cuda {
     ) -> Result<(), String> {
         let Grid { blocks: [x, y, z], threads: [across, down] } = grid;
         let (function, stream) = (kernel.function as Handle, stream as Handle);
-        // SAFETY: the caller guarantees the arguments and the stream.
+        // SAFETY: the caller guarantees that the arguments and the stream are valid.
         let code = unsafe {
             let arguments = arguments.as_mut_ptr();
             (self.functions.launch)(function, x, y, z, across, down, 1, 0, stream, arguments, ptr::null_mut())
@@ -316,7 +316,7 @@ impl Cuda {
         self.within(|| {
             for (to, from) in parts {
                 let from = from.as_ref();
-                // SAFETY: the caller guarantees the address.
+                // SAFETY: the caller guarantees that the address is valid.
                 let code = unsafe { (self.functions.upload)(to, from.as_ptr().cast(), from.len()) };
                 self.check("cuMemcpyHtoD", code)?;
             }
@@ -346,7 +346,7 @@ impl Cuda {
         (row_bytes, rows): (usize, usize),
         stream: usize,
     ) -> Result<(), String> {
-        // SAFETY: the caller guarantees the addresses and the stream.
+        // SAFETY: the caller guarantees that the addresses and the stream are valid.
         unsafe {
             if from_stride == row_bytes {
                 let code = (self.functions.copy)(to, from, row_bytes * rows, stream as Handle);
@@ -420,7 +420,7 @@ impl Event {
     }
 }
 
-// Errors of these destructors cannot be reported, so they are ignored.
+// Errors in these destructors cannot be reported, so they are ignored.
 
 impl Drop for Memory {
     fn drop(&mut self) {

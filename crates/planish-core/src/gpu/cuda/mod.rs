@@ -333,7 +333,8 @@ impl CudaSmoother {
             };
             let mut arguments: Vec<*mut c_void> = bindings.iter().map(argument).collect();
             let grid = Grid { blocks: [*across, *down, frames], threads: *threads };
-            // SAFETY: the bindings' parameters have these types; the caller guarantees the buffers.
+            // SAFETY: each argument has the type of the kernel's parameter; the caller guarantees that the buffers are
+            // valid until the stream has run the kernel.
             unsafe { self.cuda.launch(kernel, grid, &mut arguments, stream)? };
         }
         Ok(())

@@ -78,7 +78,7 @@ fn mode(width: usize, height: usize, fps: Option<u32>) -> Option<StreamMode> {
     Some(StreamMode { width, height, fps })
 }
 
-/// Environment variable with the folder of the process that the test starts.
+/// Environment variable that passes the test's temporary folder to the child process.
 const FOLDER: &str = "PLANISH_TEST_OPENNI2";
 
 /// Name of the file in the folder of [`FOLDER`] with the number of frames after which the driver unplugs its camera.
