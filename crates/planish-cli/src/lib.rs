@@ -136,7 +136,7 @@ pub fn keep_reserve() {
     if let Some(layout) = reserve_layout()
         && RESERVE.load(Ordering::Relaxed).is_null()
     {
-        // SAFETY: the layout's size is not 0. If the allocation fails, there is no reserve.
+        // SAFETY: the layout's size is not 0. If the allocation fails, the program runs without a reserve.
         RESERVE.store(unsafe { System.alloc(layout) }, Ordering::Relaxed);
     }
 }

@@ -271,9 +271,9 @@ impl Outputs {
 impl PointCloud {
     /// Replaces the positions by the result and adds the available outputs among `fields`: `normal_x`, `normal_y`,
     /// `normal_z`, `curvature` (PCL's names), `status`, `neighbours`, `frames` and `sigma`. All other fields are kept,
-    /// except normals and curvature. Those of the measured points are wrong for the moved points, so they are removed
-    /// unless replaced ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of several
-    /// scans, normals face the scanner of each point.
+    /// except normals and curvature. Values computed for the measured points are wrong for the moved points, so they
+    /// are removed unless replaced ([`Outputs::renewing`]). Status is always added if holes were filled. In a file of
+    /// several scans, normals face the scanner of each point.
     pub fn apply(&mut self, smoothed: &Smoothed, fields: Outputs) -> Result<(), FrameError> {
         smoothed.points.check_len("the smoothed points", self.len())?;
         let fields = fields.with_status(fields.status || (!ONE_THREAD && smoothed.has_filled()));

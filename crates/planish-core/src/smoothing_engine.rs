@@ -23,7 +23,7 @@ pub(crate) struct AdmittedFrame<'a> {
     pub(crate) step: VideoStep,
 }
 
-/// A video that an engine may smooth over time by itself (docs/method.md, section 16). Its frames are seen by a sensor
+/// A video that an engine may itself smooth over time (docs/method.md, section 16). Its frames are seen by a sensor
 /// at the origin, and their ranges are depths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Video {
@@ -51,7 +51,7 @@ pub(crate) struct DeviceSteps {
     pub(crate) sigma: bool,
     /// Maximum width in pixels of the holes to fill (docs/method.md, section 18).
     pub(crate) fill_px: Option<u32>,
-    /// The outputs that the user requested. The engine is opened for those that the steps need.
+    /// The outputs that the user requested. The engine is opened for the outputs that the steps need.
     pub(crate) outputs: Outputs,
 }
 

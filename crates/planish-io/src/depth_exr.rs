@@ -9,8 +9,8 @@ use exr::prelude::{ReadChannels, ReadLayers};
 use super::{Contents, FormatResult, ReadOptions, brief, quoted};
 use planish_core::{FormatError, validate_shape};
 
-/// Depth in metres at and above which a pixel is a hole. Where a ray hits nothing, renderers write 1e10, or the
-/// largest value of the type.
+/// Depth in metres at and above which a pixel is a hole. If a ray hits nothing, renderers write 1e10 or the largest
+/// value of the type.
 const NOTHING: f32 = 1e9;
 /// Depth in metres at and above which a pixel with a 16-bit float is a hole: the type's largest value.
 const NOTHING_IN_HALF: f32 = 65504.0;

@@ -75,7 +75,7 @@ pub(super) fn decode_pfm(bytes: &[u8], options: &ReadOptions) -> FormatResult<Co
     }
     let (width, height) = (words.number("a width")?, words.number("a height")?);
     validate_shape(width, height)?;
-    // The sign states the byte order. The magnitude has no defined unit and is ignored.
+    // The sign states the byte order. The magnitude is ignored, because its unit is undefined.
     let scale: f64 = words.number("a scale")?;
     options.check(width * height, 4)?;
     let value = if scale < 0.0 { f32::from_le_bytes } else { f32::from_be_bytes };

@@ -253,7 +253,7 @@ fn components(attribute: Attribute, rows: usize, is_taken: impl Fn(&str) -> bool
     (0..3).map(component).collect()
 }
 
-/// Joins the component fields of normals, and those of colours, into one array each.
+/// Joins the component fields of normals and of colours into one array each.
 fn vectors(attributes: &[Attribute]) -> Vec<Attribute> {
     let mut all = attributes.to_vec();
     for (names, components) in VECTORS {

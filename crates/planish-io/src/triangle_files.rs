@@ -18,7 +18,7 @@ pub const WRITTEN_MESHES: &str = ".ply, .obj, .stl or .glb";
 /// rotated to make y point up, as glTF requires.
 ///
 /// # Errors
-/// If the mesh has no triangles, the extension is unknown, or the file cannot be written.
+/// If the mesh contains no triangles, the extension is unknown, or the file cannot be written.
 pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let encode = || match extension.as_deref() {

@@ -26,7 +26,7 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     set_up_memory();
-    // SAFETY: the process has no other thread yet.
+    // SAFETY: no other thread is running yet.
     unsafe { planish::silence_vulkan_drivers() };
     end_on_panics();
     let stop = Arc::new(AtomicBool::new(false));

@@ -93,10 +93,10 @@ impl TestEngine {
 }
 
 /// Returns the adapter on which the GPU engine is tested: the adapter that `Auto` chooses, otherwise the first, even
-/// if it is a software adapter. Returns `None` if there is no adapter.
+/// if it is a software adapter. Returns `None` if no adapter was found.
 ///
 /// # Panics
-/// If there is no adapter and the environment variable PLANISH_REQUIRE_GPU is set.
+/// If no adapter was found and the environment variable PLANISH_REQUIRE_GPU is set.
 pub fn test_adapter() -> Option<&'static GpuAdapter> {
     static ADAPTER: OnceLock<Option<GpuAdapter>> = OnceLock::new();
     let adapter = ADAPTER.get_or_init(|| {

@@ -125,7 +125,7 @@ fn recordings_get_a_topic_of_origins() {
     fs::create_dir(&frames).unwrap();
     fs::copy(path("depth.png"), frames.join("1.png")).unwrap();
     ok(&["smooth", str(&frames), str(&path("raw.mcap")), "--camera", &camera]);
-    // Fill the holes of a recording, then those of a folder.
+    // Fill the holes in a recording, then in a folder of frames.
     ok(&["smooth", str(&path("raw.mcap")), str(&path("a.mcap")), "--fill", "6"]);
     ok(&["smooth", str(&frames), str(&path("b.mcap")), "--camera", &camera, "--fill", "6"]);
     let topics = |name: &str| {
@@ -166,7 +166,7 @@ fn filling_is_measured_and_widths_are_checked() {
         let said = refused(&["smooth", str(&depth), str(&out), "--camera", &camera, "--fill", width]);
         assert!(said.contains(expected), "{said}");
     }
-    // A cloud without pixels has no holes to fill.
+    // A cloud without pixels cannot have holes to fill.
     let cloud = folder.path().join("cloud.ply");
     let points = planish::PointCloud::new((0..500).map(|i| [(i % 25) as f32, (i / 25) as f32, 1.0]).collect());
     io::write_cloud(&cloud, &points, Encoding::Binary).unwrap();

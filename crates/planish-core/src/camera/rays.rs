@@ -6,9 +6,9 @@ use super::Camera;
 #[derive(Debug, Clone, Default)]
 pub struct Rays {
     camera: Option<Camera>,
-    /// X/Z per column, or per pixel with lens distortion; NaN where the lens model has no ray.
+    /// X/Z per column, or per pixel with lens distortion; NaN where the lens model is not invertible.
     pub x: Vec<f32>,
-    /// Y/Z per row, or per pixel with lens distortion; NaN where the lens model has no ray.
+    /// Y/Z per row, or per pixel with lens distortion; NaN where the lens model is not invertible.
     pub y: Vec<f32>,
 }
 

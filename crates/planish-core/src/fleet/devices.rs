@@ -34,7 +34,7 @@ impl FleetDevice {
             let named = match name.to_lowercase().as_str() {
                 "cpu" => vec![Self::Cpu],
                 "all" => {
-                    // Fails with the list of adapters if there is no GPU.
+                    // Without a GPU, this fails with the list of adapters.
                     let first = choose(adapters, None)?;
                     // Each backend lists every GPU, so only one backend counts.
                     let is_listed = |adapter: &&GpuAdapter| adapter.backend == first.backend;

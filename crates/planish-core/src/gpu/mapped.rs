@@ -40,7 +40,7 @@ impl Mapped {
         let missing = lock(&self.0.missing);
         let waited = self.0.changed.wait_timeout_while(missing, TIMEOUT, |&mut (missing, _)| missing > 0);
         let (missing, has_failed) = *waited.unwrap_or_else(PoisonError::into_inner).0;
-        // The lock is no longer held: `failed` polls the device, which may run callbacks that update the count.
+        // The lock has been released: `failed` polls the device, which may run callbacks that update the count.
         if missing == 0 && !has_failed { Ok(()) } else { Err(gpu.failed("a buffer could not be mapped")) }
     }
 }

@@ -11,8 +11,8 @@ pub(super) fn open_one(adapter: &wgpu::Adapter) -> Result<(wgpu::Device, wgpu::Q
     pollster::block_on(adapter.request_device(&descriptor(adapter)))
 }
 
-/// Opens the adapter with several queues. Returns `None` if it has no queues that are known to run concurrently, or
-/// the driver rejects the request.
+/// Opens the adapter with several queues. Returns `None` if it lacks queues that are known to run concurrently, or
+/// if the driver rejects the request.
 #[cfg(target_vendor = "apple")]
 pub(super) fn open_several(_: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
     None
@@ -46,8 +46,8 @@ mod vulkan {
     /// Queue priorities; all are equal.
     static PRIORITIES: [f32; QUEUES] = [1.0; QUEUES];
 
-    /// Opens the adapter with several queues. Returns `None` if it has no queues that are known to run concurrently,
-    /// or the driver rejects the request.
+    /// Opens the adapter with several queues. Returns `None` if it lacks queues that are known to run concurrently,
+    /// or if the driver rejects the request.
     pub(crate) fn open_several(adapter: &wgpu::Adapter) -> Option<Vec<(wgpu::Device, wgpu::Queue)>> {
         // SAFETY: no part of the adapter is destroyed.
         let raw_adapter = unsafe { adapter.as_hal::<api::Vulkan>() }?;

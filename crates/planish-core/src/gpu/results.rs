@@ -16,7 +16,7 @@ pub(super) struct Results<'a> {
 }
 
 impl<'a> Results<'a> {
-    /// Selects a frame of a batch. If `batch` is empty, the frame has no values.
+    /// Selects a frame of a batch. An empty `batch` yields a frame without values.
     pub(super) fn of_frame(layout: &'a Layout, batch: &'a [u8], frame: usize) -> Self {
         let bytes = 4 * layout.output_words();
         Self { layout, bytes: batch.get(frame * bytes..(frame + 1) * bytes).unwrap_or_default() }

@@ -57,8 +57,8 @@ impl Strength {
         WindowSize { half_width: half_px.round() as u32, stride: 1 }
     }
 
-    /// Returns the ridge for a sensor with noise. The ridge grows from that of light at 0 to that of the default at
-    /// 0.5, and is constant above 0.5.
+    /// Returns the ridge for a sensor with noise. The ridge grows from `LIGHT_RIDGE` at strength 0 to `RIDGE` at 0.5,
+    /// and is constant above 0.5.
     pub(super) fn noisy_ridge(self) -> f32 {
         LIGHT_RIDGE * (RIDGE / LIGHT_RIDGE).powf((2.0 * self.0).min(1.0))
     }

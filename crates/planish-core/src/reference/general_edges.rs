@@ -16,7 +16,7 @@ const MEAN_REACH: f64 = 0.4;
 /// residual.
 const DISTANCE_WEIGHT: f64 = 0.2;
 
-/// Cosine between a plane's normal and that of p's own plane below which the plane counts less, since it is unclear
+/// Cosine between the normals of a plane and of p's own plane below which the plane counts less, since it is unclear
 /// which side it faces.
 const FACING_COSINE: f64 = 0.1;
 
@@ -66,7 +66,7 @@ impl FirstPlane {
             let from_mean_m = to_plane_m - mean.dot(plane.normal);
             let residual = first.residual + DISTANCE_WEIGHT * from_mean_m * from_mean_m;
             let weight = gate(offset) * (1.0 + residual / noise_squared).powi(-4);
-            // Normals that point the opposite way to that of p's own plane are flipped.
+            // Normals that oppose the normal of p's own plane are flipped.
             let facing = (plane.normal.dot(own_plane.normal) / FACING_COSINE).clamp(-1.0, 1.0);
             normal += weight * facing * plane.normal;
             height_m += weight * facing * to_plane_m;
@@ -77,7 +77,7 @@ impl FirstPlane {
         // The foot is the same whichever way the normal points.
         let foot = height_m * normal.normalize();
         let normal = if normal.dot(from_sensor) > 0.0 { -normal.normalize() } else { normal.normalize() };
-        // The curvature and the extent that scales the fit are those of the position's own neighbours.
+        // The curvature, and the extent that scales the fit, come from the position's own neighbours.
         let plane = Plane { normal, foot, ..own_plane };
         Surface { plane: Some(plane), width_m: WIDTH * noise_squared.sqrt(), ..self.surface }
     }

@@ -63,7 +63,7 @@ impl Session {
         self.lattice.as_ref().map(Lattice::shape)
     }
 
-    /// Returns the devices that share the frames, without those that failed.
+    /// Returns the devices that share the frames, excluding failed devices.
     pub fn devices(&self) -> &[FleetDevice] {
         &self.devices
     }

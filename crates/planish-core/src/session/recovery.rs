@@ -14,7 +14,7 @@ pub enum Recovery {
     Fail,
 }
 
-/// The GPU failures so far. After the first the GPU is reopened, after the second it is abandoned.
+/// A record of GPU failures. After the first, the GPU is reopened; after the second, it is abandoned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GpuLosses {
     has_reopened: bool,

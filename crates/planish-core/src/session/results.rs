@@ -43,7 +43,7 @@ impl ResultFilter {
     }
 
     /// Examines a frame before it is smoothed in space. Must be called in the order of the video; gaps in timestamps
-    /// begin a new video. Returns `None` if the frame has no grid.
+    /// begin a new video. Returns `None` for a frame without a grid.
     pub fn look_at(
         &mut self,
         frame: Frame<'_>,

@@ -304,7 +304,7 @@ fn edges_and_passes_are_chosen_by_shape_and_noise() {
     assert!("passes=3".parse::<Settings>().unwrap_err().to_string().contains("1 or 2"));
 }
 
-/// Returns the points of a frame without its grid; the first point has no neighbours.
+/// Returns the points of a frame without its grid; the first point is isolated.
 fn frame_of_one_lonely_pixel() -> Vec<[f32; 3]> {
     let mut raw = vec![1000u16; 64 * 48];
     for v in 0..24 {

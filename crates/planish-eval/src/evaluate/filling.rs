@@ -105,7 +105,7 @@ impl Errors {
             return;
         }
         let off_m = f64::from(z_m - true_m).abs();
-        // Where the truth has no surface, a filled pixel is wrong, but has no error in metres.
+        // A filled pixel where the truth lacks a surface is wrong, but its error in metres is undefined.
         if off_m.is_finite() {
             self.on_surfaces += 1;
             self.squares += off_m * off_m;

@@ -13,7 +13,7 @@ pub use general::{DistantView, seen_from};
 /// Returns normals computed from differences between neighbouring pixels, pointing towards the sensor. They show every
 /// bump of the points.
 ///
-/// A normal is NaN for a hole, and for a pixel that has no valid neighbour along x or along y.
+/// A normal is NaN for a hole, and for a pixel without a valid neighbour along x or along y.
 pub fn difference_normals(width: usize, height: usize, positions: &Xyz) -> Xyz {
     let point = |u: usize, v: usize| Vec3::from_array(positions.get(v * width + u));
     // Difference between the next and the previous neighbour; at borders and next to holes, the pixel itself replaces
@@ -64,7 +64,7 @@ pub fn relief(width: usize, height: usize, normals: &Xyz) -> RgbImage {
     RgbImage { width, height, rgb: normals.iter().flat_map(shade).collect() }
 }
 
-/// Renders the colours of a cloud; `None` if it has no colours.
+/// Renders the colours of a cloud; `None` for a cloud without colours.
 pub fn colours(cloud: &OrganizedCloud) -> Option<RgbImage> {
     let rgb = cloud.points.shown_rgb()?.into_iter().flatten().collect();
     Some(RgbImage { width: cloud.width(), height: cloud.height(), rgb })

@@ -58,7 +58,7 @@ pub(super) struct Around<'a> {
 
 impl Around<'_> {
     /// Encodes the header for `points` vertices with these columns, and the camera, which follows the vertices and is
-    /// empty if there is no pose.
+    /// empty without a pose.
     pub(super) fn encode(&self, columns: &[Attribute], points: usize) -> Result<[Vec<u8>; 2], FormatError> {
         let &Self { grid, pose, remarks, encoding } = self;
         let camera =

@@ -20,7 +20,7 @@ class Status(enum.IntEnum):
     HOLE = 0
     #: Fewer than 3 neighbours, or an isolated point with ``remove_isolated``: the output is a hole.
     TOO_FEW = 1
-    #: The neighbours are collinear: the point is unchanged and has no normal.
+    #: The neighbours are collinear: the point is unchanged, without a normal.
     DEGENERATE = 2
     #: Moved onto a fitted plane.
     PLANE = 3
@@ -28,7 +28,7 @@ class Status(enum.IntEnum):
     POLYNOMIAL_2 = 4
     #: Moved onto a polynomial of degree 3.
     POLYNOMIAL_3 = 5
-    #: In an unorganized cloud, far from all others: the point is unchanged and has no normal.
+    #: In an unorganized cloud, far from all others: the point is unchanged, without a normal.
     ISOLATED = 6
     #: With smoothing over time: this pixel alone jumped, so for one frame it keeps the value of the previous frame.
     CARRIED = 7

@@ -47,7 +47,7 @@ pub fn part_of(path: &Path) -> PathBuf {
 }
 
 /// Completes in place a recording that was cut off by a killed process or a full disk, and renames `NAME.mcap.part`
-/// to `NAME.mcap`. Every whole message is kept, including those of a cut chunk. Damaged chunks are left unchanged.
+/// to `NAME.mcap`. Every whole message is kept, even in a chunk that was cut off. Damaged chunks are left unchanged.
 ///
 /// # Errors
 /// If the file is not a recording, is being written, is read-only, or is damaged instead of cut off; or if another file
@@ -83,7 +83,7 @@ pub fn recover(path: &Path, options: &ReadOptions) -> Result<Recovered, IoError>
     recovered().map_err(IoError::at(path))
 }
 
-/// Marks a file as being written until it is closed. Has no effect on Windows, where the lock would keep others from
+/// Marks a file as being written until it is closed. Does nothing on Windows, where the lock would keep others from
 /// reading the file.
 pub(super) fn mark_as_being_written(file: &File) {
     #[cfg(unix)]
@@ -138,7 +138,7 @@ pub(super) fn complete_in_place(file: &mut File, options: &ReadOptions) -> Resul
     let length = end.valid + tail.len() as u64;
     let lost_at = Some(end.valid).filter(|at| *at < bytes && scan.salvaged.is_none());
     reserve(file, bytes, length, lost_at)?;
-    // The whole records are never changed; what follows them is changed only from here on.
+    // Whole records are never changed; the bytes after them are changed only from here on.
     file.seek(SeekFrom::Start(end.valid))?;
     file.write_all(&tail)?;
     file.set_len(length)?;

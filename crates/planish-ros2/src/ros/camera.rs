@@ -9,8 +9,8 @@ impl CameraInfo {
     /// taken into account. Depth is in millimetres.
     ///
     /// # Errors
-    /// If the message is for images of another size, has no focal length since the camera is not calibrated, or has a
-    /// distortion other than `plumb_bob`, `rational_polynomial` or `equidistant`.
+    /// If the message is for images of another size, lacks a focal length because the camera is not calibrated, or has
+    /// a distortion other than `plumb_bob`, `rational_polynomial` or `equidistant`.
     pub fn camera(&self, (width, height): (usize, usize), is_rectified: bool) -> Result<Camera, FormatError> {
         let unusable = |text: String| FormatError::Unsupported(format!("camera_info {text}"));
         let (roi, binning) = (self.roi, [self.binning_x.max(1), self.binning_y.max(1)]);

@@ -14,7 +14,7 @@ use planish_tests::scenes::{grid, small_camera};
 const SHAPE: (usize, usize) = (160, 120);
 const EVERYTHING: Outputs = Outputs::ALL.with_depth(true).with_depth_m(true);
 
-/// Returns the adapter of the tests; prints SKIP and returns `None` if there is no adapter.
+/// Returns the adapter of the tests; without an adapter, prints SKIP and returns `None`.
 fn adapter(test: &str) -> Option<&'static GpuAdapter> {
     let adapter = test_adapter();
     if adapter.is_none() {

@@ -147,7 +147,7 @@ fn a_recording_cut_anywhere_is_completed_with_every_whole_message() {
     std::fs::write(&cut, &unsized_chunk).unwrap();
     let found = recover(&cut, &options).unwrap();
     assert_eq!((found.messages, found.damaged_chunks), (2 * FRAMES - 1, 0), "but for the image that was cut");
-    // Damaged recordings are not changed, and neither are those that another process still writes.
+    // Damaged recordings are not changed, and neither are recordings that another process is still writing.
     let at = bytes.windows(9).position(|record| record[0] == 6 && record[5..9] == [0; 4]).unwrap();
     for (from, to, value) in [(at + 4, at + 5, 0x40), (at, at + 9, 0)] {
         let mut damaged = bytes.clone();

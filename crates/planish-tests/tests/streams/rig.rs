@@ -140,7 +140,7 @@ fn cameras_without_a_frame_are_left_out_and_all_outputs_are_there() {
         let holes: Vec<[f32; 3]> =
             raw.iter().zip(found.points.iter()).filter(|(raw, _)| **raw == 0).map(|(_, p)| p).collect();
         assert!(!holes.is_empty() && holes.iter().all(|p| p[0].is_nan()), "{}", way.name());
-        // A moment without any frame has no results, but is not an error.
+        // A moment without any frame gives no results, but is not an error.
         assert!(smoother.smooth(&[None, None]).unwrap().iter().all(Option::is_none));
         assert!(smoother.smooth(&[None]).is_err());
     }

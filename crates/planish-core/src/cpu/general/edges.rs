@@ -126,7 +126,7 @@ pub(super) fn find_surfaces<S: Simd>(
             let root = one / residual.mul_add(per_variance, one);
             let square = root * root;
             let weight = near.select(square * square * nearness, zero);
-            // Normals that point the opposite way to that of p's own plane are flipped.
+            // Normals that oppose the normal of p's own plane are flipped.
             let facing = (plane.normal.dot(n) * per_facing).max(-one).min(one);
             let turned = weight * facing;
             normal = normal.add_scaled(turned, n);

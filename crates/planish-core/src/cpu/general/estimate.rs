@@ -29,7 +29,7 @@ const SAMPLE: usize = 2000;
 /// Minimum ratio of the mean radius to the RMS motion for neighbourhoods to count as wider than the noise.
 const CLEAR_RATIO: f64 = 3.2;
 /// Neighbourhoods also count as wider than the noise if the ratio of the mean radius to the RMS motion is at least this
-/// many times its smallest value so far.
+/// many times the smallest ratio found with fewer neighbours.
 const CLEAR_RISE: f64 = 1.2;
 /// Number of coefficients of the polynomial: with K neighbours, the fit follows 6/K of the noise's variance.
 const COEFFICIENTS: f64 = 6.0;
@@ -53,8 +53,8 @@ const SURE: f64 = 1.0;
 const FLAT: f64 = 0.35;
 /// Counterpart of [`FLAT`] in standard errors of the kurtosis.
 const FLAT_ERRORS: f64 = 3.0;
-/// Fewer neighbours are chosen, to keep the sides of walls apart, if the mean square distance with them is below this
-/// share of the smallest so far.
+/// Fewer neighbours are chosen, to keep the sides of walls apart, if they reduce the mean square distance to less than
+/// this share.
 const MUCH_LESS: f64 = 2.0 / 3.0;
 
 /// The estimated noise of an unorganized cloud, and the smoothing parameters that suit its noise and shape.
@@ -263,7 +263,7 @@ impl Tried {
         gain > SURE * doubt
     }
 
-    /// Returns the mean reduction of the squared misses relative to those of `than`, and its standard error.
+    /// Returns the mean reduction of the squared misses relative to `than`, and its standard error.
     fn gain(&self, than: &Self, distance: Distance) -> (f64, f64) {
         let pairs = than.misses.iter().zip(&self.misses);
         let gains: Vec<f64> =
@@ -279,8 +279,8 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the distribution of the misses is flatter than that of Gaussian noise, which indicates that the
-    /// fitted surface is between the two sides of a wall.
+    /// Returns true if the distribution of the misses is flatter than a Gaussian, which indicates that the fitted
+    /// surface is between the two sides of a wall.
     fn merges_walls(&self) -> bool {
         let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
         let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);

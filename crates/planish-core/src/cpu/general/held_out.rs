@@ -104,7 +104,7 @@ impl HeldOut {
         self.index.append(self.others, &points);
     }
 
-    /// Returns the held-out points, smoothed; `None` for those without a surface.
+    /// Returns the smoothed held-out points; `None` for each point without a surface.
     fn smoothed(&self, way: Way) -> Vec<Option<OnSurface>> {
         let first = self.others / LEAF;
         let leaves: Vec<_> = (first..self.index.leaves()).collect();

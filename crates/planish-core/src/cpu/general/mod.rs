@@ -1,8 +1,8 @@
 //! Smooths unorganized clouds (docs/method.md, section 8) in vectors of nearby points.
 //!
 //! [`PointIndex`] sorts the points. The neighbours of all points of a vector are gathered once ([`gather`]) and then
-//! pass through the same stages as those of frames. Each point's result is computed independently of the others, in
-//! the order of the index, and then moved to the order of the cloud. Results are therefore bit-identical for any
+//! pass through the same stages as a frame's neighbours. Each point's result is computed independently of the others,
+//! in the order of the index, and then moved to the order of the cloud. Results are therefore bit-identical for any
 //! number of threads.
 
 mod edges;
@@ -233,7 +233,7 @@ fn smooth_vector<S: Simd, const D: usize>(
             (surface, radius)
         }
     };
-    // Points so far away that squares overflow count as having one neighbour.
+    // Points at distances whose squares overflow count as having one neighbour.
     let is_far = p.x.abs().max(p.y.abs()).max(p.z.abs()).simd_gt(splat(simd, MAX_RANGE_M));
     let n = valid.select(is_far.select(splat(simd, 1.0), surface.n), splat(simd, 0.0));
     let surface = Surface { n, ..surface };

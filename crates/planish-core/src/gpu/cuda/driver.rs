@@ -392,7 +392,7 @@ impl Cuda {
 }
 
 impl Event {
-    /// Moves the event to the end of the work added to the stream so far.
+    /// Moves the event to the end of the work already added to the stream.
     pub(super) fn record(&self, stream: usize) -> Result<(), String> {
         let Self { cuda, event } = self;
         // SAFETY: the event is alive, and so is the stream that the caller passed.

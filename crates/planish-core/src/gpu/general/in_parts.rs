@@ -73,7 +73,7 @@ struct Work {
     far_records: Vec<Record>,
     /// Ratio of the previous part's halo to the halo expected from its density.
     last_share: f64,
-    /// The points of a part, followed by those of its halo.
+    /// The points of a part, followed by the points of its halo.
     points: Xyz,
     /// Number of remaining runs.
     runs_left: usize,

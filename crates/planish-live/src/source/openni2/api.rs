@@ -138,7 +138,7 @@ impl Functions {
             // SAFETY: the signatures match OniCAPI.h 2.2.
             let functions = unsafe { Self::find(library) }
                 .map_err(|error| DeviceError::Driver { what: format!("not OpenNI2 2.2: {error}"), help })?;
-            // SAFETY: the call has no preconditions.
+            // SAFETY: the call is always valid.
             functions.check("cannot start OpenNI2", unsafe { (functions.Initialize)(VERSION) })?;
             Ok(functions)
         })

@@ -149,7 +149,7 @@ mod tests {
         let fisheye = camera_of(&intrinsics(5, [0.1, 0.0, 0.0, 0.0, 0.0]), 0.001, false);
         assert!(fisheye.unwrap_err().to_string().contains("fisheye"));
         assert!(camera_of(&intrinsics(5, [0.0; 5]), 0.001, false).unwrap().distortion.is_none());
-        // Coefficients beyond those of any lens: the image folds over itself.
+        // No lens has such coefficients: the image folds over itself.
         assert!(camera_of(&intrinsics(MODIFIED_BROWN_CONRADY, [-3.0, 2.0, 0.5, 0.5, -9.0]), 0.001, false).is_err());
         // An L515 counts quarters of a millimetre, a D405 tenths.
         assert_eq!(units_per_metre(0.000_25), 4000.0);

@@ -4,7 +4,8 @@
 //! the device's default modes, or the requested one, and pairs depth and colour by time; its `align` maps one onto
 //! the other. A live camera delivers its newest frames, and gaps in frame numbers are counted as dropped. A recording
 //! delivers every depth frame once, paired with the colour image closest in time; depth before the first and after
-//! the last colour image has no colour ([`all_depth`]). Depth mapped onto colour is delivered only with colour.
+//! the last colour image is delivered without colour ([`all_depth`]). Depth mapped onto colour is delivered only with
+//! colour.
 
 mod all_depth;
 mod api;

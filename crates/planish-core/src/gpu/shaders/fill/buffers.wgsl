@@ -51,8 +51,8 @@ const VOTES_RIGHT: u32 = 3u;
 const INFINITE_BITS: u32 = 0x7f800000u;
 
 // Channels of `holes` after these words. LABEL is an earlier pixel of the same hole, or the pixel itself if it is the
-// first. SIZE and TALLY are those of the hole, at its first pixel: the number of pixels, and the number of fitted
-// pixels, with the flag HAS_STEP.
+// first. SIZE and TALLY describe the hole and are stored at its first pixel: the number of pixels, and the number of
+// fitted pixels, with the flag HAS_STEP.
 const LABEL: u32 = 0u;
 const SIZE: u32 = 1u;
 const TALLY: u32 = 2u;
@@ -117,7 +117,7 @@ fn ray(frame: u32, i: u32) -> f32 {
     return bitcast<f32>(input[frame * batch.input_words + HEADER_WORDS + i]);
 }
 
-// Returns the focal lengths in pixels. Along an axis with a single pixel, where it has no effect, it is 1.
+// Returns the focal lengths in pixels. Along an axis with a single pixel, the focal length does not matter and is 1.
 fn focal_lengths(frame: u32) -> vec2<f32> {
     let last = vec2<u32>(batch.width, batch.height) - 1u;
     let spans = vec2<f32>(ray(frame, last.x) - ray(frame, 0u), ray(frame, batch.width + last.y) - ray(frame, batch.width));

@@ -13,7 +13,7 @@ fn is_used(used: u32, k: u32) -> bool {
 
 // The first point in each direction.
 struct Rims {
-    // Number of steps to the point; 0 if there is none within reach.
+    // Number of steps to the point; 0 if no point is within reach.
     steps: array<i32, 8>,
     // Its 1/z.
     inverse: array<f32, 8>,
@@ -24,7 +24,7 @@ fn squared_px(k: u32, steps: i32) -> f32 {
     return f32(steps * steps) * select(1.0, 2.0, k >= 4u);
 }
 
-// Returns the number of steps to the first point in a direction; 0 if there is none within `most` steps.
+// Returns the number of steps to the first point in a direction; 0 if no point is within `most` steps.
 fn steps_to_rim(frame: u32, at: vec2<i32>, k: u32, most: i32) -> i32 {
     let step = direction(k);
     var next = at;

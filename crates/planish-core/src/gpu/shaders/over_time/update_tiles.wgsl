@@ -52,7 +52,7 @@ fn medians(thread: u32, counted: u32) -> vec2<f32> {
             }
             let bits = bitcast<vec2<u32>>(vec2<f32>(abs(now.change), abs(next_bias_of(tile, now.change))));
             let digit = (bits >> vec2<u32>(shift)) & vec2<u32>(DIGITS - 1u);
-            // The first digit has no prefix, and WGSL does not allow a shift by 32.
+            // No prefix precedes the first digit, and WGSL does not allow a shift by 32.
             let is_alike = shift == 28u;
             if is_alike || (bits.x >> (shift + 4u)) == (found.x >> (shift + 4u)) {
                 atomicAdd(&digits[digit.x], 1u);
