@@ -330,10 +330,12 @@ fn a_gpu_fills_holes_before_it_returns_results_also_in_place() {
     let into = SmoothedMut::new().with_depth(&mut depth).with_status(&mut status);
     session.smooth_into(&frame, into).unwrap();
     assert_eq!((Some(&depth), Some(&status)), (expected.depth.as_ref(), expected.status.as_ref()));
-    // Two members of a fleet fill holes too; a CPU among them leaves all holes to the session.
-    for devices in [format!("{0},{0}", adapter.index), format!("{},cpu", adapter.index)] {
+    // A fleet of GPUs fills holes too. With a CPU among its devices, the session fills them.
+    for devices in [adapter.index.to_string(), format!("{},cpu", adapter.index)] {
         let mut fleet = new(outputs);
-        fleet.set_settings(format!("devices={devices} fill=12 sensor=kinect1").parse().unwrap()).unwrap();
+        let mut settings: Settings = "fill=12 sensor=kinect1".parse().unwrap();
+        settings.set("devices", devices.as_str()).unwrap();
+        fleet.set_settings(settings).unwrap();
         fleet.set_outputs(outputs);
         for _ in 0..3 {
             fleet.submit(Arc::new(frame.clone()), Smoothed::default()).unwrap();
