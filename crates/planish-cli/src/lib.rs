@@ -179,10 +179,18 @@ fn print_unlocked(text: std::fmt::Arguments<'_>) {
 }
 
 /// Suppresses the messages of panics that the library catches: some decoders panic on damaged files, which the
-/// library reports as errors.
+/// library reports as errors. A panic because a new thread lacks memory ends the process like a failed allocation.
 fn quiet_caught_panics() {
+    /// Part of the standard library's message if a thread gets no memory for its signal stack.
+    const NO_SIGNAL_STACK: &str = "alternative stack";
+    /// Size of a signal stack in bytes.
+    const SIGNAL_STACK: usize = 8 << 10;
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if message.contains(NO_SIGNAL_STACK) {
+            end_without_memory(SIGNAL_STACK);
+        }
         if !planish::io::internal::catches_panics() {
             usual(panic);
         }

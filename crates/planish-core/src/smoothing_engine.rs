@@ -56,14 +56,11 @@ pub(crate) struct DeviceSteps {
 }
 
 impl DeviceSteps {
-    /// Returns true if the steps finish a frame. Otherwise, the session must fill the frame's holes: its camera is not
-    /// known, has a distorted lens, or saw colours too.
-    pub(crate) fn finish(&self, frame: &Frame<'_>, geometry: &FrameGeometry) -> bool {
-        self.fill_px.is_none() || {
-            let camera = if let Frame::Depth(depth) = frame { Some(depth.camera()) } else { None };
-            let is_pinhole = camera.is_some_and(|camera| camera.distortion.is_none());
-            is_pinhole && frame.colours().is_none() && geometry.cloud_from_sensor.is_none()
-        }
+    /// Returns true if the steps finish a frame. Otherwise, the session must fill the frame's holes, because the frame
+    /// is not a depth image, its lens is distorted, or it has colours.
+    pub(crate) fn finish(&self, frame: &Frame<'_>) -> bool {
+        let is_pinhole = matches!(frame, Frame::Depth(depth) if depth.camera().distortion.is_none());
+        self.fill_px.is_none() || (is_pinhole && frame.colours().is_none())
     }
 }
 

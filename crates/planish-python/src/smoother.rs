@@ -248,6 +248,8 @@ impl PySmoother {
             state.session.set_outputs(outputs);
             state.session.prepare(first).map_err(to_py)?;
             let is_pipelined = state.session.engine().is_some_and(|engine| engine.capabilities().pipelined);
+            let is_finished = |frame: &Frame<'_>| state.session.can_submit_in_place(*frame).is_ok_and(|can| can);
+            let is_pipelined = is_pipelined && frames.iter().all(is_finished);
             // planish chooses the number of neighbours for each unorganized cloud, so clouds are smoothed one by one.
             if !is_pipelined || first.grid().is_none() {
                 for (frame, slices) in frames.iter().zip(&mut slices) {

@@ -147,10 +147,12 @@ impl Fleet {
             FleetDevice::Cpu => device.options(&cpu),
             FleetDevice::Gpu(_) => device.options(options),
         };
+        // All results of a fleet must need the same steps, and the CPU engine does not compute any.
+        let steps = steps.filter(|_| !devices.contains(&FleetDevice::Cpu));
         let open = |device: &FleetDevice| {
             let mut smoother = Smoother::open_decided(params, &options_of(device), grid)?;
-            smoother.prepare_in_flight();
             let takes_steps = steps.map_or(Ok(false), |steps| smoother.take_steps(steps))?;
+            smoother.prepare_in_flight();
             Ok((smoother, takes_steps))
         };
         let panicked = || EngineError::Unavailable {
@@ -163,7 +165,8 @@ impl Fleet {
         let (smoothers, take_steps): (Vec<Smoother>, Vec<bool>) = opened?.into_iter().unzip();
         let takes_steps = take_steps.iter().all(|takes_steps| *takes_steps);
         if !takes_steps && take_steps.contains(&true) {
-            // All results of a fleet must need the same steps, so the devices are opened again without them.
+            // The devices are opened again without the steps.
+            drop(smoothers);
             return Self::open_decided(params, options, devices, grid, None);
         }
         let window = smoothers.len() * options.gpu.slots * (1 + WAITING_PER_SLOT);

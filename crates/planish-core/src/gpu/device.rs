@@ -402,8 +402,8 @@ impl GpuDevice {
             // the number of points. Or an earlier pass over the same cloud computed it, and it is below the number of
             // points: positions in the sorted cloud are a permutation, and the others are indices of positions, nodes
             // and leaves. Loops end after a constant number of rounds, tree walks because the node index only
-            // increases, radius searches because trial radii grow up to a limit, and searches for the first pixel of
-            // a hole because labels only decrease. No divisor is zero. The tests also run every kernel with bounds
+            // increases, radius searches because trial radii grow up to a limit, and loops over the labels of holes
+            // and over words of a row because indices only decrease. No integer divisor is zero. The tests also run every kernel with bounds
             // checks and compare the results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {

@@ -224,7 +224,7 @@ impl Gpu {
 
     /// Returns true if the steps after smoothing, if any, finish a frame.
     fn finishes(&self, frame: &AdmittedFrame<'_>) -> bool {
-        self.steps.is_none_or(|steps| steps.finish(&frame.frame, &frame.geometry))
+        self.steps.is_none_or(|steps| steps.finish(&frame.frame))
     }
 
     /// Returns the keys of the kernels of a frame's passes, in order.

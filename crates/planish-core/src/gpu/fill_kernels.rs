@@ -48,7 +48,14 @@ impl FillPass {
     pub(super) fn of(kind: InputKind, outputs: Outputs) -> impl Iterator<Item = Self> {
         use Pass::{BeginRows, CloseGaps, FitHoles, JoinRows, KeepSolid, MeasureHoles, WriteFilled};
         let passes = [BeginRows, JoinRows, MeasureHoles, FitHoles, KeepSolid, CloseGaps, WriteFilled];
-        passes.into_iter().map(move |pass| Self { pass, kind, outputs })
+        passes.into_iter().map(move |pass| match pass {
+            // Passes that depend on neither share their kernels.
+            Pass::JoinRows | Pass::MeasureHoles | Pass::KeepSolid => {
+                Self { pass, kind: InputKind::Depth, outputs: Outputs::POINTS }
+            }
+            Pass::BeginRows => Self { pass, kind: InputKind::Depth, outputs },
+            pass => Self { pass, kind, outputs },
+        })
     }
 
     pub(super) fn entry_point(self) -> &'static str {

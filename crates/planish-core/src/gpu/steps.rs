@@ -1,5 +1,7 @@
 //! Compiles the kernels of the steps after smoothing.
 
+use std::collections::HashSet;
+
 use super::device::GpuDevice;
 use super::layout::InputKind;
 use super::slot::{Dispatch, SlotUse};
@@ -31,7 +33,8 @@ pub(super) fn compile_steps(
     bounds_checks: bool,
 ) -> Result<(), EngineError> {
     let passes = InputKind::ALL.into_iter().flat_map(|kind| StepPass::of(kind, outputs, steps.fill_px.is_some()));
-    let compiled = on_a_thread_each(passes.flatten(), |pass| gpu.step_kernel(pass, bounds_checks).map(drop));
+    let passes: HashSet<StepPass> = passes.flatten().collect();
+    let compiled = on_a_thread_each(passes, |pass| gpu.step_kernel(pass, bounds_checks).map(drop));
     let failed = || Err(gpu.failed("a kernel could not be compiled"));
     compiled.into_iter().try_for_each(|result| result.unwrap_or_else(|_| failed()))
 }

@@ -9,7 +9,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::EngineParams;
 use crate::sigma::{Sigma, SigmaBuffers};
 use crate::smoothed::Smoothed;
-use crate::smoothing_engine::{AdmittedFrame, DeviceSteps};
+use crate::smoothing_engine::DeviceSteps;
 use crate::threads::{ONE_THREAD, Threads};
 
 /// The steps that finish the result of an engine.
@@ -118,10 +118,18 @@ impl Session {
         Some(DeviceSteps { sigma, fill_px, outputs })
     }
 
-    /// Returns true if the open engine finishes a frame.
-    pub(super) fn engine_finishes(&self, frame: &AdmittedFrame<'_>) -> bool {
-        let steps = self.open.as_ref().and_then(Open::steps);
-        steps.is_some_and(|steps| steps.finish(&frame.frame, &frame.geometry))
+    /// Returns true if the session computes nothing from the frame and its result after the open engine.
+    pub(super) fn engine_finishes(&self, frame: Frame<'_>) -> bool {
+        let outputs = self.options.outputs;
+        let is_finished = |open: &Open| {
+            open.steps().is_some_and(|steps| steps.sigma == outputs.sigma && self.is_filled_by(&steps, frame))
+        };
+        !self.finishes() || (self.over_time(frame).is_none() && self.open.as_ref().is_some_and(is_finished))
+    }
+
+    /// Returns true if an engine with these steps fills the holes of a frame, or holes are not filled.
+    fn is_filled_by(&self, steps: &DeviceSteps, frame: Frame<'_>) -> bool {
+        steps.fill_px == self.fill_px() && steps.finish(&frame)
     }
 
     /// Returns the width of the widest holes to fill, in pixels; `None` if holes are not filled.
@@ -217,10 +225,10 @@ impl Session {
         let open = self.open.as_ref()?;
         let (outputs, steps) = (self.options.outputs, open.steps());
         let estimates_sigma = outputs.sigma && !steps.is_some_and(|steps| steps.sigma);
-        let geometry = FrameGeometry::of(frame, true, &mut GeometryScratch::default());
-        let is_finished = steps.is_some_and(|steps| steps.finish(&frame, &geometry));
-        let fill_px = self.fill_px().filter(|_| !is_finished);
-        let geometry = (estimates_sigma || fill_px.is_some()).then_some(geometry);
+        let is_filled = steps.is_some_and(|steps| self.is_filled_by(&steps, frame));
+        let fill_px = self.fill_px().filter(|_| !is_filled);
+        let is_left = estimates_sigma || fill_px.is_some();
+        let geometry = is_left.then(|| FrameGeometry::of(frame, true, &mut GeometryScratch::default()));
         Some(Finish { geometry, params: open.open_for().params, outputs, fill_px, estimates_sigma })
     }
 

@@ -49,14 +49,13 @@ impl Session {
         let frame = frame.into_frame()?;
         self.check_room()?;
         self.check_can_finish(frame)?;
-        // Checked before the frame becomes part of a video.
         self.check_flags()?;
-        let has_steps = self.finishes();
-        if has_steps && self.over_time(frame).is_some() {
+        // Checked before the frame becomes part of a video.
+        if self.finishes() && self.over_time(frame).is_some() {
             return Err(self.needs_frame().into());
         }
         let admitted = self.open_in_flight(frame, false)?;
-        if has_steps && !self.engine_finishes(&admitted) {
+        if !self.engine_finishes(frame) {
             return Err(self.needs_frame().into());
         }
         if let Err(error) = self.smoother()?.submit_admitted(&admitted, None) {
@@ -67,6 +66,15 @@ impl Session {
         let (is_cloud, outputs) = (frame.grid().is_none(), self.options.outputs);
         self.pending.push_back(Pending { frame: None, is_cloud, on_receipt, finish: None, outputs });
         Ok(())
+    }
+
+    /// Returns true if [`submit_in_place`](Self::submit_in_place) supports a frame with the engine that is open, for
+    /// example after [`prepare`](Self::prepare).
+    ///
+    /// # Errors
+    /// If the frame is malformed.
+    pub fn can_submit_in_place<'a>(&self, frame: impl IntoFrame<'a>) -> Result<bool, Error> {
+        Ok(self.engine_finishes(frame.into_frame()?))
     }
 
     /// Returns the error for outputs that the session computes from both the frame and its result.

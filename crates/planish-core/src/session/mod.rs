@@ -370,7 +370,7 @@ impl Session {
         let is_possible = !ONE_THREAD && (uses_fleet || matches!(options.engine, Engine::Auto | Engine::Gpu));
         let steps = if is_possible { self.steps_of_engine(frame, sigma) } else { None };
         let wanted = OpenFor { grid: frame.grid(), params: engine_params, options, uses_fleet, video, steps };
-        if self.open.as_ref().is_none_or(|open| *open.open_for() != wanted) {
+        if self.open.as_ref().is_none_or(|open| !open.fits(&wanted)) {
             check_options(params, &wanted.options, frame.grid())?;
             self.finish_flights()?;
             self.open = None;

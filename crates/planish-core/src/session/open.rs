@@ -75,6 +75,14 @@ impl Open {
         Ok(Self { open_for, smoothing, is_over_time, takes_steps })
     }
 
+    /// Returns true if the engine need not be opened again for these frames.
+    pub(super) fn fits(&self, wanted: &OpenFor) -> bool {
+        // Steps that the engine does not support do not matter.
+        let ignores_steps = !self.takes_steps && self.open_for.steps.is_some() && wanted.steps.is_some();
+        let steps = if ignores_steps { self.open_for.steps } else { wanted.steps };
+        self.open_for == OpenFor { steps, ..wanted.clone() }
+    }
+
     pub(super) fn open_for(&self) -> &OpenFor {
         &self.open_for
     }

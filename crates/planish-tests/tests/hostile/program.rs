@@ -67,6 +67,14 @@ pub struct Running {
     folder: PathBuf,
 }
 
+/// Returns the peak memory of a process in bytes; 0 if it has ended.
+fn peak_bytes_of(id: i32) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
+    kib.map_or(0, |kib| 1024 * kib)
+}
+
 /// Starts the command in a folder, with its output in files there.
 pub fn start(folder: &Path, arguments: &[String], stdin: Option<&Path>, address_space_kib: u64) -> Running {
     let script = format!("ulimit -v {address_space_kib}; exec \"$0\" \"$@\"");
@@ -118,8 +126,7 @@ impl Running {
     pub fn wait(self, longest: Duration) -> Ended {
         let start = Instant::now();
         let id = self.id;
-        let mut too_long = false;
-        let mut raw = 0;
+        let (mut too_long, mut raw, mut seen_bytes) = (false, 0, 0);
         // SAFETY: zeros are a valid value of a struct of integers.
         let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
         loop {
@@ -129,6 +136,7 @@ impl Running {
             if ended == id {
                 break;
             }
+            seen_bytes = seen_bytes.max(peak_bytes_of(id));
             if start.elapsed() > longest && !too_long {
                 too_long = true;
                 self.signal(libc::SIGKILL);
@@ -140,7 +148,11 @@ impl Running {
             status: ExitStatus::from_raw(raw),
             stdout: output("stdout"),
             stderr: output("stderr"),
-            peak_bytes: usage.ru_maxrss as u64 * 1024,
+            // The kernel counts the memory of this process, from which the command was forked, as well.
+            peak_bytes: match usage.ru_maxrss as u64 * 1024 {
+                peak_bytes if peak_bytes > peak_bytes_of(std::process::id().cast_signed()) => peak_bytes,
+                _ => seen_bytes,
+            },
             too_long,
         }
     }

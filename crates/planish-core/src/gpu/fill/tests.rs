@@ -40,10 +40,17 @@ fn frame_with_holes(camera: Camera, seed: u64) -> DepthFrame {
     frame
 }
 
-/// Fills the holes of a frame on both sides. Compares which pixels are filled and their values, and a batch with the
-/// single frame.
-fn compare(name: &str, frame: Frame<'_>, params: FrameParams, width_px: u32, options: GpuOptions) {
-    let Some((_, adapter)) = device("filled holes") else { return };
+/// The results of a frame: filled by the device, filled by the CPU, and unfilled.
+struct Results {
+    found: Smoothed,
+    expected: Smoothed,
+    unfilled: Smoothed,
+}
+
+/// Fills the holes of a frame on both sides. Checks that every frame of a batch has the same result as a single frame.
+/// Returns `None` without a device.
+fn fill(frame: Frame<'_>, params: FrameParams, width_px: u32, options: GpuOptions) -> Option<Results> {
+    let (_, adapter) = device("filled holes")?;
     let options = options.with_adapter(adapter.index.to_string());
     let (params, shape) = (EngineParams::from(params), frame.grid().unwrap());
     let mut engine = Gpu::open(params, OUTPUTS, &options, shape).unwrap();
@@ -57,14 +64,26 @@ fn compare(name: &str, frame: Frame<'_>, params: FrameParams, width_px: u32, opt
     let threads = Threads::open(Some(1)).unwrap();
     Sigma { geometry, params }.estimate(frame, &mut expected, &threads, &mut SigmaBuffers::default());
     let fill = Fill { width_px, geometry, sensor: params.sensor, frame };
-    assert!(fill.apply(&mut expected, &mut FillBuffers::default(), &threads), "{name}");
+    assert!(fill.apply(&mut expected, &mut FillBuffers::default(), &threads));
 
     let steps = DeviceSteps { sigma: true, fill_px: Some(width_px), outputs };
-    assert!(steps.finish(&frame, &geometry) && engine.take_steps(&steps).unwrap(), "{name}");
+    assert!(steps.finish(&frame) && engine.take_steps(&steps).unwrap());
     let mut found = Smoothed::default();
     found.prepare(shape.0, shape.1, outputs);
     engine.smooth(&admitted, found.as_mut()).unwrap();
+    let mut batch = vec![Smoothed::default(); 3];
+    engine.smooth_batch(&[admitted; 3], &mut batch).unwrap();
+    let bits = |smoothed: &Smoothed| -> Vec<u32> {
+        let values = smoothed.points.as_slices().into_iter().chain(smoothed.sigma.as_deref());
+        values.flatten().map(|value| value.to_bits()).collect()
+    };
+    assert!(batch.iter().all(|one| bits(one) == bits(&found) && one.status == found.status), "a batch");
+    Some(Results { found, expected, unfilled })
+}
 
+/// Compares which pixels are filled and their values.
+fn compare(name: &str, frame: Frame<'_>, params: FrameParams, width_px: u32, options: GpuOptions) {
+    let Some(Results { found, expected, unfilled }) = fill(frame, params, width_px, options) else { return };
     let status = |smoothed: &Smoothed| smoothed.status.clone().unwrap();
     let (found_status, expected_status) = (status(&found), status(&expected));
     let count = |status: &[Status]| status.iter().filter(|status| **status == Status::Filled).count();
@@ -100,14 +119,6 @@ fn compare(name: &str, frame: Frame<'_>, params: FrameParams, width_px: u32, opt
     }
     // Gaps next to a pixel that only one side filled get other values.
     assert!(100 * far <= filled, "{name}: {far} of {filled} filled pixels are far from the CPU's");
-
-    let mut batch = vec![Smoothed::default(); 3];
-    engine.smooth_batch(&[admitted; 3], &mut batch).unwrap();
-    let bits = |smoothed: &Smoothed| -> Vec<u32> {
-        let values = smoothed.points.as_slices().into_iter().chain(smoothed.sigma.as_deref());
-        values.flatten().map(|value| value.to_bits()).collect()
-    };
-    assert!(batch.iter().all(|one| bits(one) == bits(&found) && one.status == found.status), "{name}: a batch");
 }
 
 #[test]
@@ -131,6 +142,22 @@ fn holes_are_filled_as_on_the_cpu() {
 }
 
 #[test]
+fn frames_of_any_shape_and_with_any_holes_are_filled() {
+    let kinect = FrameParams { sensor: SensorModel::KINECT_V1, ..FrameParams::default() };
+    for shape @ (width, height) in [(1, 40), (40, 1), (2, 2), (33, 9), (5, 70)] {
+        let camera = Camera::new(shape, [100.0; 2], [0.5 * width as f64, 0.5 * height as f64]);
+        for missing in [0, 1, 7, 100] {
+            let is_hole = |i: usize| (i * 37 + i / 5) % 100 < missing;
+            let raw = (0..width * height).map(|i| if is_hole(i) { 0 } else { 1500 + (i % 3) as u16 }).collect();
+            let frame = DepthFrame::new(camera, raw).unwrap();
+            let options = GpuOptions::default().with_bounds_checks(true);
+            let Some(results) = fill((&frame).into_frame().unwrap(), kinect, 9, options) else { return };
+            assert_eq!(results.found.status, results.expected.status, "{shape:?} {missing}");
+        }
+    }
+}
+
+#[test]
 fn only_requested_outputs_are_returned() {
     let Some((_, adapter)) = device("requested outputs") else { return };
     let options = GpuOptions::default().with_adapter(adapter.index.to_string());
@@ -142,8 +169,10 @@ fn only_requested_outputs_are_returned() {
     let results = [OUTPUTS, Outputs::DEPTH.with_status(true)].map(|outputs| {
         let mut engine = Gpu::open(params, OUTPUTS, &options, (160, 120)).unwrap();
         assert!(engine.take_steps(&DeviceSteps { sigma: false, fill_px: Some(9), outputs }).unwrap());
-        let mut smoothed = Smoothed::default();
-        engine.smooth_batch(&[AdmittedFrame::new(view, geometry)], std::slice::from_mut(&mut smoothed)).unwrap();
+        let mut batch = [Smoothed::default(), Smoothed::default()];
+        engine.smooth_batch(&[AdmittedFrame::new(view, geometry); 2], &mut batch).unwrap();
+        let [smoothed, again] = batch;
+        assert_eq!((&smoothed.depth, &smoothed.status), (&again.depth, &again.status));
         smoothed
     });
     let [all, depth] = results;

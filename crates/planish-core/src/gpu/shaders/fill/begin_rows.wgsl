@@ -13,7 +13,9 @@ fn smoothed_inverse(frame: u32, i: u32) -> f32 {
         return 0.0;
     }
     let z = bitcast<f32>(bits);
-    return select(0.0, 1.0 / z, z > 0.0);
+    // Drivers may treat subnormal numbers as 0.
+    let inverse = select(0.0, 1.0 / z, z > 0.0);
+    return select(0.0, inverse, inverse >= MIN_POSITIVE);
 }
 
 fn is_hole_of_row(column: u32) -> bool {

@@ -121,7 +121,7 @@ fn ray(frame: u32, i: u32) -> f32 {
 fn focal_lengths(frame: u32) -> vec2<f32> {
     let last = vec2<u32>(batch.width, batch.height) - 1u;
     let spans = vec2<f32>(ray(frame, last.x) - ray(frame, 0u), ray(frame, batch.width + last.y) - ray(frame, batch.width));
-    return select(vec2<f32>(1.0), vec2<f32>(last) / spans, last > vec2<u32>(0u));
+    return select(vec2<f32>(1.0), vec2<f32>(last) / spans, spans > vec2<f32>(0.0));
 }
 
 // Returns the width of a shadow, in pixels, per difference of 1/z; 0 if near objects cast no shadows.

@@ -1,4 +1,5 @@
-// Closes gaps between filled pixels for the first time.
+// Closes gaps between filled pixels for the first time. Other threads may see FILLED of this pixel as 0 or 2; either
+// way, they do not count the pixel as filled.
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn close_gaps(@builtin(global_invocation_id) id: vec3<u32>) {

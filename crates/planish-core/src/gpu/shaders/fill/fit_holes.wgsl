@@ -159,7 +159,7 @@ fn patch_of(frame: u32, i: u32, at: vec2<i32>, surface: Surface, rims: ptr<funct
         }
         let squared = squared_px(k, (*rims).steps[k]);
         let weight = 1.0 / squared;
-        let off_m = off / (inverse * inverse);
+        let off_m = off / inverse / inverse;
         let rim = frame * batch.output_words + index(at + offset);
         squares += weight * off_m * off_m;
         weights += weight;
@@ -249,9 +249,12 @@ fn shadowed(frame: u32, i: u32, at: vec2<i32>, rims: ptr<function, Rims>) -> Pat
     }
     let surface = fit(frame, at, rims, used, SHADOW_SAMPLES, SHADOW_SPACING_PX);
     var found = patch_of(frame, i, at, surface, rims, used);
+    if found.samples == 0u {
+        return found;
+    }
     // The surface must change little, and be behind the one that casts the shadow.
     let is_far = found.inverse < near_inverse && is_step(found.inverse, near_inverse);
-    if found.samples == 0u || abs(found.inverse - far_inverse) > SHADOW_CHANGE * far_inverse || !is_far {
+    if abs(found.inverse - far_inverse) > SHADOW_CHANGE * far_inverse || !is_far {
         return no_patch();
     }
     found.sigma_m *= sqrt(max(surface.leverage, 1.0));

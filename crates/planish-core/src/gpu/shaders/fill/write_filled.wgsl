@@ -39,8 +39,8 @@ fn write_pixel(frame: u32, i: u32, at: vec2<i32>) -> u32 {
     }
     if WANTS_NORMALS {
         // Over the pixels of a plane, 1/z is linear; its slopes determine the plane's equation.
-        let plane = found.slopes * focal_lengths(frame);
-        let normal = -normalize(vec3<f32>(plane, found.inverse - dot(plane, direction)));
+        let plane = found.slopes * focal_lengths(frame) * z;
+        let normal = -normalize(vec3<f32>(plane, 1.0 - dot(plane, direction)));
         set_word(frame, NORMALS_CHANNEL, i, bitcast<u32>(normal.x));
         set_word(frame, NORMALS_CHANNEL + 1u, i, bitcast<u32>(normal.y));
         set_word(frame, NORMALS_CHANNEL + 2u, i, bitcast<u32>(normal.z));
