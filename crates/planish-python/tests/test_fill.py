@@ -22,3 +22,19 @@ def test_holes_are_filled_and_flagged() -> None:
         planish.smooth(depth, frame.camera, fill=0)
     with pytest.raises(ValueError, match="add \"status\" to the outputs"):
         _ = planish.smooth(depth, frame.camera, outputs=("points",)).origin
+
+
+def test_a_gpu_fills_batches_of_depth_and_of_points() -> None:
+    if not planish.devices().gpus:
+        pytest.skip("no GPU adapter")
+    frame = planish.simulate("table")
+    depth = frame.depth.copy()
+    hole = np.s_[200:204, 300:304]
+    depth[hole] = 0
+    outputs = ("points", "status")
+    points = planish.smooth(depth, frame.camera, preset="paper", outputs=outputs).points
+    for image, camera in ((depth, frame.camera), (points, None)):
+        smoother = planish.Smoother(camera, engine="gpu", adapter=0, fill=8, outputs=outputs)
+        status = smoother.smooth_batch([image, image]).status
+        assert status.shape == (2, *depth.shape)
+        assert (status[(slice(None), *hole)] == planish.Status.FILLED).all()
