@@ -236,7 +236,10 @@ pub(crate) fn open(
         Some(points) if is_few(points, grid.is_some()) => (Engine::Cpu, ChoiceReason::SingleFrame { points }),
         _ => auto_choice(&gpu_adapters()),
     };
-    if let ChoiceReason::RealGpu(adapter) = &reason {
+    // Other builds find no adapter; the condition keeps the code out of the browser's module.
+    if cfg!(feature = "gpu")
+        && let ChoiceReason::RealGpu(adapter) = &reason
+    {
         let gpu = GpuOptions { adapter: Some(adapter.index.to_string()), ..options.gpu.clone() };
         match open_named(engine, params, &options.clone().with_gpu(gpu), grid) {
             Ok(opened) => return Ok((opened, engine, Some(reason))),

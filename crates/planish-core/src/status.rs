@@ -1,5 +1,7 @@
 //! The status of a pixel.
 
+use crate::threads::ONE_THREAD;
+
 /// The status of a pixel (docs/method.md, section 7).
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -76,7 +78,8 @@ impl Status {
             }
             statuses
         };
-        BY_CODE[usize::from(code & 15)]
+        // WebAssembly builds fill no holes.
+        if ONE_THREAD { Self::ALL[usize::from(code & 7)] } else { BY_CODE[usize::from(code & 15)] }
     }
 
     /// Returns the status of a point that was moved to a polynomial of this degree.

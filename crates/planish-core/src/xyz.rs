@@ -12,11 +12,7 @@ pub const MAX_PIXELS: usize = 1 << 28;
 pub fn validate_shape(width: usize, height: usize) -> Result<(), FrameError> {
     let pixels = width.checked_mul(height);
     if width == 0 || height == 0 || pixels.is_none_or(|n| n > MAX_PIXELS) {
-        return Err(FrameError::BadShape {
-            width,
-            height,
-            allowed: "1 to 2^28 pixels, with a width and height above 0",
-        });
+        return Err(FrameError::BadShape { width, height, allowed: "1 to 2^28 pixels, both sides above 0" });
     }
     Ok(())
 }

@@ -19,8 +19,7 @@ pub(super) fn plain<'a>(bytes: &'a [u8], options: &ReadOptions) -> FormatResult<
 
 #[cfg(not(feature = "more-formats"))]
 fn unpacked<'a>(_bytes: &'a [u8], _options: &ReadOptions) -> FormatResult<Cow<'a, [u8]>> {
-    let text =
-        "the file is gzip-compressed, which this build does not support; enable planish's feature `more-formats`";
+    let text = "the file is gzip-compressed, which needs planish's feature `more-formats`";
     Err(FormatError::Unsupported(text.into()))
 }
 

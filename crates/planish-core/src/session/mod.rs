@@ -362,7 +362,7 @@ impl Session {
         let sigma = !ONE_THREAD && std::mem::take(&mut options.outputs.sigma);
         options.engine = self.engine_for(frame.grid().is_none());
         options.only_points = self.is_single.then(|| frame.shape().0 * frame.shape().1);
-        let uses_fleet = in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
+        let uses_fleet = !ONE_THREAD && in_flight && !self.devices.is_empty() && !self.losses.uses_cpu();
         if let (false, Some(device)) = (uses_fleet, self.devices.get(self.device)) {
             options = device.options(&options);
         }

@@ -12,6 +12,7 @@ use crate::progress::Progress;
 use crate::smoothed::Smoothed;
 use crate::smoother::Smoother;
 use crate::smoothing_engine::{DeviceSteps, Video};
+use crate::threads::ONE_THREAD;
 use crate::view::SmoothedView;
 
 /// Maximum number of frames from a live source that are in flight on one device. With more frames, the newest would
@@ -19,7 +20,7 @@ use crate::view::SmoothedView;
 pub const LIVE_IN_FLIGHT: usize = 3;
 
 /// The kind of frame that an engine was opened for; other kinds need another engine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub(super) struct OpenFor {
     pub(super) grid: Option<(usize, usize)>,
     pub(super) params: EngineParams,
@@ -58,7 +59,7 @@ impl Open {
     pub(super) fn new(open_for: OpenFor, devices: &[FleetDevice]) -> Result<Self, Error> {
         let OpenFor { grid, params, options, video, steps, .. } = &open_for;
         let (mut is_over_time, mut takes_steps) = (false, false);
-        let smoothing = if devices.is_empty() {
+        let smoothing = if ONE_THREAD || devices.is_empty() {
             let mut smoother = Box::new(Smoother::open_decided(*params, options, *grid)?);
             if let Some(video) = video {
                 is_over_time = smoother.smooth_over_time(video)?;
@@ -77,10 +78,15 @@ impl Open {
 
     /// Returns true if the engine need not be opened again for these frames.
     pub(super) fn fits(&self, wanted: &OpenFor) -> bool {
+        let OpenFor { grid, params, options, uses_fleet, video, steps } = &self.open_for;
         // Steps that the engine does not support do not matter.
-        let ignores_steps = !self.takes_steps && self.open_for.steps.is_some() && wanted.steps.is_some();
-        let steps = if ignores_steps { self.open_for.steps } else { wanted.steps };
-        self.open_for == OpenFor { steps, ..wanted.clone() }
+        let ignores_steps = !self.takes_steps && steps.is_some() && wanted.steps.is_some();
+        *grid == wanted.grid
+            && *params == wanted.params
+            && *options == wanted.options
+            && *uses_fleet == wanted.uses_fleet
+            && *video == wanted.video
+            && (*steps == wanted.steps || ignores_steps)
     }
 
     pub(super) fn open_for(&self) -> &OpenFor {

@@ -400,8 +400,8 @@ impl Settings {
     pub fn devices(&self) -> Result<Vec<FleetDevice>, crate::Error> {
         self.validate()?;
         match &self.devices {
-            Some(list) => Ok(FleetDevice::parse_list(list)?),
-            None => Ok(Vec::new()),
+            Some(list) if !ONE_THREAD => Ok(FleetDevice::parse_list(list)?),
+            _ => Ok(Vec::new()),
         }
     }
 

@@ -164,8 +164,7 @@ impl<'a> Dict<'a> {
             return self.text().map(Descr::Number);
         }
         if cfg!(not(feature = "more-formats")) {
-            let text =
-                "the array has records, which this build does not support; enable planish's feature `more-formats`";
+            let text = "the array has records, which need planish's feature `more-formats`";
             return Err(FormatError::Unsupported(text.into()));
         }
         let mut fields = Vec::new();
