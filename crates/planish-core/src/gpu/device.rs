@@ -402,9 +402,9 @@ impl GpuDevice {
             // the number of points. Or an earlier pass over the same cloud computed it, and it is below the number of
             // points: positions in the sorted cloud are a permutation, and the others are indices of positions, nodes
             // and leaves. Loops end after a constant number of rounds, tree walks because the node index only
-            // increases, radius searches because trial radii grow up to a limit, and loops over the labels of holes
-            // and over words of a row because indices only decrease. No integer divisor is zero. The tests also run every kernel with bounds
-            // checks and compare the results.
+            // increases, radius searches because trial radii grow up to a limit, and loops over the labels of holes and
+            // over words of a row because indices only decrease. No integer divisor is zero. The tests also run every
+            // kernel with bounds checks and compare the results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
