@@ -1,9 +1,12 @@
 //! A running stream that Python iterates over.
 
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use numpy::{PyArray1, PyArrayMethods};
 use planish::Xyz;
+use planish::bag::{PoseTopic, camera_trajectory, file_of};
+use planish::io::{ReadOptions, Trajectory, read_trajectory_with};
 use planish::source::{self, Alignment, OwnedFrame, SourceOptions, StreamMode};
 use planish::stream::{Frames, StreamFrame, StreamOptions, Waited};
 use pyo3::exceptions::PyRuntimeError;
@@ -128,7 +131,9 @@ pub struct PyStream {
 impl PyStream {
     /// Opens a source and starts the stream.
     #[new]
-    #[pyo3(signature = (source, outputs, settings, camera, fps, frames, depth_units_per_metre, align, mode))]
+    #[pyo3(signature = (
+        source, outputs, settings, camera, fps, frames, depth_units_per_metre, align, mode, topic, poses, pose_topic, fixed_frame
+    ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -141,6 +146,10 @@ impl PyStream {
         depth_units_per_metre: Option<f64>,
         align: Option<&str>,
         mode: Option<&str>,
+        topic: Option<String>,
+        poses: Option<PathBuf>,
+        pose_topic: Option<String>,
+        fixed_frame: Option<String>,
     ) -> PyResult<Self> {
         let mut settings = from_dict(settings)?;
         settings.set("outputs", outputs).map_err(to_py)?;
@@ -149,9 +158,19 @@ impl PyStream {
             .with_tum_units_per_metre(depth_units_per_metre)
             .with_alignment(align.map(str::parse::<Alignment>).transpose().map_err(to_py)?)
             .with_mode(mode.map(str::parse::<StreamMode>).transpose().map_err(to_py)?)
+            .with_topics(topic.clone(), None)
             .with_fps(fps);
-        let source = py.detach(|| source::open(source, &source_options)).map_err(to_py)?;
-        let options = StreamOptions::from_settings(settings).map_err(to_py)?.with_max_frames(frames);
+        if poses.is_some() || pose_topic.is_some() {
+            settings.check_poses().map_err(to_py)?;
+        }
+        let pose_topic = pose_topic.map(|topic| PoseTopic { topic, fixed_frame });
+        let (source, poses) = py
+            .detach(|| {
+                let poses = trajectory(Path::new(source), topic.as_deref(), poses.as_deref(), pose_topic.as_ref())?;
+                Ok((source::open(source, &source_options)?, poses))
+            })
+            .map_err(|error: planish::Error| to_py(error))?;
+        let options = StreamOptions::from_settings(settings).map_err(to_py)?.with_max_frames(frames).with_poses(poses);
         Ok(Self { frames: Frames::start(source, options).map_err(to_py)?, process: std::process::id() })
     }
 
@@ -183,6 +202,7 @@ impl PyStream {
         found.set_item("frames_out", statistics.frames_out)?;
         found.set_item("dropped", statistics.dropped + statistics.dropped_by_sinks)?;
         found.set_item("unreadable", statistics.unreadable)?;
+        found.set_item("without_pose", statistics.without_pose)?;
         found.set_item("fps", statistics.fps())?;
         let latency = statistics.latency();
         for (name, value) in [("p50", latency.p50), ("p95", latency.p95), ("p99", latency.p99)] {
@@ -201,6 +221,22 @@ impl PyStream {
             py.detach(|| std::thread::sleep(PATIENCE / 10));
         }
         Ok(())
+    }
+}
+
+/// Reads the poses of a moving camera from a file, or from a topic of the recording `source`. Returns `None` if neither
+/// is given.
+fn trajectory(
+    source: &Path,
+    topic: Option<&str>,
+    file: Option<&Path>,
+    pose_topic: Option<&PoseTopic>,
+) -> Result<Option<Trajectory>, planish::Error> {
+    let options = ReadOptions::default();
+    match (file, pose_topic) {
+        (Some(file), _) => Ok(Some(read_trajectory_with(file, &options)?)),
+        (None, Some(poses)) => Ok(Some(camera_trajectory(&file_of(source)?, topic, poses, &options)?)),
+        (None, None) => Ok(None),
     }
 }
 

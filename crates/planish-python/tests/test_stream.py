@@ -236,3 +236,21 @@ def test_a_video_of_a_moving_camera() -> None:
         smoother.smooth(frames[0], camera_pose=poses[0][:3])
     with pytest.warns(RuntimeWarning, match="track: no effect on a single frame"):
         planish.smooth(frames[0], camera, track=True)
+
+
+def test_poses_of_a_moving_camera_are_used_and_their_lack_is_counted(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    poses = tmp_path_factory.mktemp("poses") / "trajectory.log"
+    pose = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    poses.write_text("".join(f"{frame} {frame} {frame + 1}\n{pose}" for frame in range(5)))
+    with planish.stream(folder, CAMERA, temporal="steady", poses=poses, outputs=["depth", "frames"]) as frames:
+        assert len(list(frames)) == 6
+    statistics = frames.statistics
+    assert statistics is not None and statistics["without_pose"] == 1
+    with pytest.raises(ValueError, match="poses need smoothing over time"):
+        planish.stream(folder, CAMERA, poses=poses)
+    with pytest.raises(ValueError, match="cannot be combined"):
+        planish.stream(folder, CAMERA, temporal="steady", poses=poses, pose_topic="/tf")
+    with pytest.raises(ValueError, match="no effect without pose_topic"):
+        planish.stream(folder, CAMERA, temporal="steady", fixed_frame="odom")
+    with pytest.raises((ValueError, OSError), match=str(folder)):
+        planish.stream(folder, CAMERA, temporal="steady", pose_topic="/tf")

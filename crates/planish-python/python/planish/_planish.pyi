@@ -200,6 +200,10 @@ class Stream:
         depth_units_per_metre: float | None,
         align: str | None,
         mode: str | None,
+        topic: str | None,
+        poses: str | None,
+        pose_topic: str | None,
+        fixed_frame: str | None,
     ) -> Stream: ...
     def next(self) -> tuple[dict[str, Any] | None, list[str], bool]: ...
     def is_live(self) -> bool: ...

@@ -122,6 +122,10 @@ def stream(
     depth_units_per_metre: float | None = None,
     align: Literal["depth", "color", "none"] | None = None,
     mode: str | None = None,
+    topic: str | None = None,
+    poses: str | PathLike[str] | None = None,
+    pose_topic: str | None = None,
+    fixed_frame: str | None = None,
     **settings: Unpack[Settings],
 ) -> Stream:
     """Smooth frames as they arrive. Capture and smoothing run in background threads while Python processes the previous frame.
@@ -147,6 +151,15 @@ def stream(
         of a RealSense), ``"color"`` maps depth to colour (default of OpenNI2 cameras that support it), and ``"none"`` omits colour.
     mode : str, optional
         For RealSense and OpenNI2 cameras: size and rate of the depth stream, such as ``"848x480@30"``.
+    topic : str, optional
+        For an MCAP recording: the topic with depth images or clouds, if there are several.
+    poses : str or path, optional
+        Poses of a moving camera, with ``temporal="steady"``: TUM's ``groundtruth.txt``, by time, or ``trajectory.log``, by frame.
+    pose_topic : str, optional
+        For an MCAP recording, with ``temporal="steady"``: the topic with the poses of a moving camera, such as ``"/tf"`` or a
+        topic with odometry.
+    fixed_frame : str, optional
+        The fixed coordinate frame, with ``pose_topic`` [default: odom, or the root of the camera's frames].
     **settings : Settings
         ``preset``, ``strength``, ``sensor``, ``edges``, ``engine``, ...; see `Settings`.
 
@@ -172,9 +185,15 @@ def stream(
         raise ValueError(f"frames: {frames} is not allowed: 0 to 2**63 - 1")
     if not isinstance(source, str) and not os.path.exists(source):
         raise FileNotFoundError(f"{os.fspath(source)}: no such file or folder")
+    if poses is not None and pose_topic is not None:
+        raise ValueError("poses and pose_topic cannot be combined; give one of them")
+    if fixed_frame is not None and pose_topic is None:
+        raise ValueError("fixed_frame has no effect without pose_topic")
     find_realsense(os.fspath(source))
     # Check the settings as a Smoother does.
     of_smoother: dict[str, Any] = {name: value for name, value in settings.items() if name not in PREPARATION}
     checked = Smoother(camera, outputs=outputs, **of_smoother)
     names = list(checked.__getstate__()["outputs"])
-    return Stream(_Stream(os.fspath(source), names, dict(settings), camera, fps, frames, depth_units_per_metre, align, mode))
+    file = None if poses is None else os.fspath(poses)
+    of_source = (fps, frames, depth_units_per_metre, align, mode, topic)
+    return Stream(_Stream(os.fspath(source), names, dict(settings), camera, *of_source, file, pose_topic, fixed_frame))
