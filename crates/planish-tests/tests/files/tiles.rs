@@ -215,7 +215,7 @@ fn ply_that_has_no_parts_is_left_to_be_read_whole() {
     let out = folder.path().join("out.las");
     let options = TileOptions::new(parsed(BY_DENSITY), cpu(), 1 << 20);
     let error = smooth_tiles(&file, &out, &options, &Progress::default()).unwrap_err().to_string();
-    assert!(error.contains(".las or .laz, or .ply"), "{error}");
+    assert!(error.contains(".las or .laz, or both .ply"), "{error}");
 }
 
 #[test]
