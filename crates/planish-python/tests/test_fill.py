@@ -32,7 +32,10 @@ def test_a_gpu_fills_batches_of_depth_and_of_points() -> None:
     hole = np.s_[200:204, 300:304]
     depth[hole] = 0
     outputs = ("points", "status")
-    points = planish.smooth(depth, frame.camera, preset="paper", outputs=outputs).points
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    z = np.where(depth > 0, depth, np.nan) / 1000
+    rays = [(u - frame.camera.cx) / frame.camera.fx, (v - frame.camera.cy) / frame.camera.fy, np.ones_like(z)]
+    points = (np.stack(rays, axis=-1) * z[..., None]).astype(np.float32)
     for image, camera in ((depth, frame.camera), (points, None)):
         smoother = planish.Smoother(camera, engine="gpu", adapter=0, fill=8, outputs=outputs)
         status = smoother.smooth_batch([image, image]).status

@@ -20,7 +20,8 @@ struct Uniform {
     most_px: u32,
     baseline_m: f32,
     frames: u32,
-    padding: [u32; 2],
+    scratch_words: u32,
+    padding: u32,
 }
 
 const _: () = assert!(size_of::<Uniform>() == 48);
@@ -54,7 +55,8 @@ impl SlotFill {
             most_px: width_px,
             baseline_m: params.sensor.baseline_m().unwrap_or(0.0) as f32,
             frames: frames as u32,
-            padding: [0; 2],
+            scratch_words: scratch_words(layout) as u32,
+            padding: 0,
         };
         let uniform = gpu.uniform("fill", bytes_of(&contents));
         let [hole_bytes, cleared_bytes] = hole_words(layout, frames).map(|words| 4 * words as u64);

@@ -203,9 +203,9 @@ fn solve() -> String {
     text + "return Surface(c0, c1, c2, c3, c4, c5, origin, scale_px, leverage, samples);\n}\n"
 }
 
-/// Returns the number of scratch words per frame.
+/// Returns the number of scratch words per frame: channels of words, and one bit per pixel.
 pub(super) fn scratch_words(layout: &Layout) -> usize {
-    SCRATCH_CHANNELS * layout.pixels()
+    SCRATCH_CHANNELS * layout.pixels() + layout.height * layout.width.div_ceil(32)
 }
 
 /// Returns the number of words that describe the holes of `frames` frames, and how many of them must initially be 0.

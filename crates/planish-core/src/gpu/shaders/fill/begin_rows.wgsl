@@ -63,6 +63,9 @@ fn begin_rows(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     atomicMax(&row_extent[LARGEST], largest);
     atomicMax(&row_extent[SMALLEST], smallest);
     workgroupBarrier();
+    for (var word = thread; word < (batch.width + 31u) / 32u; word += ROW_THREADS) {
+        scratch[hole_bits_word(frame, group.x, word)] = atomicLoad(&row_holes[word]);
+    }
     if thread < 2u {
         atomicMax(&holes[frame_word(frame, thread)], atomicLoad(&row_extent[thread]));
     }

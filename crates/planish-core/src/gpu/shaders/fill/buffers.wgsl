@@ -16,14 +16,16 @@ struct Fill {
     baseline_m: f32,
     // Number of frames.
     frames: u32,
-    padding: vec2<u32>,
+    // Distance between frames in `scratch`, in words.
+    scratch_words: u32,
+    padding: u32,
 }
 
 @group(0) @binding(0) var<uniform> batch: Fill;
 @group(0) @binding(1) var<storage, read> input: array<u32>;
 // The result, whose holes are filled.
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
-// Per frame: the channels listed below, one word per pixel.
+// Per frame: the channels listed below, one word per pixel; then one bit per pixel, set for holes.
 @group(0) @binding(3) var<storage, read_write> scratch: array<u32>;
 // For all frames: the words listed below; then per frame the labels, sizes and tallies, one word per pixel.
 @group(0) @binding(4) var<storage, read_write> holes: array<atomic<u32>>;
@@ -67,7 +69,7 @@ fn hole_word(frame: u32, channel: u32, i: u32) -> u32 {
 }
 
 fn scratch_word(frame: u32, channel: u32, i: u32) -> u32 {
-    return (frame * SCRATCH_CHANNELS + channel) * pixels() + i;
+    return frame * batch.scratch_words + channel * pixels() + i;
 }
 
 fn is_in_image(at: vec2<i32>) -> bool {
@@ -83,8 +85,15 @@ fn inverse_at(frame: u32, i: u32) -> f32 {
     return bitcast<f32>(scratch[scratch_word(frame, INVERSE, i)]);
 }
 
-fn is_hole(frame: u32, i: u32) -> bool {
-    return scratch[scratch_word(frame, INVERSE, i)] == 0u;
+// Returns the index of the word with the bits of 32 pixels of a row.
+fn hole_bits_word(frame: u32, row: u32, word: u32) -> u32 {
+    return scratch_word(frame, SCRATCH_CHANNELS, row * ((batch.width + 31u) / 32u) + word);
+}
+
+// Returns true if a pixel of the image is a hole. The bits fit into the cache, unlike INVERSE.
+fn is_hole(frame: u32, at: vec2<i32>) -> bool {
+    let pixel = vec2<u32>(at);
+    return extractBits(scratch[hole_bits_word(frame, pixel.y, pixel.x / 32u)], pixel.x % 32u, 1u) != 0u;
 }
 
 fn status_at(frame: u32, i: u32) -> u32 {

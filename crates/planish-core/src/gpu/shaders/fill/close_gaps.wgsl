@@ -5,7 +5,7 @@
 fn close_gaps(@builtin(global_invocation_id) id: vec3<u32>) {
     let frame = id.z;
     let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, i) {
+    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
         return;
     }
     if scratch[scratch_word(frame, FILLED, i)] != 0u {

@@ -33,7 +33,7 @@ fn steps_to_rim(frame: u32, at: vec2<i32>, k: u32, most: i32) -> i32 {
         if !is_in_image(next) {
             return 0;
         }
-        if !is_hole(frame, index(next)) {
+        if !is_hole(frame, next) {
             return steps;
         }
     }
@@ -265,7 +265,7 @@ fn shadowed(frame: u32, i: u32, at: vec2<i32>, rims: ptr<function, Rims>) -> Pat
 fn fit_holes(@builtin(global_invocation_id) id: vec3<u32>) {
     let frame = id.z;
     let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, i) {
+    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
         return;
     }
     let at = vec2<i32>(id.xy);

@@ -19,24 +19,26 @@ fn unite(frame: u32, one: u32, other: u32) {
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
 fn join_rows(@builtin(global_invocation_id) id: vec3<u32>) {
     let frame = id.z;
+    let at = vec2<i32>(id.xy);
     let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || id.y == 0u || !is_hole(frame, i) {
+    if id.x >= batch.width || id.y >= batch.height || id.y == 0u || !is_hole(frame, at) {
         return;
     }
     let above = i - batch.width;
-    let has_left = id.x > 0u && is_hole(frame, i - 1u);
-    if is_hole(frame, above) {
+    let has_left = id.x > 0u && is_hole(frame, at - vec2<i32>(1, 0));
+    let has_above_left = id.x > 0u && is_hole(frame, at - vec2<i32>(1, 1));
+    if is_hole(frame, at - vec2<i32>(0, 1)) {
         // Otherwise the pixel to the left, or one of its neighbours, joins the same runs.
-        if !(has_left && is_hole(frame, above - 1u)) {
+        if !(has_left && has_above_left) {
             unite(frame, i, above);
         }
         return;
     }
-    if id.x > 0u && !has_left && is_hole(frame, above - 1u) {
+    if !has_left && has_above_left {
         unite(frame, i, above - 1u);
     }
-    let has_right = id.x + 1u < batch.width && is_hole(frame, i + 1u);
-    if id.x + 1u < batch.width && !has_right && is_hole(frame, above + 1u) {
+    let is_last = id.x + 1u == batch.width;
+    if !is_last && !is_hole(frame, at + vec2<i32>(1, 0)) && is_hole(frame, at + vec2<i32>(1, -1)) {
         unite(frame, i, above + 1u);
     }
 }

@@ -13,7 +13,7 @@ fn is_there(frame: u32, at: vec2<i32>) -> bool {
         return false;
     }
     let i = index(at);
-    return !is_hole(frame, i) || (scratch[scratch_word(frame, FITTED, i)] == 1u && is_of_whole_hole(frame, i));
+    return !is_hole(frame, at) || (scratch[scratch_word(frame, FITTED, i)] == 1u && is_of_whole_hole(frame, i));
 }
 
 // Returns the number of pixels in a row that are not holes, up to LEAST_STRIPE_PX - 1, from a pixel in a direction.
@@ -29,7 +29,7 @@ fn run_px(frame: u32, at: vec2<i32>, step: vec2<i32>) -> i32 {
 fn keep_solid(@builtin(global_invocation_id) id: vec3<u32>) {
     let frame = id.z;
     let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, i) {
+    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
         return;
     }
     if scratch[scratch_word(frame, FITTED, i)] != 1u || !is_of_whole_hole(frame, i) {

@@ -18,7 +18,7 @@ fn has_step_near(frame: u32, at: vec2<i32>) -> bool {
 }
 
 fn is_point(frame: u32, at: vec2<i32>) -> bool {
-    return is_in_image(at) && !is_hole(frame, index(at));
+    return is_in_image(at) && !is_hole(frame, at);
 }
 
 // Returns true at the ends of runs, and next to points above or below.
@@ -32,7 +32,7 @@ fn is_rim(frame: u32, at: vec2<i32>) -> bool {
 fn measure_holes(@builtin(global_invocation_id) id: vec3<u32>) {
     let frame = id.z;
     let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, i) {
+    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
         return;
     }
     let hole = first_pixel(frame, i);

@@ -4,7 +4,7 @@ var<workgroup> codes: array<u32, TILE_WIDTH * TILE_HEIGHT>;
 
 // Returns the patch of a filled pixel; one without samples for other pixels.
 fn filled_patch(frame: u32, i: u32, at: vec2<i32>) -> Patch {
-    if !is_in_image(at) || !is_hole(frame, i) {
+    if !is_in_image(at) || !is_hole(frame, at) {
         return no_patch();
     }
     if scratch[scratch_word(frame, FILLED, i)] != 0u {
