@@ -123,7 +123,7 @@ pub struct SmoothingArgs {
     /// Replaces a preset; values between are interpolated.
     #[arg(long, value_name = "0..1", conflicts_with = "preset", allow_negative_numbers = true)]
     pub strength: Option<f32>,
-    /// Depth sensor
+    /// Sensor
     ///
     /// Its noise sets the radius and the width of edges. By default kinect1.
     #[arg(long, value_enum)]
@@ -212,14 +212,14 @@ pub struct SmoothingArgs {
     /// this option.
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub even: Option<bool>,
-    /// Smooth video from one camera over time [default: off]
+    /// Smooth video
     ///
-    /// Applies to streams, rigs, folders of frames (in the order of their numbers) and recordings, but not to
-    /// unorganized clouds. Without --track or --poses, the camera must be stationary.
-    #[arg(long, value_enum, help_heading = TUNING)]
+    /// Off by default. Applies to the frames of one camera: streams, rigs, folders (in the order of their numbers) and
+    /// recordings, but not to unorganized clouds. Without --track or --poses, the camera must be stationary.
+    #[arg(long, value_enum)]
     pub temporal: Option<TemporalArg>,
     /// Smooth video from a moving camera over time: its motion is estimated from frame to frame
-    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", help_heading = TUNING)]
+    #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub track: Option<bool>,
     /// Degree of the surface: 1 plane, 2 or 3 polynomial
     #[arg(long, value_name = "D", hide_short_help = true, help_heading = TUNING)]

@@ -1,6 +1,7 @@
 //! Commands other than `smooth`: convert, compare, merge and mesh.
 
 use std::fs;
+use std::process::Command;
 
 use planish::io::{self, Contents, Encoding, write_cloud};
 use planish::{Camera, DepthImage, PointCloud, Xyz};
@@ -133,4 +134,12 @@ fn normals_of_the_input_do_not_stay_on_moved_points() {
     assert!(count("normal_x", &|x| x == 1.0) < 10);
     assert!(count("normal_z", &|z| z < -0.1) > pixels / 2);
     assert_eq!(count("intensity", &|value| value == 7.0), pixels);
+}
+
+#[test]
+fn the_short_help_of_smooth_fits_on_a_screen() {
+    let help =
+        Command::new(env!("CARGO_BIN_EXE_planish")).args(["smooth", "-h"]).env("COLUMNS", "80").output().unwrap();
+    let lines = text(&help.stdout).lines().count();
+    assert!((10..=24).contains(&lines), "{lines} lines");
 }
