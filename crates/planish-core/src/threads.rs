@@ -55,6 +55,11 @@ pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
 pub struct Threads(Option<Arc<ThreadPool>>);
 
 impl Threads {
+    /// Returns the shared pool of the process.
+    pub(crate) fn shared() -> Self {
+        Self(None)
+    }
+
     /// Opens a pool with this number of threads, or the shared pool of the process ([`start_shared_threads`]) if
     /// `None`.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
@@ -83,6 +88,22 @@ impl Threads {
         match &self.0 {
             Some(pool) => pool.in_place_scope(both),
             None => rayon::in_place_scope(both),
+        }
+    }
+
+    /// Runs `work` on the calling thread, and on up to `helpers` threads of this pool.
+    pub(crate) fn beside_several<'w>(&self, helpers: usize, work: &'w (impl Fn() + Sync)) {
+        if ONE_THREAD {
+            return work();
+        }
+        let threads = self.0.as_ref().map_or_else(rayon::current_num_threads, |pool| pool.current_num_threads());
+        let all = |scope: &rayon::Scope<'w>| {
+            (0..helpers.min(threads)).for_each(|_| scope.spawn(move |_| work()));
+            work();
+        };
+        match &self.0 {
+            Some(pool) => pool.in_place_scope(all),
+            None => rayon::in_place_scope(all),
         }
     }
 

@@ -1,8 +1,10 @@
 //! The thread that waits for the frames in flight on a queue and copies out their results, so that the submitting
 //! thread does not have to.
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::hint::spin_loop;
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::{self, JoinHandle};
+use std::time::Instant;
 
 use super::device::GpuDevice;
 use super::flight::Flight;
@@ -12,8 +14,8 @@ use crate::smoothed::Smoothed;
 use crate::threads::Threads;
 use crate::timings::FrameTimings;
 
-/// Number of threads that copy the channels of the points in parallel; one thread is slower than the bus.
-const COPY_THREADS: usize = 3;
+/// Number of threads that help the copying thread, which alone is slower than the bus.
+const HELPERS: usize = 3;
 
 type CopyResult = Result<(Smoothed, Option<FrameTimings>), EngineError>;
 
@@ -38,12 +40,12 @@ impl Copier {
         let (jobs, queue) = channel::<Box<Job>>();
         // The thread has its own pool: all workers of rayon's global pool may be blocked, one of them waiting for
         // this copy.
-        let pool = Threads::open(Some(COPY_THREADS))?;
+        let pool = Threads::open(Some(HELPERS))?;
         let work = move || {
             for job in queue {
                 let Job { flight, mut buffer, done } = *job;
                 let result = MappedView::of(flight).map(|view| {
-                    pool.install(|| view.copy_frame_to(0, &mut buffer));
+                    view.copy_frame_to(0, &mut buffer, &pool);
                     (buffer, view.timings())
                 });
                 // If the smoother was dropped, the receiver is gone.
@@ -75,7 +77,16 @@ impl Drop for Copier {
 }
 
 impl Copied {
+    /// Waits for the copy.
     pub(super) fn wait(self, gpu: &GpuDevice) -> CopyResult {
-        self.0.recv().unwrap_or_else(|_| Err(gpu.failed("the thread that copies results has ended")))
+        let spin_until = Instant::now() + gpu.spin;
+        let received = loop {
+            match self.0.try_recv() {
+                Ok(result) => break Some(result),
+                Err(TryRecvError::Empty) if Instant::now() < spin_until => spin_loop(),
+                _ => break self.0.recv().ok(),
+            }
+        };
+        received.unwrap_or_else(|| Err(gpu.failed("the thread that copies results has ended")))
     }
 }

@@ -67,7 +67,8 @@ pub(super) struct GpuDevice {
     turn: Mutex<()>,
     /// Number of threads waiting to submit; polling threads yield to them.
     submitting: AtomicUsize,
-    spin: Duration,
+    /// Time for which waiting threads spin; zero for software adapters.
+    pub(super) spin: Duration,
 }
 
 /// Returns the adapters of this machine, in order of their indices. They are enumerated once, since that takes longer

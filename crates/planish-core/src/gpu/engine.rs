@@ -24,7 +24,7 @@ use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, DeviceSteps, SmoothingEngine, Video, VideoStep};
-use crate::threads::on_a_thread_each;
+use crate::threads::{Threads, on_a_thread_each};
 use crate::timings::FrameTimings;
 use crate::view::SmoothedView;
 
@@ -321,7 +321,7 @@ impl Gpu {
     }
 
     /// Submits a slot whose frames have been written.
-    fn submit_slot(&mut self, slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
+    fn submit_slot(&mut self, mut slot: Slot, step: &VideoStep) -> Result<Flight, EngineError> {
         let smooth = self.kernels(&slot.gpu, slot.used_for.layout.kind)?;
         let [sigma, fill] = step_kernels(&slot.gpu, &slot.used_for, self.options.bounds_checks)?;
         let kernels = Kernels { smooth, sigma, fill };
@@ -335,7 +335,7 @@ impl SmoothingEngine for Gpu {
     fn smooth(&mut self, frame: &AdmittedFrame<'_>, out: SmoothedMut<'_>) -> Result<(), Error> {
         let view = MappedView::of(self.launch(std::slice::from_ref(frame))?)?;
         self.timings = view.timings();
-        view.copy_frame_into(0, out);
+        view.copy_into(out);
         Ok(())
     }
 
@@ -350,7 +350,8 @@ impl SmoothingEngine for Gpu {
             // Divide the frames evenly, because submissions of the same size use the same slot.
             let count = alike.div_ceil(alike.div_ceil(most));
             let view = MappedView::of(self.launch(&frames[done..done + count])?)?;
-            out[done..done + count].par_iter_mut().enumerate().for_each(|(i, out)| view.copy_frame_to(i, out));
+            let out = out[done..done + count].par_iter_mut().enumerate();
+            out.for_each(|(i, out)| view.copy_frame_to(i, out, &Threads::shared()));
             if let Some(more) = view.timings() {
                 *timings.get_or_insert_default() += more;
             }

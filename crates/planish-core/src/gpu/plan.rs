@@ -25,6 +25,7 @@ use crate::params::{Edges, EngineParams, FrameParams};
 use crate::smoothed::Smoothed;
 use crate::smoother::{check_frame, check_options, needs_range};
 use crate::smoothing_engine::AdmittedFrame;
+use crate::threads::Threads;
 
 /// The limits of a WebGPU device that plans depend on, named as in `GPUSupportedLimits`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -195,7 +196,7 @@ impl Plan {
         // Mapped memory need not be aligned for words.
         let mut words = vec![0u32; expected / 4];
         bytemuck::cast_slice_mut(&mut words).copy_from_slice(result);
-        Results::of_frame(&self.layout, bytemuck::cast_slice(&words), 0).copy_to(out);
+        Results::of_frame(&self.layout, bytemuck::cast_slice(&words), 0).copy_to(out, &Threads::shared());
         Ok(())
     }
 }

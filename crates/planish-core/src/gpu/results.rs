@@ -1,11 +1,13 @@
 //! Reads the words of a result (layout.rs) as typed values.
 
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 use super::layout::Layout;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::smoothed::Smoothed;
 use crate::status::Status;
+use crate::threads::Threads;
 use crate::view::Rows;
 
 /// One frame of a result, in the bytes written by the device.
@@ -81,80 +83,92 @@ impl<'a> Results<'a> {
     }
 
     /// Copies the result into a `Smoothed`.
-    pub(super) fn copy_to(self, out: &mut Smoothed) {
+    pub(super) fn copy_to(self, out: &mut Smoothed, threads: &Threads) {
         out.prepare(self.layout.width, self.layout.height, self.layout.outputs);
-        self.copy_into(out.as_mut());
+        self.copy_into(out.as_mut(), threads);
     }
 
-    /// Copies the result into the given buffers, with the channels in parallel.
-    pub(super) fn copy_into(self, out: SmoothedMut<'_>) {
-        rayon::scope(|scope| {
-            for (from, to) in [(self.points(), out.points), (self.normals(), out.normals)] {
-                if let (Some(from), Some(to)) = (from, to) {
-                    spawn_copying(scope, from, to);
-                }
+    /// Copies the result into the given buffers, on the calling thread and on others.
+    pub(super) fn copy_into(self, out: SmoothedMut<'_>, threads: &Threads) {
+        let mut copies = Copies::default();
+        for (from, to) in [(self.points(), out.points), (self.normals(), out.normals)] {
+            if let (Some(from), Some(to)) = (from, to) {
+                copies.add_vectors(from, to);
             }
-            let channels = [
-                (self.curvature(), out.curvature),
-                (self.depth_m(), out.depth_m),
-                (self.frames(), out.frames),
-                (self.sigma(), out.sigma),
-            ];
-            for (from, to) in channels {
-                let (Some(from), Some(to)) = (from, to) else { continue };
-                scope.spawn(move |_| to.copy_from_slice(from));
-            }
-            if let (Some(rows), Some(to)) = (self.depth_rows(), out.depth) {
-                to.chunks_exact_mut(self.layout.width).zip(rows).for_each(|(to, from)| to.copy_from_slice(from));
-            }
-            if let (Some(rows), Some(to)) = (self.status_rows(), out.status) {
-                self.copy_rows(rows, to, Status::of_code);
-            }
-            if let (Some(rows), Some(to)) = (self.neighbours_rows(), out.neighbours) {
-                self.copy_rows(rows, to, u32::from);
-            }
-        });
+        }
+        let channels = [
+            (self.curvature(), out.curvature),
+            (self.depth_m(), out.depth_m),
+            (self.frames(), out.frames),
+            (self.sigma(), out.sigma),
+        ];
+        for (from, to) in channels {
+            let (Some(from), Some(to)) = (from, to) else { continue };
+            copies.add(move || to.copy_from_slice(from));
+        }
+        if let (Some(rows), Some(to)) = (self.depth_rows(), out.depth) {
+            let to_rows = to.chunks_exact_mut(self.layout.width);
+            copies.add(move || to_rows.zip(rows).for_each(|(to, from)| to.copy_from_slice(from)));
+        }
+        if let (Some(rows), Some(to)) = (self.status_rows(), out.status) {
+            copies.add(move || self.copy_rows(rows, to, Status::of_code));
+        }
+        if let (Some(rows), Some(to)) = (self.neighbours_rows(), out.neighbours) {
+            copies.add(move || self.copy_rows(rows, to, u32::from));
+        }
+        copies.run(threads);
     }
 }
 
 /// Number of vectors copied per task.
-const VECTORS_PER_TASK: usize = 1 << 16;
+const VECTORS_PER_TASK: usize = 1 << 15;
 
-/// Spawns tasks that copy vectors.
-pub(super) fn spawn_copying<'s>(scope: &rayon::Scope<'s>, from: [&'s [f32]; 3], to: VectorsMut<'s>) {
-    match to {
-        VectorsMut::Planes(to) => {
-            for (from, to) in from.into_iter().zip(to) {
-                scope.spawn(move |_| to.copy_from_slice(from));
-            }
+/// Copies of parts of a result, in any order and on any thread.
+#[derive(Default)]
+pub(super) struct Copies<'a>(Vec<Box<dyn FnOnce() + Send + 'a>>);
+
+impl<'a> Copies<'a> {
+    pub(super) fn add(&mut self, copy: impl FnOnce() + Send + 'a) {
+        self.0.push(Box::new(copy));
+    }
+
+    /// Adds the copies of vectors, in parts.
+    pub(super) fn add_vectors(&mut self, from: [&'a [f32]; 3], mut to: VectorsMut<'a>) {
+        let mut begin = 0;
+        while begin < from[0].len() {
+            let end = from[0].len().min(begin + VECTORS_PER_TASK);
+            let (part, rest) = to.split_at(end - begin);
+            let from = from.map(|channel| &channel[begin..end]);
+            self.add(move || copy_vectors(from, part));
+            (to, begin) = (rest, end);
         }
-        VectorsMut::Rows(to) => spawn_interleaving(scope, from, to, |row, xyz| *row = xyz),
-        VectorsMut::Rows4(to) => spawn_interleaving(scope, from, to, |row, xyz| row[..3].copy_from_slice(&xyz)),
-        VectorsMut::Strided(mut to) => {
-            let mut begin = 0;
-            while begin < from[0].len() {
-                let end = from[0].len().min(begin + VECTORS_PER_TASK);
-                let (mut part, rest) = to.split_at(end - begin);
-                let from = from.map(|channel| &channel[begin..end]);
-                scope.spawn(move |_| (0..part.len()).for_each(|i| part.set(i, from.map(|channel| channel[i]))));
-                (to, begin) = (rest, end);
-            }
-        }
+    }
+
+    /// Copies on the calling thread, which therefore need not wait until the other threads have woken up.
+    pub(super) fn run(self, threads: &Threads) {
+        let helpers = self.0.len().saturating_sub(1);
+        let copies = Mutex::new(self.0);
+        threads.beside_several(helpers, &|| {
+            let next = || copies.lock().unwrap_or_else(PoisonError::into_inner).pop();
+            std::iter::from_fn(next).for_each(|copy| copy());
+        });
     }
 }
 
-fn spawn_interleaving<'s, T: Send>(
-    scope: &rayon::Scope<'s>,
-    [x, y, z]: [&'s [f32]; 3],
-    to: &'s mut [T],
-    set: fn(&mut T, [f32; 3]),
-) {
-    let from = x.chunks(VECTORS_PER_TASK).zip(y.chunks(VECTORS_PER_TASK)).zip(z.chunks(VECTORS_PER_TASK));
-    for (to, ((x, y), z)) in to.chunks_mut(VECTORS_PER_TASK).zip(from) {
-        scope.spawn(move |_| {
-            for (to, ((&x, &y), &z)) in to.iter_mut().zip(x.iter().zip(y).zip(z)) {
-                set(to, [x, y, z]);
+fn copy_vectors([x, y, z]: [&[f32]; 3], to: VectorsMut<'_>) {
+    fn interleave<T>([x, y, z]: [&[f32]; 3], to: &mut [T], set: impl Fn(&mut T, [f32; 3])) {
+        for (to, ((&x, &y), &z)) in to.iter_mut().zip(x.iter().zip(y).zip(z)) {
+            set(to, [x, y, z]);
+        }
+    }
+    match to {
+        VectorsMut::Planes(to) => {
+            for (from, to) in [x, y, z].into_iter().zip(to) {
+                to.copy_from_slice(from);
             }
-        });
+        }
+        VectorsMut::Rows(to) => interleave([x, y, z], to, |row, xyz| *row = xyz),
+        VectorsMut::Rows4(to) => interleave([x, y, z], to, |row, xyz| row[..3].copy_from_slice(&xyz)),
+        VectorsMut::Strided(mut to) => (0..to.len()).for_each(|i| to.set(i, [x[i], y[i], z[i]])),
     }
 }

@@ -85,6 +85,8 @@ pub(super) struct Slot {
     fill: Option<SlotFill>,
     stamps: Option<Stamps>,
     mapped: Mapped,
+    /// The commands of the next frames.
+    encoded: Option<wgpu::CommandBuffer>,
     _counted: Counted,
 }
 
@@ -175,6 +177,7 @@ impl Slot {
                 fill,
                 stamps,
                 mapped: Mapped::default(),
+                encoded: None,
                 _counted: Counted::new(total, all_bytes),
             }
         })
@@ -194,14 +197,29 @@ impl Slot {
         Ok(())
     }
 
-    /// Submits the kernels of the frames, then those for standard errors and holes, or for the temporal filter.
-    /// Requests that the buffers be mapped once the kernels have run.
+    /// Submits the frames, and requests that the buffers be mapped once the kernels have run.
+    ///
+    /// Encoding takes longer than submitting, so the commands of the slot's next frames are encoded here, while the
+    /// device works. Those of a video depend on the frame.
     pub(super) fn submit(
-        &self,
+        &mut self,
         kernels: &Kernels,
         over_time: Option<(&mut OverTime, &VideoStep)>,
     ) -> wgpu::SubmissionIndex {
+        let is_video = over_time.is_some();
+        let commands = self.encoded.take().unwrap_or_else(|| self.encode(kernels, over_time));
         self.upload.unmap();
+        let submission = self.gpu.submit(commands);
+
+        let stamps = self.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
+        let buffers = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
+        self.mapped.ask_for(buffers.into_iter().chain(stamps));
+        self.encoded = (!is_video).then(|| self.encode(kernels, None));
+        submission
+    }
+
+    /// Encodes the kernels of the frames, then those for standard errors and holes, or for the temporal filter.
+    fn encode(&self, kernels: &Kernels, over_time: Option<(&mut OverTime, &VideoStep)>) -> wgpu::CommandBuffer {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         if let Some(stamps) = &self.stamps {
             stamps.write(&mut encoder, 0);
@@ -241,12 +259,7 @@ impl Slot {
             stamps.write(&mut encoder, 3);
             stamps.resolve(&mut encoder);
         }
-        let submission = self.gpu.submit(encoder.finish());
-
-        let stamps = self.stamps.as_ref().map(|stamps| (&stamps.readback, wgpu::MapMode::Read));
-        let buffers = [(&self.upload, wgpu::MapMode::Write), (&self.readback, wgpu::MapMode::Read)];
-        self.mapped.ask_for(buffers.into_iter().chain(stamps));
-        submission
+        encoder.finish()
     }
 
     /// Copies the requested outputs to the buffer that the host reads.

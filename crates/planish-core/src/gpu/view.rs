@@ -8,6 +8,7 @@ use super::slot::Slot;
 use crate::error::EngineError;
 use crate::outputs::SmoothedMut;
 use crate::smoothed::Smoothed;
+use crate::threads::Threads;
 use crate::timings::FrameTimings;
 use crate::view::{ResultInPlace, Rows};
 
@@ -40,13 +41,13 @@ impl MappedView {
     }
 
     /// Copies a frame of the result into a `Smoothed`.
-    pub(super) fn copy_frame_to(&self, frame: usize, out: &mut Smoothed) {
-        self.results(frame).copy_to(out);
+    pub(super) fn copy_frame_to(&self, frame: usize, out: &mut Smoothed, threads: &Threads) {
+        self.results(frame).copy_to(out, threads);
     }
 
-    /// Copies a frame of the result into the given buffers.
-    pub(super) fn copy_frame_into(&self, frame: usize, out: SmoothedMut<'_>) {
-        self.results(frame).copy_into(out);
+    /// Copies the first frame of the result into the given buffers.
+    pub(super) fn copy_into(&self, out: SmoothedMut<'_>) {
+        self.results(0).copy_into(out, &Threads::shared());
     }
 }
 
@@ -92,7 +93,7 @@ impl ResultInPlace for MappedView {
     }
 
     fn copy_to(&self, out: &mut Smoothed) {
-        self.copy_frame_to(0, out);
+        self.copy_frame_to(0, out, &Threads::shared());
     }
 }
 

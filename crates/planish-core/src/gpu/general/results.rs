@@ -3,10 +3,11 @@
 use std::ops::Range;
 
 use super::super::layout::Layout;
-use super::super::results::spawn_copying;
+use super::super::results::Copies;
 use super::parts::Record;
 use crate::outputs::{SmoothedMut, VectorsMut};
 use crate::status::Status;
+use crate::threads::Threads;
 
 /// The results of a cloud, or of a part with its halo.
 pub(super) struct GeneralResults<'a> {
@@ -24,24 +25,24 @@ impl<'a> GeneralResults<'a> {
 
     /// Copies the results, in the order of the cloud.
     pub(super) fn copy_into(&self, out: SmoothedMut<'_>) {
-        rayon::scope(|scope| {
-            for (channels, to) in [(self.layout.points(), out.points), (self.layout.normals(), out.normals)] {
-                if let (Some(channels), Some(to)) = (channels, to) {
-                    spawn_copying(scope, channels.map(|channel| self.numbers(channel)), to);
-                }
+        let mut copies = Copies::default();
+        for (channels, to) in [(self.layout.points(), out.points), (self.layout.normals(), out.normals)] {
+            if let (Some(channels), Some(to)) = (channels, to) {
+                copies.add_vectors(channels.map(|channel| self.numbers(channel)), to);
             }
-            if let (Some(channel), Some(to)) = (self.layout.curvature(), out.curvature) {
-                let from = self.numbers(channel);
-                scope.spawn(move |_| to.copy_from_slice(from));
-            }
-            let codes = &self.words[self.layout.output_words()..];
-            if let Some(to) = out.status {
-                scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = status(*code)));
-            }
-            if let Some(to) = out.neighbours {
-                scope.spawn(move |_| to.iter_mut().zip(codes).for_each(|(to, code)| *to = neighbours(*code)));
-            }
-        });
+        }
+        if let (Some(channel), Some(to)) = (self.layout.curvature(), out.curvature) {
+            let from = self.numbers(channel);
+            copies.add(move || to.copy_from_slice(from));
+        }
+        let codes = &self.words[self.layout.output_words()..];
+        if let Some(to) = out.status {
+            copies.add(move || to.iter_mut().zip(codes).for_each(|(to, code)| *to = status(*code)));
+        }
+        if let Some(to) = out.neighbours {
+            copies.add(move || to.iter_mut().zip(codes).for_each(|(to, code)| *to = neighbours(*code)));
+        }
+        copies.run(&Threads::shared());
     }
 
     /// Copies the results of a part's points, which come first and keep the order of the cloud, to their positions in
