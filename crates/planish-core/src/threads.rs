@@ -50,16 +50,11 @@ pub(crate) fn on_a_thread_each<T: Send, I: Copy + Send>(
     })
 }
 
-/// A pool of threads, or rayon's global one.
-#[derive(Clone)]
+/// A pool of threads; by default rayon's global one.
+#[derive(Clone, Default)]
 pub struct Threads(Option<Arc<ThreadPool>>);
 
 impl Threads {
-    /// Returns the shared pool of the process.
-    pub(crate) fn shared() -> Self {
-        Self(None)
-    }
-
     /// Opens a pool with this number of threads, or the shared pool of the process ([`start_shared_threads`]) if
     /// `None`.
     pub fn open(threads: Option<usize>) -> Result<Self, EngineError> {
@@ -92,7 +87,7 @@ impl Threads {
     }
 
     /// Runs `work` on the calling thread, and on up to `helpers` threads of this pool.
-    pub(crate) fn beside_several<'w>(&self, helpers: usize, work: &'w (impl Fn() + Sync)) {
+    pub fn beside_several<'w>(&self, helpers: usize, work: &'w (impl Fn() + Sync)) {
         if ONE_THREAD {
             return work();
         }

@@ -351,7 +351,7 @@ impl SmoothingEngine for Gpu {
             let count = alike.div_ceil(alike.div_ceil(most));
             let view = MappedView::of(self.launch(&frames[done..done + count])?)?;
             let out = out[done..done + count].par_iter_mut().enumerate();
-            out.for_each(|(i, out)| view.copy_frame_to(i, out, &Threads::shared()));
+            out.for_each(|(i, out)| view.copy_frame_to(i, out, &Threads::default()));
             if let Some(more) = view.timings() {
                 *timings.get_or_insert_default() += more;
             }

@@ -196,7 +196,7 @@ impl Plan {
         // Mapped memory need not be aligned for words.
         let mut words = vec![0u32; expected / 4];
         bytemuck::cast_slice_mut(&mut words).copy_from_slice(result);
-        Results::of_frame(&self.layout, bytemuck::cast_slice(&words), 0).copy_to(out, &Threads::shared());
+        Results::of_frame(&self.layout, bytemuck::cast_slice(&words), 0).copy_to(out, &Threads::default());
         Ok(())
     }
 }

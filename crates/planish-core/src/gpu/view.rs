@@ -47,7 +47,7 @@ impl MappedView {
 
     /// Copies the first frame of the result into the given buffers.
     pub(super) fn copy_into(&self, out: SmoothedMut<'_>) {
-        self.results(0).copy_into(out, &Threads::shared());
+        self.results(0).copy_into(out, &Threads::default());
     }
 }
 
@@ -93,7 +93,7 @@ impl ResultInPlace for MappedView {
     }
 
     fn copy_to(&self, out: &mut Smoothed) {
-        self.copy_frame_to(0, out, &Threads::shared());
+        self.copy_frame_to(0, out, &Threads::default());
     }
 }
 

@@ -42,7 +42,7 @@ impl<'a> GeneralResults<'a> {
         if let Some(to) = out.neighbours {
             copies.add(move || to.iter_mut().zip(codes).for_each(|(to, code)| *to = neighbours(*code)));
         }
-        copies.run(&Threads::shared());
+        copies.run(&Threads::default());
     }
 
     /// Copies the results of a part's points, which come first and keep the order of the cloud, to their positions in
