@@ -10,7 +10,9 @@ use crate::sigma::constants;
 const TILE: [usize; 2] = [32, 8];
 /// Number of scratch words per pixel: residual, smoothed range, step.
 const PIXEL_WORDS: usize = 3;
-/// Number of scratch words per sampled row: product and mean square for each lag, along rows and columns.
+/// Number of pixels in a segment of a sampled row, whose pairs are summed by one workgroup.
+const SEGMENT_PX: usize = 128;
+/// Number of scratch words per segment: product and mean square for each lag, along rows and columns.
 const ROW_WORDS: usize = 4 * constants::MOST_LAG_PX;
 
 /// A pass over pixels, rows or frames. Its kernel depends on the kind of input only if it reads the input.
@@ -41,7 +43,7 @@ impl SigmaPass {
     pub(super) fn workgroups(self, (width, height): (usize, usize)) -> [usize; 2] {
         match self {
             Self::SetResiduals(_) | Self::EstimateSigma => [width.div_ceil(TILE[0]), height.div_ceil(TILE[1])],
-            Self::CorrelateRows => [sampled_rows(height), 1],
+            Self::CorrelateRows => [width.div_ceil(SEGMENT_PX), sampled_rows(height)],
             Self::MeasureArea => [1, 1],
         }
     }
@@ -81,6 +83,7 @@ fn sigma_constants() -> String {
         ("NEAR_STEP_PX", constants::NEAR_STEP_PX),
         ("MOST_LAG_PX", constants::MOST_LAG_PX),
         ("ROW_STRIDE_PX", constants::ROW_STRIDE_PX),
+        ("SEGMENT_PX", SEGMENT_PX),
         ("PIXEL_WORDS", PIXEL_WORDS),
         ("ROW_WORDS", ROW_WORDS),
     ];
@@ -102,12 +105,13 @@ fn sigma_constants() -> String {
 }
 
 /// Returns the number of rows from which the correlation is measured.
-pub(super) fn sampled_rows(height: usize) -> usize {
+fn sampled_rows(height: usize) -> usize {
     height.div_ceil(constants::ROW_STRIDE_PX)
 }
 
-/// Returns the number of scratch words per frame of a layout: for pixels, for sampled rows, and one for the
-/// correlation area.
+/// Returns the number of scratch words per frame of a layout: for pixels, for segments of sampled rows, and one for
+/// the correlation area.
 pub(super) fn scratch_words(layout: &Layout) -> usize {
-    PIXEL_WORDS * layout.pixels() + ROW_WORDS * sampled_rows(layout.height) + 1
+    let segments = layout.width.div_ceil(SEGMENT_PX) * sampled_rows(layout.height);
+    PIXEL_WORDS * layout.pixels() + ROW_WORDS * segments + 1
 }

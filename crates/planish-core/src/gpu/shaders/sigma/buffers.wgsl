@@ -29,7 +29,7 @@ struct Sigma {
 // The result, with a channel for the standard errors.
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
 // Per frame: residuals, smoothed ranges, steps (1 if the pixel to the right or below is across one), the sums of the
-// sampled rows, and the area of correlation.
+// sampled rows' segments, and the area of correlation.
 @group(0) @binding(3) var<storage, read_write> scratch: array<f32>;
 
 // Marker of a missing range.
@@ -42,7 +42,7 @@ fn scratch_at(frame: u32, i: u32) -> f32 {
     return scratch[frame * batch.scratch_words + i];
 }
 
-// Returns the index of the sums of row k * ROW_STRIDE_PX.
+// Returns the index of the sums of segment k of the sampled rows.
 fn sums_at(frame: u32, k: u32) -> u32 {
     return frame * batch.scratch_words + PIXEL_WORDS * pixels() + k * ROW_WORDS;
 }
@@ -51,8 +51,13 @@ fn sampled_rows() -> u32 {
     return (batch.height + ROW_STRIDE_PX - 1u) / ROW_STRIDE_PX;
 }
 
+// Returns the number of segments of a row.
+fn segments() -> u32 {
+    return (batch.width + SEGMENT_PX - 1u) / SEGMENT_PX;
+}
+
 fn area_at(frame: u32) -> u32 {
-    return sums_at(frame, sampled_rows());
+    return sums_at(frame, sampled_rows() * segments());
 }
 
 fn deviation(range: f32) -> f32 {

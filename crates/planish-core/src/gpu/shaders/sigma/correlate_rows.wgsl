@@ -1,48 +1,64 @@
 // Sums products of pairs of pixels within a row, and between a row and those below it (equation 17.3). One workgroup
-// per sampled row.
+// per segment of a sampled row, one thread per pixel.
 
-const THREADS: u32 = 64u;
+// Number of groups of threads; each adds up every PARTS-th pixel.
+const PARTS: u32 = SEGMENT_PX / ROW_WORDS;
+// Distance between pixels in `terms`; odd, so that threads do not compete for the same bank of memory.
+const TERMS_STEP: u32 = ROW_WORDS + 1u;
 
-var<workgroup> shared_sums: array<f32, THREADS * ROW_WORDS>;
+var<workgroup> residuals: array<f32, SEGMENT_PX + MOST_LAG_PX>;
+var<workgroup> terms: array<f32, SEGMENT_PX * TERMS_STEP>;
+var<workgroup> totals: array<f32, PARTS * ROW_WORDS>;
 
 // Returns the product and the mean square of two residuals; 0 if one is missing.
-fn pair(frame: u32, a: f32, b_at: u32) -> vec2<f32> {
-    let b = scratch_at(frame, b_at);
+fn pair(a: f32, b: f32) -> vec2<f32> {
     let counts = a != NO_RESIDUAL && b != NO_RESIDUAL;
     return select(vec2<f32>(0.0), vec2<f32>(a * b, 0.5 * fma(a, a, b * b)), counts);
 }
 
-@compute @workgroup_size(THREADS)
+@compute @workgroup_size(SEGMENT_PX)
 fn correlate_rows(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let frame = group.z;
-    let row = group.x * ROW_STRIDE_PX;
-    var along_row = array<vec2<f32>, MOST_LAG_PX>();
-    var along_column = array<vec2<f32>, MOST_LAG_PX>();
-    for (var column = thread; column < batch.width; column += THREADS) {
-        let i = row * batch.width + column;
-        let a = scratch_at(frame, i);
-        for (var k = 0u; k < MOST_LAG_PX; k++) {
-            if column + MOST_LAG_PX < batch.width {
-                along_row[k] += pair(frame, a, i + k + 1u);
-            }
-            if row + MOST_LAG_PX < batch.height {
-                along_column[k] += pair(frame, a, i + (k + 1u) * batch.width);
-            }
+    let row = group.y * ROW_STRIDE_PX;
+    let first = group.x * SEGMENT_PX;
+    for (var k = thread; k < SEGMENT_PX + MOST_LAG_PX; k += SEGMENT_PX) {
+        var residual = NO_RESIDUAL;
+        if first + k < batch.width {
+            residual = scratch_at(frame, row * batch.width + first + k);
         }
+        residuals[k] = residual;
     }
+    workgroupBarrier();
+    let column = first + thread;
+    let has_row = column + MOST_LAG_PX < batch.width;
+    let has_column = column < batch.width && row + MOST_LAG_PX < batch.height;
     for (var k = 0u; k < MOST_LAG_PX; k++) {
-        let at = thread * ROW_WORDS + 4u * k;
-        shared_sums[at] = along_row[k].x;
-        shared_sums[at + 1u] = along_row[k].y;
-        shared_sums[at + 2u] = along_column[k].x;
-        shared_sums[at + 3u] = along_column[k].y;
+        var below = NO_RESIDUAL;
+        if has_column {
+            below = scratch_at(frame, (row + k + 1u) * batch.width + column);
+        }
+        let along_row = pair(residuals[thread], select(NO_RESIDUAL, residuals[thread + k + 1u], has_row));
+        let along_column = pair(residuals[thread], below);
+        let at = thread * TERMS_STEP + 4u * k;
+        terms[at] = along_row.x;
+        terms[at + 1u] = along_row.y;
+        terms[at + 2u] = along_column.x;
+        terms[at + 3u] = along_column.y;
+    }
+    workgroupBarrier();
+    if thread < PARTS * ROW_WORDS {
+        var total = 0.0;
+        for (var pixel = thread / ROW_WORDS; pixel < SEGMENT_PX; pixel += PARTS) {
+            total += terms[pixel * TERMS_STEP + thread % ROW_WORDS];
+        }
+        totals[thread] = total;
     }
     workgroupBarrier();
     if thread < ROW_WORDS {
-        var sum = 0.0;
-        for (var other = 0u; other < THREADS; other++) {
-            sum += shared_sums[other * ROW_WORDS + thread];
+        var total = 0.0;
+        for (var part = 0u; part < PARTS; part++) {
+            total += totals[part * ROW_WORDS + thread];
         }
-        scratch[sums_at(frame, group.x) + thread] = sum;
+        scratch[sums_at(frame, group.y * segments() + group.x) + thread] = total;
     }
 }

@@ -1,7 +1,7 @@
 // Computes the area of correlation, the number of pixels whose noise counts as one sample (equation 17.3), from the
-// sums of all rows.
+// sums of all segments.
 
-// Number of groups of threads; each adds up every PARTS-th row.
+// Number of groups of threads; each adds up every PARTS-th segment.
 const PARTS: u32 = 10u;
 const THREADS: u32 = PARTS * ROW_WORDS;
 
@@ -27,7 +27,7 @@ fn measure_area(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     let frame = group.z;
     let which = thread % ROW_WORDS;
     var total = 0.0;
-    for (var k = thread / ROW_WORDS; k < sampled_rows(); k += PARTS) {
+    for (var k = thread / ROW_WORDS; k < sampled_rows() * segments(); k += PARTS) {
         total += scratch[sums_at(frame, k) + which];
     }
     totals[thread] = total;
