@@ -24,7 +24,7 @@ use pixel::{Holes, Patch};
 use solid::{keep_whole_holes, make_solid};
 
 /// Maximum width of a hole that can be filled, in pixels.
-const MOST_PX: u32 = 64;
+pub(crate) const MOST_PX: u32 = 64;
 
 /// Returns an error if the maximum width of a hole is out of range.
 pub(crate) fn check_width(width_px: Option<u32>) -> Result<(), ParamError> {

@@ -6,11 +6,11 @@ use super::kernel::moments_struct;
 use super::layout::{InputKind, Layout, channels, constants as layout_constants};
 use super::layout::{write_constant, write_numbers, write_words};
 use super::shader::shader;
-use crate::fill::constants;
+use crate::fill::{MOST_PX, constants};
 use crate::outputs::Outputs;
 use crate::status::Status;
 
-/// Numbers of columns and rows of pixels per workgroup.
+/// Numbers of columns and rows of pixels per workgroup. A row has as many pixels as a word has bits.
 const TILE: [usize; 2] = [32, 8];
 /// Number of threads per row.
 const ROW_THREADS: usize = 128;
@@ -88,6 +88,9 @@ impl FillPass {
         if matches!(pass, Pass::JoinRows | Pass::MeasureHoles | Pass::FitHoles) {
             text += shader!("shaders/fill/labels.wgsl");
         }
+        if !matches!(pass, Pass::BeginRows | Pass::WriteFilled) {
+            text += shader!("shaders/fill/tile_holes.wgsl");
+        }
         if matches!(pass, Pass::FitHoles | Pass::CloseGaps | Pass::WriteFilled) {
             text += shader!("shaders/input.wgsl");
             text += shader!("shaders/pixel_result.wgsl");
@@ -124,6 +127,7 @@ fn fill_constants(outputs: Outputs) -> String {
         ("TILE_HEIGHT", TILE[1]),
         ("ROW_THREADS", ROW_THREADS),
         ("WIDEST_PX", WIDEST_PX),
+        ("WIDEST_HOLE_PX", MOST_PX as usize),
         ("SCRATCH_CHANNELS", SCRATCH_CHANNELS),
         ("HOLE_CHANNELS", HOLE_CHANNELS),
         ("SIGMA_CHANNEL", channels(outputs).sigma),

@@ -10,10 +10,10 @@ use crate::sigma::constants;
 const TILE: [usize; 2] = [32, 8];
 /// Number of scratch words per pixel: residual, smoothed range, step.
 const PIXEL_WORDS: usize = 3;
-/// Number of pixels in a segment of a sampled row, whose pairs are summed by one workgroup.
-const SEGMENT_PX: usize = 128;
+/// Numbers of columns and sampled rows of a segment, whose pairs are summed by one workgroup.
+const SEGMENT: [usize; 2] = [128, 4];
 /// Number of scratch words per segment: product and mean square for each lag, along rows and columns.
-const ROW_WORDS: usize = 4 * constants::MOST_LAG_PX;
+const SEGMENT_WORDS: usize = 4 * constants::MOST_LAG_PX;
 
 /// A pass over pixels, rows or frames. Its kernel depends on the kind of input only if it reads the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -43,7 +43,7 @@ impl SigmaPass {
     pub(super) fn workgroups(self, (width, height): (usize, usize)) -> [usize; 2] {
         match self {
             Self::SetResiduals(_) | Self::EstimateSigma => [width.div_ceil(TILE[0]), height.div_ceil(TILE[1])],
-            Self::CorrelateRows => [width.div_ceil(SEGMENT_PX), sampled_rows(height)],
+            Self::CorrelateRows => segments(width, height),
             Self::MeasureArea => [1, 1],
         }
     }
@@ -83,9 +83,10 @@ fn sigma_constants() -> String {
         ("NEAR_STEP_PX", constants::NEAR_STEP_PX),
         ("MOST_LAG_PX", constants::MOST_LAG_PX),
         ("ROW_STRIDE_PX", constants::ROW_STRIDE_PX),
-        ("SEGMENT_PX", SEGMENT_PX),
+        ("SEGMENT_PX", SEGMENT[0]),
+        ("SEGMENT_ROWS", SEGMENT[1]),
         ("PIXEL_WORDS", PIXEL_WORDS),
-        ("ROW_WORDS", ROW_WORDS),
+        ("SEGMENT_WORDS", SEGMENT_WORDS),
     ];
     write_words(&mut text, &words);
     let numbers = [
@@ -104,14 +105,14 @@ fn sigma_constants() -> String {
     text
 }
 
-/// Returns the number of rows from which the correlation is measured.
-fn sampled_rows(height: usize) -> usize {
-    height.div_ceil(constants::ROW_STRIDE_PX)
+/// Returns the number of segments, across and down.
+fn segments(width: usize, height: usize) -> [usize; 2] {
+    [width.div_ceil(SEGMENT[0]), height.div_ceil(SEGMENT[1] * constants::ROW_STRIDE_PX)]
 }
 
-/// Returns the number of scratch words per frame of a layout: for pixels, for segments of sampled rows, and one for
-/// the correlation area.
+/// Returns the number of scratch words per frame of a layout: for pixels, for segments, and one for the correlation
+/// area.
 pub(super) fn scratch_words(layout: &Layout) -> usize {
-    let segments = layout.width.div_ceil(SEGMENT_PX) * sampled_rows(layout.height);
-    PIXEL_WORDS * layout.pixels() + ROW_WORDS * segments + 1
+    let [across, down] = segments(layout.width, layout.height);
+    PIXEL_WORDS * layout.pixels() + SEGMENT_WORDS * across * down + 1
 }

@@ -24,17 +24,69 @@ fn squared_px(k: u32, steps: i32) -> f32 {
     return f32(steps * steps) * select(1.0, 2.0, k >= 4u);
 }
 
-// Returns the number of steps to the first point in a direction; 0 if no point is within `most` steps.
-fn steps_to_rim(frame: u32, at: vec2<i32>, k: u32, most: i32) -> i32 {
+// Number of steps that are looked up at once.
+const STEPS_TOGETHER: i32 = 8;
+
+// Largest number of steps to a rim, a multiple of STEPS_TOGETHER, and the largest size of the block of pixels within
+// reach of a tile. Tiles are as wide as a word of hole bits.
+const FARTHEST: u32 = u32(REACH) * WIDEST_HOLE_PX;
+const BLOCK_WORDS: u32 = 1u + 2u * ((FARTHEST + 31u) / 32u);
+const BLOCK_ROWS: u32 = TILE_HEIGHT + 2u * FARTHEST;
+
+// The hole bits of the block, row by row: the tile's holes, and all within their reach.
+var<workgroup> block_bits: array<u32, BLOCK_WORDS * BLOCK_ROWS>;
+
+// The block of a tile.
+struct Block {
+    // The first pixel, which may be outside the image.
+    origin: vec2<i32>,
+    // Number of words per row.
+    words: u32,
+    // Largest number of steps to a rim.
+    reach: i32,
+    // Number of rows above and below the tile: the reach, rounded up to a multiple of STEPS_TOGETHER.
+    margin: i32,
+}
+
+fn block_of(tile: vec2<u32>) -> Block {
+    let reach = REACH * i32(batch.most_px);
+    let margin = (reach + STEPS_TOGETHER - 1) / STEPS_TOGETHER * STEPS_TOGETHER;
+    let words_beside = (margin + 31) / 32;
+    let origin = vec2<i32>(tile * vec2<u32>(TILE_WIDTH, TILE_HEIGHT)) - vec2<i32>(32 * words_beside, margin);
+    return Block(origin, u32(1 + 2 * words_beside), reach, margin);
+}
+
+// Returns the hole bits of 32 pixels; 0 outside the image.
+fn hole_bits(frame: u32, row: i32, word: i32) -> u32 {
+    if row < 0 || row >= i32(batch.height) || word < 0 || word >= i32((batch.width + 31u) / 32u) {
+        return 0u;
+    }
+    return scratch[hole_bits_word(frame, u32(row), u32(word))];
+}
+
+fn load_block(frame: u32, block: Block, thread: u32) {
+    let rows = TILE_HEIGHT + 2u * u32(block.margin);
+    for (var k = thread; k < block.words * rows; k += TILE_WIDTH * TILE_HEIGHT) {
+        let row = block.origin.y + i32(k / block.words);
+        block_bits[k] = hole_bits(frame, row, block.origin.x / 32 + i32(k % block.words));
+    }
+    workgroupBarrier();
+}
+
+// Returns the number of steps to the first point in a direction; 0 if no point is within reach.
+fn steps_to_rim(block: Block, at: vec2<i32>, k: u32) -> i32 {
     let step = direction(k);
-    var next = at;
-    for (var steps = 1; steps <= most; steps++) {
-        next += step;
-        if !is_in_image(next) {
-            return 0;
+    for (var steps = 0; steps < block.margin; steps += STEPS_TOGETHER) {
+        var points = 0u;
+        for (var next = 1; next <= STEPS_TOGETHER; next++) {
+            let in_block = vec2<u32>(at + (steps + next) * step - block.origin);
+            let bits = block_bits[in_block.y * block.words + in_block.x / 32u];
+            points |= (1u - extractBits(bits, in_block.x % 32u, 1u)) << u32(next - 1);
         }
-        if !is_hole(frame, next) {
-            return steps;
+        if points != 0u {
+            let found = steps + i32(firstTrailingBit(points)) + 1;
+            // Outside the image, no pixel is a hole.
+            return select(0, found, found <= block.reach && is_in_image(at + found * step));
         }
     }
     return 0;
@@ -99,6 +151,8 @@ fn surface_at(surface: Surface, x_px: f32, y_px: f32) -> f32 {
     return surface.c0 + x * (surface.c1 + x * surface.c3 + y * surface.c4) + y * (surface.c2 + y * surface.c5);
 }
 
+const MOST_SAMPLES: i32 = max(SAMPLES, SHADOW_SAMPLES);
+
 // Fits a surface to the rims whose bit is set in `used`, with up to `count` samples per direction.
 fn fit(frame: u32, at: vec2<i32>, rims: ptr<function, Rims>, used: u32, count: i32, spacing_px: i32) -> Surface {
     var farthest = 0.0;
@@ -120,17 +174,20 @@ fn fit(frame: u32, at: vec2<i32>, rims: ptr<function, Rims>, used: u32, count: i
         var last = (*rims).inverse[k];
         let most = step_limit(last);
         let step = direction(k);
+        // Loaded before the first is used, so that the loads overlap.
+        var inverses = array<f32, MOST_SAMPLES>();
         for (var j = 0; j < count; j++) {
-            let steps = (*rims).steps[k] + j * spacing_px;
-            let offset = step * steps;
-            if !is_in_image(at + offset) {
-                break;
-            }
-            let inverse = inverse_at(frame, index(at + offset));
+            let sample = at + step * ((*rims).steps[k] + j * spacing_px);
+            // The pixel itself is a hole.
+            inverses[j] = inverse_at(frame, index(select(at, sample, is_in_image(sample))));
+        }
+        for (var j = 0; j < count; j++) {
+            let inverse = inverses[j];
             if inverse == 0.0 || abs(last - inverse) > most {
                 break;
             }
-            let xy = vec2<f32>(offset) / scale_px;
+            let steps = (*rims).steps[k] + j * spacing_px;
+            let xy = vec2<f32>(step * steps) / scale_px;
             add_sample(&sums, xy.x, xy.y, 1.0 / squared_px(k, steps), inverse - origin);
             samples += 1u;
             last = inverse;
@@ -262,19 +319,24 @@ fn shadowed(frame: u32, i: u32, at: vec2<i32>, rims: ptr<function, Rims>) -> Pat
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
-fn fit_holes(@builtin(global_invocation_id) id: vec3<u32>) {
-    let frame = id.z;
-    let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
+fn fit_holes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let frame = group.z;
+    let count = list_holes(frame, group.xy, thread);
+    if count == 0u {
         return;
     }
-    let at = vec2<i32>(id.xy);
-    let reach = REACH * i32(batch.most_px);
+    let block = block_of(group.xy);
+    load_block(frame, block, thread);
+    if thread >= count {
+        return;
+    }
+    let at = listed_hole(group.xy, thread);
+    let i = index(at);
     var rims = Rims();
     var narrow = 0u;
     for (var axis = 0u; axis < 4u; axis++) {
-        let one = steps_to_rim(frame, at, 2u * axis, reach);
-        let other = steps_to_rim(frame, at, 2u * axis + 1u, reach);
+        let one = steps_to_rim(block, at, 2u * axis);
+        let other = steps_to_rim(block, at, 2u * axis + 1u);
         rims.steps[2u * axis] = one;
         rims.steps[2u * axis + 1u] = other;
         narrow |= select(0u, 1u << axis, is_narrow(axis, one, other));
@@ -284,12 +346,9 @@ fn fit_holes(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     var is_surrounded = true;
     for (var k = 0u; k < 8u; k++) {
-        let steps = rims.steps[k];
-        if steps > 0 {
-            rims.inverse[k] = inverse_at(frame, index(at + direction(k) * steps));
-        } else {
-            is_surrounded = false;
-        }
+        // Without a rim, this is the pixel itself, whose 1/z is 0.
+        rims.inverse[k] = inverse_at(frame, index(at + direction(k) * rims.steps[k]));
+        is_surrounded = is_surrounded && rims.steps[k] > 0;
     }
     let hole = atomicLoad(&holes[hole_word(frame, LABEL, i)]);
     var found = no_patch();

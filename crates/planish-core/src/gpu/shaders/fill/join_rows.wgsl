@@ -1,4 +1,31 @@
 // Joins runs of hole pixels with those of the row above that they touch, also at a corner.
+//
+// A run is joined with one farther up: where the column is a hole all the way, the runs between are joined with that
+// one, too. If each run were joined with the next, tall holes would be long chains, which are slow to follow.
+
+// Number of rows to climb.
+const CLIMB_PX: i32 = 32;
+// Number of rows that are looked up at once.
+const TOGETHER_PX: i32 = 8;
+
+// Returns the highest pixel that a hole pixel is connected to within its column.
+fn climb(frame: u32, at: vec2<i32>) -> u32 {
+    var rows = 0;
+    while rows < CLIMB_PX {
+        var bits = 0u;
+        for (var k = 1; k <= TOGETHER_PX; k++) {
+            let above = at - vec2<i32>(0, rows + k);
+            let is_connected = above.y >= 0 && is_hole(frame, max(above, vec2<i32>(0)));
+            bits |= select(1u << u32(k - 1), 0u, is_connected);
+        }
+        if bits != 0u {
+            rows += i32(firstTrailingBit(bits));
+            break;
+        }
+        rows += TOGETHER_PX;
+    }
+    return index(at - vec2<i32>(0, rows));
+}
 
 fn unite(frame: u32, one: u32, other: u32) {
     var a = first_pixel(frame, one);
@@ -17,28 +44,30 @@ fn unite(frame: u32, one: u32, other: u32) {
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
-fn join_rows(@builtin(global_invocation_id) id: vec3<u32>) {
-    let frame = id.z;
-    let at = vec2<i32>(id.xy);
-    let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || id.y == 0u || !is_hole(frame, at) {
+fn join_rows(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let frame = group.z;
+    if thread >= list_holes(frame, group.xy, thread) {
         return;
     }
-    let above = i - batch.width;
-    let has_left = id.x > 0u && is_hole(frame, at - vec2<i32>(1, 0));
-    let has_above_left = id.x > 0u && is_hole(frame, at - vec2<i32>(1, 1));
+    let at = listed_hole(group.xy, thread);
+    if at.y == 0 {
+        return;
+    }
+    let i = index(at);
+    let has_left = at.x > 0 && is_hole(frame, at - vec2<i32>(1, 0));
+    let has_above_left = at.x > 0 && is_hole(frame, at - vec2<i32>(1, 1));
     if is_hole(frame, at - vec2<i32>(0, 1)) {
         // Otherwise the pixel to the left, or one of its neighbours, joins the same runs.
         if !(has_left && has_above_left) {
-            unite(frame, i, above);
+            unite(frame, i, climb(frame, at - vec2<i32>(0, 1)));
         }
         return;
     }
     if !has_left && has_above_left {
-        unite(frame, i, above - 1u);
+        unite(frame, i, climb(frame, at - vec2<i32>(1, 1)));
     }
-    let is_last = id.x + 1u == batch.width;
+    let is_last = at.x + 1 == i32(batch.width);
     if !is_last && !is_hole(frame, at + vec2<i32>(1, 0)) && is_hole(frame, at + vec2<i32>(1, -1)) {
-        unite(frame, i, above + 1u);
+        unite(frame, i, climb(frame, at + vec2<i32>(1, -1)));
     }
 }

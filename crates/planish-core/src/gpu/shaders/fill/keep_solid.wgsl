@@ -8,6 +8,13 @@ fn is_of_whole_hole(frame: u32, i: u32) -> bool {
     return (tally & HAS_STEP) != 0u || f32(tally) >= LEAST_SHARE * f32(size);
 }
 
+// The block of pixels that decide about a tile, and for each of them whether it is a point or may be filled.
+const BESIDE: i32 = LEAST_STRIPE_PX - 1;
+const WIDE_WIDTH: i32 = i32(TILE_WIDTH) + 2 * BESIDE;
+const WIDE_HEIGHT: i32 = i32(TILE_HEIGHT) + 2 * BESIDE;
+
+var<workgroup> there: array<u32, WIDE_WIDTH * WIDE_HEIGHT>;
+
 fn is_there(frame: u32, at: vec2<i32>) -> bool {
     if !is_in_image(at) {
         return false;
@@ -16,29 +23,39 @@ fn is_there(frame: u32, at: vec2<i32>) -> bool {
     return !is_hole(frame, at) || (scratch[scratch_word(frame, FITTED, i)] == 1u && is_of_whole_hole(frame, i));
 }
 
-// Returns the number of pixels in a row that are not holes, up to LEAST_STRIPE_PX - 1, from a pixel in a direction.
-fn run_px(frame: u32, at: vec2<i32>, step: vec2<i32>) -> i32 {
+// Returns the number of pixels in a row that are there, up to BESIDE, from a pixel of the block in a direction.
+fn run_px(k: i32, step: i32) -> i32 {
     var count = 0;
-    while count + 1 < LEAST_STRIPE_PX && is_there(frame, at + (count + 1) * step) {
+    while count < BESIDE && there[k + (count + 1) * step] != 0u {
         count++;
     }
     return count;
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
-fn keep_solid(@builtin(global_invocation_id) id: vec3<u32>) {
-    let frame = id.z;
-    let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
+fn keep_solid(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let frame = group.z;
+    let count = list_holes(frame, group.xy, thread);
+    if count == 0u {
         return;
     }
-    if scratch[scratch_word(frame, FITTED, i)] != 1u || !is_of_whole_hole(frame, i) {
+    let origin = vec2<i32>(group.xy * vec2<u32>(TILE_WIDTH, TILE_HEIGHT)) - BESIDE;
+    for (var k = i32(thread); k < WIDE_WIDTH * WIDE_HEIGHT; k += i32(TILE_WIDTH * TILE_HEIGHT)) {
+        let at = origin + vec2<i32>(k % WIDE_WIDTH, k / WIDE_WIDTH);
+        there[k] = select(0u, 1u, is_there(frame, at));
+    }
+    workgroupBarrier();
+    if thread >= count {
         return;
     }
-    let at = vec2<i32>(id.xy);
-    let across = 1 + run_px(frame, at, vec2<i32>(1, 0)) + run_px(frame, at, vec2<i32>(-1, 0));
-    let down = 1 + run_px(frame, at, vec2<i32>(0, 1)) + run_px(frame, at, vec2<i32>(0, -1));
-    if across >= LEAST_STRIPE_PX && down >= LEAST_STRIPE_PX {
-        scratch[scratch_word(frame, FILLED, i)] = 1u;
+    let at = listed_hole(group.xy, thread);
+    let k = (at.y - origin.y) * WIDE_WIDTH + at.x - origin.x;
+    if there[k] == 0u {
+        return;
+    }
+    let across = 1 + run_px(k, 1) + run_px(k, -1);
+    let down = 1 + run_px(k, WIDE_WIDTH) + run_px(k, -WIDE_WIDTH);
+    if min(across, down) >= LEAST_STRIPE_PX {
+        scratch[scratch_word(frame, FILLED, index(at))] = 1u;
     }
 }

@@ -29,12 +29,13 @@ fn is_rim(frame: u32, at: vec2<i32>) -> bool {
 }
 
 @compute @workgroup_size(TILE_WIDTH, TILE_HEIGHT)
-fn measure_holes(@builtin(global_invocation_id) id: vec3<u32>) {
-    let frame = id.z;
-    let i = id.y * batch.width + id.x;
-    if id.x >= batch.width || id.y >= batch.height || !is_hole(frame, vec2<i32>(id.xy)) {
+fn measure_holes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let frame = group.z;
+    if thread >= list_holes(frame, group.xy, thread) {
         return;
     }
+    let at = listed_hole(group.xy, thread);
+    let i = index(at);
     let hole = first_pixel(frame, i);
     if hole != i {
         atomicStore(&holes[hole_word(frame, LABEL, i)], hole);
@@ -44,7 +45,6 @@ fn measure_holes(@builtin(global_invocation_id) id: vec3<u32>) {
             atomicAdd(&holes[hole_word(frame, SIZE, hole)], length);
         }
     }
-    let at = vec2<i32>(id.xy);
     if is_rim(frame, at) && has_step_near(frame, at) {
         atomicOr(&holes[hole_word(frame, TALLY, hole)], HAS_STEP);
     }

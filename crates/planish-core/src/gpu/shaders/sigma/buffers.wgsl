@@ -28,8 +28,8 @@ struct Sigma {
 @group(0) @binding(1) var<storage, read> input: array<u32>;
 // The result, with a channel for the standard errors.
 @group(0) @binding(2) var<storage, read_write> output: array<u32>;
-// Per frame: residuals, smoothed ranges, steps (1 if the pixel to the right or below is across one), the sums of the
-// sampled rows' segments, and the area of correlation.
+// Per frame: residuals, smoothed ranges, steps (1 if the pixel to the right or below is across one), the sums of
+// the segments, and the area of correlation.
 @group(0) @binding(3) var<storage, read_write> scratch: array<f32>;
 
 // Marker of a missing range.
@@ -42,22 +42,19 @@ fn scratch_at(frame: u32, i: u32) -> f32 {
     return scratch[frame * batch.scratch_words + i];
 }
 
-// Returns the index of the sums of segment k of the sampled rows.
+// Returns the index of the sums of segment k.
 fn sums_at(frame: u32, k: u32) -> u32 {
-    return frame * batch.scratch_words + PIXEL_WORDS * pixels() + k * ROW_WORDS;
+    return frame * batch.scratch_words + PIXEL_WORDS * pixels() + k * SEGMENT_WORDS;
 }
 
-fn sampled_rows() -> u32 {
-    return (batch.height + ROW_STRIDE_PX - 1u) / ROW_STRIDE_PX;
-}
-
-// Returns the number of segments of a row.
-fn segments() -> u32 {
-    return (batch.width + SEGMENT_PX - 1u) / SEGMENT_PX;
+// Returns the number of segments, across and down.
+fn segments() -> vec2<u32> {
+    let size_px = vec2<u32>(SEGMENT_PX, SEGMENT_ROWS * ROW_STRIDE_PX);
+    return (vec2<u32>(batch.width, batch.height) + size_px - 1u) / size_px;
 }
 
 fn area_at(frame: u32) -> u32 {
-    return sums_at(frame, sampled_rows() * segments());
+    return sums_at(frame, segments().x * segments().y);
 }
 
 fn deviation(range: f32) -> f32 {

@@ -3,7 +3,7 @@
 
 // Number of groups of threads; each adds up every PARTS-th segment.
 const PARTS: u32 = 10u;
-const THREADS: u32 = PARTS * ROW_WORDS;
+const THREADS: u32 = PARTS * SEGMENT_WORDS;
 
 var<workgroup> totals: array<f32, THREADS>;
 
@@ -25,16 +25,16 @@ fn along(axis: u32) -> f32 {
 @compute @workgroup_size(THREADS)
 fn measure_area(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let frame = group.z;
-    let which = thread % ROW_WORDS;
+    let which = thread % SEGMENT_WORDS;
     var total = 0.0;
-    for (var k = thread / ROW_WORDS; k < sampled_rows() * segments(); k += PARTS) {
+    for (var k = thread / SEGMENT_WORDS; k < segments().x * segments().y; k += PARTS) {
         total += scratch[sums_at(frame, k) + which];
     }
     totals[thread] = total;
     workgroupBarrier();
-    if thread < ROW_WORDS {
+    if thread < SEGMENT_WORDS {
         for (var part = 1u; part < PARTS; part++) {
-            totals[thread] += totals[part * ROW_WORDS + thread];
+            totals[thread] += totals[part * SEGMENT_WORDS + thread];
         }
     }
     workgroupBarrier();
