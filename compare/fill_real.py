@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 HERE = Path(__file__).parent
-# Number of ellipses that are tried per image; those that contain or touch a hole are left out.
+# Number of ellipses to try per image. Ellipses that contain or touch a hole are left out.
 TRIED = 1500
 # Distance in pixels within which a step counts, and which must be measured around an ellipse.
 NEAR_PX = 3

@@ -200,7 +200,7 @@ impl Slot {
     /// Submits the frames, and requests that the buffers be mapped once the kernels have run.
     ///
     /// Encoding takes longer than submitting, so the commands of the slot's next frames are encoded here, while the
-    /// device works. Those of a video depend on the frame.
+    /// device works. In videos, the commands depend on the frame.
     pub(super) fn submit(
         &mut self,
         kernels: &Kernels,
