@@ -20,6 +20,7 @@ use super::upload::Uploader;
 use super::view::MappedView;
 use crate::devices::{GpuAdapter, GpuOptions, Transfer, choose};
 use crate::error::{EngineError, Error, FrameError};
+use crate::fill::MOST_PX;
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams};
 use crate::smoothed::Smoothed;
@@ -422,6 +423,7 @@ impl SmoothingEngine for Gpu {
         let (width, height) = self.shape;
         let fits = height <= self.gpu().limits.max_compute_workgroups_per_dimension as usize;
         let fits = fits && (steps.fill_px.is_none() || width <= fill_kernels::WIDEST_PX);
+        debug_assert!(steps.fill_px.is_none_or(|width_px| width_px <= MOST_PX), "{:?}", steps.fill_px);
         if !(points && status && (neighbours || !steps.sigma) && fits) || self.over_time.is_some() {
             return Ok(false);
         }

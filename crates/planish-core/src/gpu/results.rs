@@ -144,7 +144,7 @@ impl<'a> Copies<'a> {
         }
     }
 
-    /// Copies on the calling thread, which therefore need not wait until the other threads have woken up.
+    /// Copies on the calling thread too, so that copying starts before the other threads have woken up.
     pub(super) fn run(self, threads: &Threads) {
         let helpers = self.0.len().saturating_sub(1);
         let copies = Mutex::new(self.0);

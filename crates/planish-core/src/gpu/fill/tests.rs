@@ -142,6 +142,29 @@ fn holes_are_filled_as_on_the_cpu() {
 }
 
 #[test]
+fn holes_that_are_joined_far_away_are_one_hole() {
+    let kinect = FrameParams { sensor: SensorModel::KINECT_V1, ..FrameParams::default() };
+    let shape @ (width, height) = (161, 110);
+    let camera = Camera::new(shape, [150.0; 2], [80.0, 55.0]);
+    let is_inside = |x: usize, y: usize| (5..width - 8).contains(&x) && (8..height - 10).contains(&y);
+    // Teeth that are joined at the bottom, at the top, or in turn; and strips whose pixels touch at corners.
+    let combs: [fn(usize, usize) -> bool; 4] = [
+        |x, y| x % 11 < 3 || y > 96,
+        |x, y| x % 11 < 3 || y < 11,
+        |x, y| x % 11 < 3 || (y < 11 && x % 22 < 14) || (y > 96 && (x + 11) % 22 < 14),
+        |x, y| (x + y) % 14 == 0 || (x + 200 - y) % 14 == 1,
+    ];
+    for (number, comb) in combs.into_iter().enumerate() {
+        let raw = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            if is_inside(x, y) && comb(x, y) { 0 } else { 1500 + (2 * x + i * i % 5) as u16 }
+        };
+        let frame = DepthFrame::new(camera, (0..width * height).map(raw).collect()).unwrap();
+        compare(&format!("comb {number}"), (&frame).into_frame().unwrap(), kinect, 8, GpuOptions::default());
+    }
+}
+
+#[test]
 fn frames_of_any_shape_and_with_any_holes_are_filled() {
     let kinect = FrameParams { sensor: SensorModel::KINECT_V1, ..FrameParams::default() };
     for shape @ (width, height) in [(1, 40), (40, 1), (2, 2), (33, 9), (5, 70)] {

@@ -30,6 +30,7 @@ const STEPS_TOGETHER: i32 = 8;
 // Largest number of steps to a rim, a multiple of STEPS_TOGETHER, and the largest size of the block of pixels within
 // reach of a tile. Tiles are as wide as a word of hole bits.
 const FARTHEST: u32 = u32(REACH) * WIDEST_HOLE_PX;
+const_assert FARTHEST % u32(STEPS_TOGETHER) == 0u;
 const BLOCK_WORDS: u32 = 1u + 2u * ((FARTHEST + 31u) / 32u);
 const BLOCK_ROWS: u32 = TILE_HEIGHT + 2u * FARTHEST;
 

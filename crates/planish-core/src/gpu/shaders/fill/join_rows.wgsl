@@ -1,14 +1,16 @@
 // Joins runs of hole pixels with those of the row above that they touch, also at a corner.
 //
-// A run is joined with one farther up: where the column is a hole all the way, the runs between are joined with that
-// one, too. If each run were joined with the next, tall holes would be long chains, which are slow to follow.
+// A run is joined with one farther up in the same column, where all pixels between are holes. The runs between are
+// joined with it too, directly or through others: by induction from the first row, each run is connected with every run
+// that one of its columns reaches. If each run were joined with the next, tall holes would be long chains of labels,
+// which are slow to follow.
 
 // Number of rows to climb.
 const CLIMB_PX: i32 = 32;
 // Number of rows that are looked up at once.
 const TOGETHER_PX: i32 = 8;
 
-// Returns the highest pixel that a hole pixel is connected to within its column.
+// Returns the highest pixel, up to CLIMB_PX rows above a hole pixel, with only holes between in the column.
 fn climb(frame: u32, at: vec2<i32>) -> u32 {
     var rows = 0;
     while rows < CLIMB_PX {
