@@ -401,12 +401,12 @@ impl GpuDevice {
             // SAFETY: every index into a buffer is in range, for one of two reasons. Either it is derived from the
             // layout, which also determines the buffer sizes, and compared with the frame's width and height or with
             // the number of points; pixels of holes are listed from the bits of the frame's pixels. Workgroup memory is
-            // sized for the largest tile and the widest hole that is allowed. Or an earlier pass over the same cloud computed it, and it is below the number of
-            // points: positions in the sorted cloud are a permutation, and the others are indices of positions, nodes
-            // and leaves. Loops end after a constant number of rounds, tree walks because the node index only
-            // increases, radius searches because trial radii grow up to a limit, and loops over the labels of holes and
-            // over words of a row because indices only decrease. No integer divisor is zero. The tests also run every
-            // kernel with bounds checks and compare the results.
+            // sized for the largest tile and the widest hole that is allowed. Or an earlier pass over the same cloud
+            // computed it, and it is below the number of points: positions in the sorted cloud are a permutation, and
+            // the others are indices of positions, nodes and leaves. Loops end after a constant number of rounds, tree
+            // walks because the node index only increases, radius searches because trial radii grow up to a limit, and
+            // loops over the labels of holes and over words of a row because indices only decrease. No integer divisor
+            // is zero. The tests also run every kernel with bounds checks and compare the results.
             let module = unsafe { self.device.create_shader_module_trusted(source, checks) };
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
