@@ -23,7 +23,7 @@ fn is_there(frame: u32, at: vec2<i32>) -> bool {
     return !is_hole(frame, at) || (scratch[scratch_word(frame, FITTED, i)] == 1u && is_of_whole_hole(frame, i));
 }
 
-// Returns the number of consecutive points or fillable pixels after pixel k of the block, up to BESIDE.
+// Counts the pixels after pixel k of the block, in one direction, until one is not `there`; at most BESIDE.
 fn run_px(k: i32, step: i32) -> i32 {
     var count = 0;
     while count < BESIDE && there[k + (count + 1) * step] != 0u {
