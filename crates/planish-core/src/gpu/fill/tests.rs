@@ -141,6 +141,9 @@ fn holes_are_filled_as_on_the_cpu() {
     }
 }
 
+/// Returns true for a column and a row of a hole.
+type Mask = fn(usize, usize) -> bool;
+
 /// Most of each hole is too wide to be filled, so the narrow rest stays open, too, if it is joined with the wide part.
 #[test]
 fn holes_that_are_joined_far_away_are_one_hole() {
@@ -149,7 +152,7 @@ fn holes_that_are_joined_far_away_are_one_hole() {
     let camera = Camera::new(shape, [150.0; 2], [80.0, 55.0]);
     let is_wide = |x: usize, y: usize| ((10..50).contains(&x) || (110..150).contains(&x)) && (5..45).contains(&y);
     // Taller than the number of rows that are climbed at once.
-    let narrow: [(&str, fn(usize, usize) -> bool); 3] = [
+    let narrow: [(&str, Mask); 3] = [
         ("corners to the right", |x, y| x + y == 154 && (45..96).contains(&y)),
         ("corners to the left", |x, y| x == y + 5 && (45..96).contains(&y)),
         ("teeth", |x, y| {
