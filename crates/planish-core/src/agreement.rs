@@ -171,7 +171,7 @@ pub fn radii_m<'a>(frame: impl IntoFrame<'a>, params: impl Into<Params>) -> Vec<
     let radius_m = |range_m: f64| match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
         // For unorganized clouds, a radius of 0 leaves the tolerances unscaled.
-        Radius::Neighbours { .. } => 0.0,
+        Radius::Neighbours { .. } | Radius::SensorAndDensity { .. } => 0.0,
         Radius::Sensor => {
             let spacing_m = match geometry.rule {
                 RangeRule::Constant { spacing_m } => spacing_m,

@@ -8,6 +8,16 @@ use crate::params::{EngineParams, Radius};
 /// obliquely.
 const REACHES: f64 = 2.0;
 
+/// Pixels of a Kinect v1 per metre at 1 m. Windows of every sensor cover a similar part of the scene (docs/method.md,
+/// (3.5)).
+const PIXELS_AT_1M: f64 = 525.0;
+/// Ratio of the radius of a disc to half the side of a square with the same area.
+const DISC_IN_SQUARE: f64 = std::f64::consts::FRAC_2_SQRT_PI;
+/// Radius in an unorganized cloud of a known sensor, in depth steps.
+const STEPS_IN_CLOUD: f64 = 4.0;
+/// Maximum ratio of that radius to the radius of a window, which bounds the number of neighbours at long range.
+pub(crate) const WINDOWS_IN_CLOUD: f32 = 2.0;
+
 /// Maximum radius in metres, larger than any scene; its square fits f32. Without a limit, a coordinate of 1e30 would
 /// give an infinite radius, but values computed from the radius must be finite.
 pub(crate) const MAX_RADIUS_M: f32 = 1e6;
@@ -48,8 +58,14 @@ impl RangeRules {
         };
         match params.radius {
             Radius::Fixed { radius_m } => rules.radius[0] = radius_m,
-            // Radii by density are for unorganized clouds, which have different rules.
+            // Radii by density do not depend on the range.
             Radius::Neighbours { .. } => {}
+            Radius::SensorAndDensity { .. } => {
+                rules.linear = of_cloud(params) as f32;
+                rules.radius = params.sensor.step.map(|c| STEPS_IN_CLOUD as f32 * c);
+                // The sensor's orientation is often unknown.
+                rules.by_distance = true;
+            }
             Radius::Sensor => {
                 rules.linear = (REACHES * params.reach_px() as f64 * geometry.rule.pitch_at_1m()) as f32;
                 rules.radius = params.sensor.step.map(|c| 4.0 * c);
@@ -68,4 +84,17 @@ impl RangeRules {
         }
         rules
     }
+}
+
+/// Returns the radius of an unorganized cloud's points at a range in metres, if the sensor is known (docs/method.md,
+/// section 8).
+#[cfg(any(test, feature = "reference"))]
+pub(crate) fn radius_in_cloud_m(params: &EngineParams, range_m: f64) -> f64 {
+    let window_m = of_cloud(params) * range_m;
+    (STEPS_IN_CLOUD * params.sensor.step_m(range_m)).clamp(window_m, f64::from(WINDOWS_IN_CLOUD) * window_m)
+}
+
+/// Returns the ratio of the radius to the range in an unorganized cloud: a disc with the area of a frame's window.
+fn of_cloud(params: &EngineParams) -> f64 {
+    DISC_IN_SQUARE * (params.reach_px() as f64 + params.block_half_px() as f64 + 0.5) / PIXELS_AT_1M
 }

@@ -4,6 +4,7 @@
 //! stereo) they grow with z²; in time-of-flight sensors and lidars they grow nearly linearly from an offset.
 
 mod estimate;
+mod recognize;
 
 use std::str::FromStr;
 

@@ -125,7 +125,8 @@ pub struct SmoothingArgs {
     pub strength: Option<f32>,
     /// Sensor
     ///
-    /// Its noise sets the radius and the width of edges. By default kinect1.
+    /// Its noise sets the radius and the width of edges. By default kinect1 for frames. For unorganized clouds, which
+    /// must be in the sensor's frame or state its pose, by default none, or kinect1 if its depth steps are recognized.
     #[arg(long, value_enum)]
     pub sensor: Option<SensorArg>,
     /// Creases and steps
@@ -232,7 +233,8 @@ pub struct SmoothingArgs {
     pub ridge: Option<f32>,
     /// Direction in which a point moves onto the surface
     ///
-    /// Points always move along the normal in unorganized clouds, and in clouds whose sensor position is unknown.
+    /// Points move along the normal in clouds whose sensor position is unknown, and in unorganized clouds unless
+    /// --sensor is given.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub project: Option<ProjectArg>,
     /// GPU for --engine gpu: index or part of the name (see `planish devices`) [default: the first hardware GPU]

@@ -110,6 +110,15 @@ fn general_clouds_are_smoothed_with_radii_of_their_density() {
         "{told}"
     );
     assert!(!told.contains("no effect"), "{told}");
+    // Without its grid, the cloud is recognized as a Kinect's, and in another unit it is not.
+    let result = planish(&["smooth", str(&input), str(&output), "--grid", "off"]);
+    let told = text(&result.stderr);
+    let sensor = "with the depth steps of a kinect1, smoothed by that sensor's noise (change with --sensor,";
+    assert!(result.status.success() && told.contains(sensor), "{told}");
+    ok(&["smooth", str(&input), str(&output), "--grid", "off", "--sensor", "kinect1", "--overwrite"]);
+    let mut cloud = cloud;
+    cloud.positions = cloud.positions.iter().map(|point| point.map(|value| 1.5 * value)).collect();
+    io::write_cloud(&input, &cloud, Encoding::Binary).unwrap();
     let result = planish(&["smooth", str(&input), str(&output), "--grid", "off", "--window", "2"]);
     let told = text(&result.stderr);
     assert!(

@@ -30,8 +30,7 @@ pub struct NeededHalo {
 /// large, since a radius depends on the neighbours' radii. If edges are kept, the planes of points up to two radii
 /// away count too.
 pub(crate) fn reach(params: &EngineParams) -> f64 {
-    let by_density = matches!(params.radius, Radius::Neighbours { .. });
-    let growth = if by_density { 2.0 } else { 1.0 };
+    let growth = if params.radius.density().is_some() { 2.0 } else { 1.0 };
     let of_planes = if params.edges == Edges::Off { 0.0 } else { growth * f64::from(PLANE_REACH) };
     GATE_REACH * (growth + of_planes)
 }
@@ -41,7 +40,7 @@ pub(crate) fn reach(params: &EngineParams) -> f64 {
 pub(crate) fn first_halo_m(params: &EngineParams, points: u64, area_m2: f64) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => reach(params) * f64::from(radius_m),
-        Radius::Neighbours { count } => {
+        Radius::Neighbours { count } | Radius::SensorAndDensity { count } => {
             let radius_m = (f64::from(count) * area_m2 / (std::f64::consts::PI * points.max(1) as f64)).sqrt();
             2.0 * reach(params) * radius_m
         }

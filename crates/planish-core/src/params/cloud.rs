@@ -1,7 +1,10 @@
 //! Parameters of unorganized clouds.
 
 use super::fit::{Edges, Fit, check, fit_setters};
+use super::frame::FrameParams;
+use super::strength::Strength;
 use crate::error::ParamError;
+use crate::sensor::SensorModel;
 
 /// Default number of neighbours per point in an unorganized cloud.
 const NEIGHBOURS: u32 = 40;
@@ -16,6 +19,15 @@ pub enum CloudRadius {
         /// The number of neighbours, 6 to 1000.
         count: u32,
     },
+    /// A radius that grows with the range of a point, for clouds that one sensor measured from the cloud's pose: as
+    /// wide as the windows of that sensor's frames, or up to twice as wide if four depth steps are wider. It is larger
+    /// where evenly spread points would have fewer than 20 neighbours. Points move along their rays.
+    Sensor {
+        /// The sensor that measured the points.
+        sensor: SensorModel,
+        /// The strength, which sets the width of windows.
+        strength: Strength,
+    },
     /// One radius for every point, in metres.
     Fixed {
         /// The radius in metres.
@@ -23,7 +35,7 @@ pub enum CloudRadius {
     },
 }
 
-/// The parameters of unorganized clouds, which have neither pixels nor a sensor.
+/// The parameters of unorganized clouds, which have no pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CloudParams {
@@ -51,6 +63,13 @@ impl CloudParams {
     /// Returns the parameters of the 2011 report: a radius of 3 cm, degree 3.
     pub fn paper() -> Self {
         Self { fit: Fit::PAPER, radius: CloudRadius::Fixed { radius_m: 0.03 }, remove_isolated: false }
+    }
+
+    /// Returns the parameters for a cloud that one sensor measured from the cloud's pose: edges kept, the fit of the
+    /// sensor's frames ([`FrameParams::for_sensor`]), and [`CloudRadius::Sensor`].
+    pub fn for_sensor(sensor: SensorModel, strength: Strength) -> Self {
+        let FrameParams { fit, .. } = FrameParams::for_sensor(sensor, strength);
+        Self { fit, radius: CloudRadius::Sensor { sensor, strength }, remove_isolated: false }
     }
 
     fit_setters!();
@@ -81,6 +100,7 @@ impl CloudParams {
         match self.radius {
             CloudRadius::Fixed { radius_m } => check("radius_m", radius_m, 1e-6..=1e3, "1e-6 to 1000 metres"),
             CloudRadius::Neighbours { count } => check("neighbours", count, 6..=1000, "6 to 1000"),
+            CloudRadius::Sensor { sensor, .. } => sensor.validate(),
         }
     }
 }

@@ -8,12 +8,33 @@ use super::window::WindowSize;
 use crate::frame::PointsView;
 use crate::sensor::SensorModel;
 
+/// Number of neighbours that evenly spread points have at least within a radius by range.
+const LEAST_NEIGHBOURS: u32 = 20;
+
 /// The rules for the radius, for frames and unorganized clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Radius {
-    Fixed { radius_m: f32 },
-    Neighbours { count: u32 },
+    Fixed {
+        radius_m: f32,
+    },
+    Neighbours {
+        count: u32,
+    },
     Sensor,
+    /// For unorganized clouds: by range, or by density for `count` neighbours where that radius is larger.
+    SensorAndDensity {
+        count: u32,
+    },
+}
+
+impl Radius {
+    /// Returns the number of neighbours of a radius by density; `None` for frames and for a fixed radius.
+    pub(crate) fn density(self) -> Option<u32> {
+        match self {
+            Self::Neighbours { count } | Self::SensorAndDensity { count } => Some(count),
+            Self::Fixed { .. } | Self::Sensor => None,
+        }
+    }
 }
 
 /// Parameters in the form that engines compute with.
@@ -61,22 +82,29 @@ impl From<FrameParams> for EngineParams {
 impl From<CloudParams> for EngineParams {
     fn from(params: CloudParams) -> Self {
         let Fit { degree, bandwidth_m, ridge, edges } = params.fit;
-        let radius = match params.radius {
-            CloudRadius::Neighbours { count } => Radius::Neighbours { count },
-            CloudRadius::Fixed { radius_m } => Radius::Fixed { radius_m },
+        let (radius, of_sensor) = match params.radius {
+            CloudRadius::Neighbours { count } => (Radius::Neighbours { count }, None),
+            CloudRadius::Fixed { radius_m } => (Radius::Fixed { radius_m }, None),
+            CloudRadius::Sensor { sensor, strength } => {
+                let of_sensor = FrameParams::for_sensor(sensor, strength);
+                (Radius::SensorAndDensity { count: LEAST_NEIGHBOURS }, Some(of_sensor))
+            }
         };
+        // Without a sensor, the window has no effect.
+        let FrameParams { window, average_blocks, project, sensor, .. } = of_sensor.unwrap_or_else(FrameParams::paper);
+        let WindowSize { half_width: window, stride } = window.nominal();
         Self {
-            window: 3,
-            stride: 1,
-            average_blocks: false,
+            window,
+            stride,
+            average_blocks,
             radius,
             degree,
             bandwidth_m,
             ridge,
-            project: Project::Normal,
+            project,
             edges,
             remove_isolated: params.remove_isolated,
-            sensor: SensorModel::KINECT_V1,
+            sensor,
         }
     }
 }
@@ -140,7 +168,7 @@ impl EngineParams {
     /// Returns the number of neighbours below which a point of an unorganized cloud is isolated (docs/method.md,
     /// section 8).
     pub(crate) fn least_neighbours(&self, cloud: &PointsView<'_>) -> u32 {
-        let Radius::Neighbours { count } = self.radius else { return 3 };
+        let Some(count) = self.radius.density() else { return 3 };
         let few = u32::try_from(cloud.points_of_whole().div_ceil(16)).unwrap_or(u32::MAX);
         count.div_ceil(4).min(few).max(3)
     }

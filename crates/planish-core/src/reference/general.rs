@@ -15,6 +15,7 @@ use crate::frame::FrameGeometry;
 use crate::neighbours::{NeighbourSearch, extent_m};
 use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
+use crate::range::radius_in_cloud_m;
 use crate::status::Status;
 use crate::threads::Threads;
 
@@ -63,12 +64,13 @@ pub(super) fn smooth(
     progress.begin(distinct.len());
 
     let results: Vec<PointResult> = threads.install(|| {
-        let radii_m = positions.radii_m(params, extent_m);
+        let radii_m = positions.radii_m(params, sensor, extent_m);
         let first_plane = |found: &mut Vec<usize>, (&p, &radius_m): (&DVec3, &f64)| {
             FirstPlane::new(Surface::own(&positions.neighbours(p, radius_m, found), radius_m, p - sensor), radius_m)
         };
         let all = || positions.points.par_iter().zip(&radii_m);
         let keeps_edges = params.edges == Edges::Robust;
+        let on_ray = geometry.is_on_rays(params.project);
         let firsts: Vec<FirstPlane> =
             if keeps_edges { all().map_init(Vec::new, first_plane).collect() } else { Vec::new() };
         let smooth = |found: &mut Vec<usize>, (i, (&p, &radius_m)): (usize, (&DVec3, &f64))| {
@@ -88,7 +90,7 @@ pub(super) fn smooth(
                 let few = PointResult { neighbours: surface.neighbours, ..PointResult::hole() };
                 if params.remove_isolated { PointResult { status: Status::TooFew, ..few } } else { few.kept() }
             } else {
-                smooth_point(p, sensor, &offsets, radius_m, params, &surface, false)
+                smooth_point(p, sensor, &offsets, radius_m, params, &surface, on_ray)
             };
             progress.add(1);
             result
@@ -127,15 +129,20 @@ impl Positions {
     }
 
     /// Returns the radius at every position.
-    fn radii_m(&self, params: &EngineParams, extent_m: f64) -> Vec<f64> {
+    fn radii_m(&self, params: &EngineParams, sensor: DVec3, extent_m: f64) -> Vec<f64> {
         let count = match params.radius {
-            Radius::Neighbours { count } => count,
+            Radius::Neighbours { count } | Radius::SensorAndDensity { count } => count,
             Radius::Fixed { radius_m } => return vec![f64::from(radius_m); self.points.len()],
             // `Smoother::open` rejects this radius.
             Radius::Sensor => return vec![MIN_RADIUS_M; self.points.len()],
         };
-        let own_m: Vec<f64> =
-            self.points.par_iter().map(|&p| self.radius_m(p, f64::from(count) / 2.0, extent_m / 2.0)).collect();
+        let least_m = |p: DVec3| match params.radius {
+            Radius::SensorAndDensity { .. } => radius_in_cloud_m(params, (p - sensor).length()),
+            _ => 0.0,
+        };
+        let own_m =
+            |&p: &DVec3| self.radius_m(p, f64::from(count) / 2.0, extent_m / 2.0).max(least_m(p)).min(extent_m / 2.0);
+        let own_m: Vec<f64> = self.points.par_iter().map(own_m).collect();
         let limited = |(place, &radius_m): (usize, &f64)| {
             let limit_m = MAX_RADIUS_RATIO * self.mean_radius_m(place, radius_m, &own_m);
             radius_m.min(limit_m).max(MIN_RADIUS_M)

@@ -12,8 +12,8 @@ const MIN_RADIUS_M: f64 = 1e-12;
 pub(super) fn radius_m(params: &EngineParams, geometry: &FrameGeometry, p: DVec3) -> f64 {
     match params.radius {
         Radius::Fixed { radius_m } => f64::from(radius_m),
-        // `FrameRadius`, for frames on a grid, does not offer this radius.
-        Radius::Neighbours { .. } => MIN_RADIUS_M,
+        // `FrameRadius`, for frames on a grid, does not offer these radii.
+        Radius::Neighbours { .. } | Radius::SensorAndDensity { .. } => MIN_RADIUS_M,
         Radius::Sensor => {
             let reach_m = f64::from(params.window * params.stride) * spacing_m(geometry, p);
             (2.0 * reach_m).max(4.0 * params.sensor.step_m(geometry.range_m(p))).max(MIN_RADIUS_M)

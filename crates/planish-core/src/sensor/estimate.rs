@@ -196,7 +196,7 @@ fn lower_mean(values: &mut [f64]) -> f64 {
     (lower.iter().sum::<f64>() + *last) / count as f64
 }
 
-fn median(values: &mut [f64]) -> f64 {
+pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

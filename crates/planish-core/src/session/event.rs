@@ -63,6 +63,11 @@ pub enum SessionEvent {
         /// The estimated model.
         sensor: SensorModel,
     },
+    /// A sensor was recognized by the depth steps of an unorganized cloud, which is smoothed by its noise.
+    SensorRecognized {
+        /// The recognized model.
+        sensor: SensorModel,
+    },
     /// Neighbours, edges and passes for an unorganized cloud were chosen by its noise and shape.
     NeighboursChosen(CloudChoice),
     /// An unorganized cloud was recognized as a frame without its grid. The grid was rebuilt, and the cloud was
@@ -115,7 +120,13 @@ pub enum SessionEvent {
 impl SessionEvent {
     /// Returns true for faults and doubts, false for estimates and choices.
     pub fn is_fault(&self) -> bool {
-        !matches!(self, Self::SensorEstimated { .. } | Self::NeighboursChosen(_) | Self::GridRebuilt { .. })
+        !matches!(
+            self,
+            Self::SensorEstimated { .. }
+                | Self::SensorRecognized { .. }
+                | Self::NeighboursChosen(_)
+                | Self::GridRebuilt { .. }
+        )
     }
 }
 
@@ -125,6 +136,10 @@ impl fmt::Display for SessionEvent {
             Self::SensorEstimated { sensor } => {
                 let SensorModel { step, sigma } = sensor;
                 write!(f, "estimated the sensor from a frame: step {step:?}, sigma {sigma:?}")
+            }
+            Self::SensorRecognized { sensor } => {
+                let name = sensor.name().unwrap_or("known sensor");
+                write!(f, "an unorganized cloud with the depth steps of a {name}, smoothed by that sensor's noise")
             }
             Self::NeighboursChosen(choice) => choice.fmt(f),
             Self::GridRebuilt { width, height } => {

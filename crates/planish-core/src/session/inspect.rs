@@ -38,7 +38,12 @@ impl Session {
         let resolved = self.on_its_grid(frame, Self::resolve);
         // Events about the cloud are dropped, since it is not smoothed yet.
         let of_cloud = |event: &SessionEvent| {
-            matches!(event, SessionEvent::NeighboursChosen(_) | SessionEvent::GridRebuilt { .. })
+            matches!(
+                event,
+                SessionEvent::SensorRecognized { .. }
+                    | SessionEvent::NeighboursChosen(_)
+                    | SessionEvent::GridRebuilt { .. }
+            )
         };
         let later = self.events.split_off(events);
         self.events.extend(later.into_iter().filter(|event| !of_cloud(event)));

@@ -80,6 +80,8 @@ pub struct Session {
     device: usize,
     /// The last estimated sensor; `None` if no sensor was estimated.
     estimated: Option<SensorModel>,
+    /// The parameters for the last unorganized cloud, if it was examined.
+    cloud_params: Option<CloudParams>,
     /// The estimate for the last unorganized cloud.
     cloud_estimate: Option<CloudEstimate>,
     /// The rebuilt pixel grid of the last unorganized cloud; `None` if the cloud is not a frame without its grid.
@@ -90,8 +92,8 @@ pub struct Session {
     known_points: usize,
     /// The parameters that were chosen for the last unorganized cloud.
     cloud_choice: Option<CloudChoice>,
-    /// Whether `cloud_estimate`, `lattice`, `known_points` and `cloud_choice` belong to the current or prepared
-    /// frame.
+    /// Whether `cloud_params`, `cloud_estimate`, `lattice`, `known_points` and `cloud_choice` belong to the current or
+    /// prepared frame.
     is_prepared: bool,
     /// Buffer for the result of smoothing a cloud on its rebuilt grid.
     on_grid: Smoothed,
@@ -175,6 +177,7 @@ impl Session {
             devices,
             device: 0,
             estimated: None,
+            cloud_params: None,
             cloud_estimate: None,
             lattice: None,
             is_on_lattice: false,

@@ -40,15 +40,19 @@ impl Session {
                 if !self.estimates_clouds {
                     return Ok((settings.cloud_params()?.into(), None));
                 }
-                if self.is_prepared && self.known_points == width * height {
+                let is_known = self.is_prepared && self.known_points == width * height;
+                if let Some(params) = self.cloud_params.filter(|_| is_known) {
                     self.cloud_choice = known_choice;
-                    return Ok((settings.cloud_params_by(self.cloud_estimate)?.into(), None));
+                    return Ok((params.into(), None));
                 }
                 let resolved = settings.resolve_on(frame, self.options.threads)?;
                 (self.cloud_estimate, self.known_points) = (resolved.cloud_estimate, width * height);
                 // The estimate is reused if an engine fails and another takes over.
                 self.is_prepared = true;
                 if let Params::Cloud(params) = &resolved.params {
+                    self.cloud_params = Some(*params);
+                    self.events
+                        .extend(resolved.recognized_sensor.map(|sensor| SessionEvent::SensorRecognized { sensor }));
                     let passes = if resolved.first_pass.is_some() { 2 } else { 1 };
                     self.cloud_choice = CloudChoice::of(params, passes, resolved.cloud_estimate);
                     self.events.extend(self.cloud_choice.map(SessionEvent::NeighboursChosen));

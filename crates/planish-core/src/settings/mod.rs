@@ -53,7 +53,8 @@ pub struct Settings {
     pub preset: Option<Preset>,
     /// Strength of smoothing, 0 (light) to 1 (strong), instead of a preset.
     pub strength: Option<f32>,
-    /// The sensor that took the frames [default: Kinect v1].
+    /// The sensor that took the frames [default: Kinect v1] or the points of an unorganized cloud, which is in the
+    /// sensor's frame or states its pose [default: none, or Kinect v1 if its depth steps are recognized].
     pub sensor: Option<SensorChoice>,
     /// Edge handling [default: robust for frames; for unorganized clouds chosen by their shape, or off if a radius or
     /// a number of neighbours is given].
@@ -133,10 +134,20 @@ pub struct Resolved {
     pub preparation_sensor: Option<SensorModel>,
     /// The parameters of the first of two passes over an unorganized cloud; `None` for a single pass.
     pub first_pass: Option<CloudParams>,
+    /// The sensor that was recognized by the depth steps of an unorganized cloud, and by whose noise the cloud is
+    /// smoothed ([`SensorModel::recognize`]); `None` if the settings give a sensor, a radius or a number of neighbours.
+    pub recognized_sensor: Option<SensorModel>,
     /// The estimate for an unorganized cloud; `None` if the number of neighbours does not follow from an estimate.
     pub cloud_estimate: Option<CloudEstimate>,
     /// Names of the given settings that have no effect on this kind of input.
     pub unused: Vec<&'static str>,
+}
+
+impl Resolved {
+    fn of(params: Params) -> Self {
+        let (preparation_sensor, first_pass, recognized_sensor, cloud_estimate, unused) = Default::default();
+        Self { params, preparation_sensor, first_pass, recognized_sensor, cloud_estimate, unused }
+    }
 }
 
 /// The allowed values of the setting `sensor`, for error messages.
@@ -319,7 +330,21 @@ impl Settings {
     /// Returns true if planish, not the user or the paper preset, chooses the number of neighbours in unorganized
     /// clouds.
     pub fn chooses_neighbours(&self) -> bool {
-        self.radius.is_none() && self.neighbours.is_none() && self.preset != Some(Preset::Paper)
+        self.radius.is_none() && self.leaves_neighbours_open() && self.sensor_of_clouds().is_none()
+    }
+
+    /// Returns the sensor by whose noise unorganized clouds are smoothed; `None` if no named sensor is given, or if the
+    /// settings give a number of neighbours or a radius, or are those of the paper.
+    pub fn sensor_of_clouds(&self) -> Option<SensorModel> {
+        let has_radius = matches!(self.radius, Some(RadiusChoice::Metres(_)));
+        match self.sensor {
+            Some(SensorChoice::Known(sensor)) if !has_radius && self.leaves_neighbours_open() => Some(sensor),
+            _ => None,
+        }
+    }
+
+    fn leaves_neighbours_open(&self) -> bool {
+        self.neighbours.is_none() && self.preset != Some(Preset::Paper)
     }
 
     /// Returns true if a frame's pixel grid is reconstructed from an unorganized cloud. It is not reconstructed with
@@ -328,7 +353,8 @@ impl Settings {
     pub fn rebuilds_grid(&self) -> bool {
         let removes_points = self.remove_isolated == Some(true) || self.remove_floating == Some(true);
         let is_for_clouds = removes_points || self.passes.is_some() || self.spaces_evenly() || self.fill.is_some();
-        self.grid != Some(GridChoice::Off) && self.chooses_neighbours() && !is_for_clouds
+        let gives_neither = self.radius.is_none() && self.leaves_neighbours_open();
+        self.grid != Some(GridChoice::Off) && gives_neither && !is_for_clouds
     }
 
     /// Returns true if the points of unorganized clouds are spaced evenly.

@@ -1,6 +1,6 @@
 //! Resolution of settings into parameters, for a frame, for a sensor, or for clouds.
 
-use super::{Preset, RadiusChoice, Resolved, Settings};
+use super::{Preset, RadiusChoice, Resolved, SensorChoice, Settings};
 use crate::cpu::{CloudEstimate, Decided};
 use crate::error::ParamError;
 use crate::frame::Frame;
@@ -24,8 +24,22 @@ impl Settings {
     pub(crate) fn resolve_on(&self, frame: Frame<'_>, threads: Option<usize>) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
-            let cloud_estimate = match frame {
-                Frame::Points(cloud) if self.chooses_neighbours() => {
+            if let (Frame::Points(cloud), Some(_)) = (frame, self.sensor_of_clouds()) {
+                self.check_sensor_position(cloud.assumed_sensor_m())?;
+            }
+            let to_estimate = match frame {
+                Frame::Points(cloud) if self.chooses_neighbours() => Some(cloud),
+                _ => None,
+            };
+            let unused = self.unused_by_clouds();
+            let recognized_sensor = to_estimate.as_ref().and_then(SensorModel::recognize);
+            if let Some(sensor) = recognized_sensor {
+                let settings = Self { sensor: Some(SensorChoice::Known(sensor)), ..self.clone() };
+                let (params, first_pass) = (settings.cloud_params()?.into(), settings.first_pass(None));
+                return Ok(Resolved { first_pass, recognized_sensor, unused, ..Resolved::of(params) });
+            }
+            let cloud_estimate = match to_estimate {
+                Some(cloud) => {
                     let refused = |_| {
                         let value = threads.map_or(String::new(), |threads| threads.to_string());
                         ParamError { field: "threads", value, allowed: "a number of threads that the system can start" }
@@ -34,11 +48,11 @@ impl Settings {
                     // Shared threads do not survive a fork.
                     Threads::open(threads).map_err(refused)?.install(|| CloudEstimate::with(&cloud, decided))
                 }
-                _ => None,
+                None => None,
             };
             let params = self.cloud_params_by(cloud_estimate)?.into();
-            let (first_pass, unused) = (self.first_pass(cloud_estimate), self.unused_by_clouds());
-            return Ok(Resolved { params, preparation_sensor: None, first_pass, cloud_estimate, unused });
+            let first_pass = self.first_pass(cloud_estimate);
+            return Ok(Resolved { first_pass, cloud_estimate, unused, ..Resolved::of(params) });
         }
         let sensor = self.known_sensor().or_else(|| SensorModel::estimate_from(frame)).ok_or_else(|| {
             let allowed = "a named sensor such as kinect1, since this frame has too few depths for an estimate";
@@ -47,7 +61,7 @@ impl Settings {
         let params = self.checked_frame_params(sensor)?.into();
         let preparation_sensor = Some(sensor).filter(|_| !self.preparation().is_empty());
         let unused = self.unused_by_frames();
-        Ok(Resolved { params, preparation_sensor, first_pass: None, cloud_estimate: None, unused })
+        Ok(Resolved { preparation_sensor, unused, ..Resolved::of(params) })
     }
 
     /// Returns the parameters for frames of the named sensor without examining a frame.
@@ -64,8 +78,17 @@ impl Settings {
         self.checked_frame_params(sensor)
     }
 
-    /// Returns the parameters for unorganized clouds, which have neither pixels nor a sensor, without examining a
-    /// cloud.
+    /// Refuses a sensor for an unorganized cloud whose sensor position is `assumed_m` because it is unknown: noise
+    /// grows with the distance from the sensor.
+    pub fn check_sensor_position(&self, assumed_m: Option<[f64; 3]>) -> Result<(), ParamError> {
+        let (Some(sensor), Some(_)) = (self.sensor_of_clouds(), assumed_m) else { return Ok(()) };
+        let value = sensor.name().map_or_else(|| format!("{sensor:?}"), str::to_owned);
+        let allowed = "only for clouds that state the sensor's pose or have it at the origin, since noise grows with \
+                       the range";
+        Err(ParamError { field: "sensor", value, allowed })
+    }
+
+    /// Returns the parameters for unorganized clouds, which have no pixels, without examining a cloud.
     ///
     /// # Errors
     /// If settings contradict each other, or apply only to frames on a grid.
@@ -113,8 +136,8 @@ impl Settings {
     }
 
     fn check_for_clouds(&self) -> Result<(), ParamError> {
-        if self.radius == Some(RadiusChoice::Sensor) {
-            let allowed = "neighbours or a radius in metres for unorganized clouds; sensor applies to frames on a grid";
+        if self.radius == Some(RadiusChoice::Sensor) && self.sensor_of_clouds().is_none() {
+            let allowed = "neighbours, a radius in metres or a named sensor for unorganized clouds";
             return Err(ParamError { field: "radius_m", value: "sensor".into(), allowed });
         }
         let allowed = "only for frames on a grid, since it needs the pixels around each point";
@@ -179,8 +202,10 @@ impl Settings {
     }
 
     pub(super) fn cloud_params_unchecked(&self) -> CloudParams {
-        self.overridden_cloud(match self.preset {
-            Some(Preset::Paper) => CloudParams::paper(),
+        let strength = self.any_strength().ok().flatten().unwrap_or_default();
+        self.overridden_cloud(match (self.preset, self.sensor_of_clouds()) {
+            (Some(Preset::Paper), _) => CloudParams::paper(),
+            (_, Some(sensor)) => CloudParams::for_sensor(sensor, strength),
             _ => CloudParams::default(),
         })
     }

@@ -1,8 +1,9 @@
 use super::*;
 use crate::camera::Camera;
 use crate::cloud::PointCloud;
-use crate::frame::{DepthFrame, IntoFrame};
-use crate::params::{CloudParams, FrameParams, Window};
+use crate::frame::{DepthFrame, Frame, IntoFrame, PointsView};
+use crate::params::{CloudParams, CloudRadius, FrameParams, Window};
+use crate::pose::SensorPose;
 
 fn frame() -> DepthFrame {
     DepthFrame::new(Camera::new((40, 4), [100.0; 2], [19.5, 1.5]), vec![1000; 160]).unwrap()
@@ -83,11 +84,38 @@ fn what_an_input_does_not_have_is_refused_or_listed() {
     assert_eq!(of_frame("remove_isolated=true").unwrap().unused, ["remove_isolated"]);
     assert_eq!(of_cloud("radius=sensor").unwrap_err().field, "radius_m");
     assert_eq!(of_cloud("remove_floating=true").unwrap_err().field, "remove_floating");
-    assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window", "sensor"]);
+    assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window"]);
+    assert_eq!(of_cloud("neighbours=20 sensor=d435 strength=0.2").unwrap().unused, ["sensor", "strength"]);
+    assert_eq!(of_cloud("sensor=auto").unwrap().unused, ["sensor"]);
     let known = of_cloud("preset=strong window=2 neighbours=50").unwrap();
     assert_eq!((known.unused, known.cloud_estimate), (vec!["window", "preset"], None));
     assert_eq!(of_frame("sensor=auto").unwrap_err().field, "sensor");
     assert_eq!(parsed("sensor=auto").frame_params().unwrap_err().value, "auto");
+}
+
+#[test]
+fn a_named_sensor_determines_the_parameters_of_a_cloud_whose_sensor_position_is_known() {
+    let cloud = cloud();
+    let of_cloud = |text: &str| parsed(text).resolve((&cloud).into_frame().unwrap());
+    let params = |text: &str| match of_cloud(text).unwrap().params {
+        Params::Cloud(params) => params,
+        Params::Frame(_) => unreachable!("a cloud has no grid"),
+    };
+    let d435 = |strength| CloudParams::for_sensor(SensorModel::REALSENSE_D435, strength);
+    assert_eq!(params("sensor=d435"), d435(Strength::DEFAULT));
+    assert_eq!(params("sensor=d435 radius=sensor preset=light"), d435(Strength::LIGHT));
+    assert_eq!(params("sensor=d435 edges=off strength=1"), d435(Strength::STRONG).with_edges(Edges::Off));
+    assert_eq!(params("sensor=d435 radius=0.05").radius, CloudRadius::Fixed { radius_m: 0.05 });
+    assert_eq!(params("sensor=d435 neighbours=20").radius, CloudRadius::Neighbours { count: 20 });
+    assert_eq!(params("sensor=d435 preset=paper"), CloudParams::paper());
+    // Map coordinates: the sensor is unknown.
+    let far: Vec<[f32; 3]> = (0..400).map(|i| [3e4 + (i % 20) as f32, 4e4 + (i / 20) as f32, 100.0]).collect();
+    let far = PointsView::from_rows(&far).unwrap();
+    let error = parsed("sensor=d435").resolve(Frame::Points(far)).unwrap_err();
+    assert_eq!((error.field, error.value.as_str()), ("sensor", "d435"));
+    let pose = SensorPose::from_viewpoint([3e4, 4e4, 110.0, 1.0, 0.0, 0.0, 0.0]);
+    assert!(parsed("sensor=d435").resolve(Frame::Points(far.with_pose(pose).unwrap())).is_ok());
+    assert!(parsed("").resolve(Frame::Points(far)).is_ok());
 }
 
 #[test]

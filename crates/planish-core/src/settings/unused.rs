@@ -7,7 +7,9 @@ impl Settings {
     /// Returns the names of the given settings that have no effect on unorganized clouds.
     pub fn unused_by_clouds(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
-        if !self.chooses_neighbours() {
+        let has_sensor = self.sensor_of_clouds().is_some();
+        unused.extend(Some("sensor").filter(|_| self.sensor.is_some() && !has_sensor));
+        if !self.chooses_neighbours() && !has_sensor {
             unused.extend(self.given_preset_or_strength());
         }
         unused
@@ -16,6 +18,7 @@ impl Settings {
     /// Same as [`unused_by_clouds`](Self::unused_by_clouds), for clouds whose known spacing determines the radius.
     pub fn unused_by_clouds_of_known_spacing(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
+        unused.extend(Some("sensor").filter(|_| self.sensor.is_some()));
         unused.extend(self.given_preset_or_strength());
         unused.extend(Some("even").filter(|_| self.spaces_evenly()));
         unused
@@ -27,7 +30,6 @@ impl Settings {
             ("stride", self.stride.is_some()),
             ("average_blocks", self.average_blocks.is_some()),
             ("project", self.project == Some(Project::Ray)),
-            ("sensor", self.sensor.is_some()),
             ("temporal", self.temporal == Some(TemporalChoice::Steady)),
             ("track", self.tracks_camera()),
         ];

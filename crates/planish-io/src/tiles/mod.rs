@@ -165,7 +165,7 @@ fn smooth_records<R: RecordReader>(
     }
     let params = options.settings.cloud_params()?;
     let engine = options.smoother.engine;
-    if engine == Engine::Reference && matches!(params.radius, CloudRadius::Neighbours { .. }) {
+    if engine == Engine::Reference && !matches!(params.radius, CloudRadius::Fixed { .. }) {
         // The engine must report radii by density, which the reference engine does not.
         let reason =
             "radii by density in tiles need the CPU or GPU engine; use one of them, or set a radius".to_owned();
@@ -285,7 +285,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         let mut may_widen = true;
         loop {
             let Some(raw) = spill.with_halo(number, halo_m)? else {
-                let may_be_narrower = matches!(self.params.radius, CloudRadius::Neighbours { .. });
+                let may_be_narrower = !matches!(self.params.radius, CloudRadius::Fixed { .. });
                 if may_be_narrower && halo_m > NARROWEST * by_density_m {
                     (halo_m, may_widen) = (0.7 * halo_m, false);
                     continue;
@@ -328,6 +328,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         if let (true, Some(position_m)) = (cloud.pose.is_identity(), spill.assumed_sensor_m) {
             part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
             self.report.assumed_sensor_m = Some(position_m);
+            self.options.settings.check_sensor_position(Some(position_m))?;
         }
         smoother.smooth(part.into_frame()?, &mut smoothed)?;
         Ok(smoothed)

@@ -43,9 +43,10 @@ class Settings(TypedDict, total=False):
     strength: float | None
     """Strength from 0 (light) to 1 (strong), instead of a preset."""
     sensor: SensorName | Sensor | None
-    """The sensor that took the frames [default: kinect1]; "auto" estimates it from the first frame."""
+    """The sensor that took the frames [default: kinect1]; "auto" estimates it from the first frame. Unorganized clouds need a named sensor, and must be in
+    its frame or state its pose [default: none, or kinect1 if its depth steps are recognized]."""
     radius_m: float | Literal["sensor"] | None
-    """Radius of a neighbourhood in metres; "sensor" selects a radius that grows with range like the sensor's noise (frames only)."""
+    """Radius of a neighbourhood in metres; "sensor" selects a radius that grows with range like the sensor's noise. For unorganized clouds, name the sensor too."""
     radius: float | Literal["sensor"] | None
     """Another name for radius_m."""
     neighbours: int | None

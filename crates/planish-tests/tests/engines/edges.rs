@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 use planish::evaluate::{Case, CurveReport, Evaluation, Report, Suite};
 use planish::simulate::{DepthNoise, DepthSimulator, Pose, Scene, Shape};
 use planish::{
-    Camera, DepthFrame, Edges, FrameParams, FrameRadius, OrganizedCloud, Outputs, PointsView, SensorModel, SimdLevel,
-    Smoothed, Status, Strength, Xyz,
+    Camera, DepthFrame, Edges, FrameParams, FrameRadius, OrganizedCloud, Outputs, PointsView, SensorModel, Session,
+    SessionEvent, Settings, SimdLevel, Smoothed, Status, Strength, Xyz,
 };
 use planish_tests::bits;
 use planish_tests::engines::TestEngine;
@@ -319,6 +319,29 @@ fn general_clouds_keep_edges_as_frames_do() {
     // The room has edges and the shapes have creases. Neither scene has points in the nearest range, so it is
     // skipped.
     assert_as_on_grid(&general_and_on_grid(&CASES[1..], Edges::Robust), 1);
+}
+
+#[test]
+fn a_kinect_is_recognized_without_its_grid_and_smoothed_as_well_as_with_it() {
+    let mut session = Session::new("grid=off engine=cpu".parse::<Settings>().unwrap()).unwrap();
+    session.set_outputs(Outputs::POINTS.with_normals(true));
+    let (mut evaluation, mut smoothed) = (Evaluation::default(), Smoothed::default());
+    for case in &CASES[1..] {
+        let points: Vec<[f32; 3]> = case.frame.deproject().unwrap().positions().iter().collect();
+        session.smooth(PointsView::from_rows(&points).unwrap(), &mut smoothed).unwrap();
+        let events = session.take_events();
+        assert!(
+            matches!(events[..], [SessionEvent::SensorRecognized { sensor: SensorModel::KINECT_V1 }]),
+            "{events:?}"
+        );
+        evaluation.add(case, &smoothed.points, smoothed.normals.as_ref().unwrap());
+    }
+    let (found, on_grid) = (evaluation.report(), evaluate(FrameParams::default(), &CASES[1..]));
+    for (range, of_grid) in found.ranges.iter().zip(&on_grid.ranges).skip(1) {
+        assert!(range.rmse_mm < 1.1 * of_grid.rmse_mm, "{range:?} {of_grid:?}");
+        assert!(range.facet_mean_deg < 1.2 * of_grid.facet_mean_deg, "{range:?} {of_grid:?}");
+    }
+    assert!(found.crease_deg < 1.2 * on_grid.crease_deg, "{} {}", found.crease_deg, on_grid.crease_deg);
 }
 
 #[test]

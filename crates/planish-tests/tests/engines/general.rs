@@ -2,8 +2,8 @@
 
 use planish::agreement::Agreement;
 use planish::{
-    CloudParams, CloudRadius, Edges, Engine, Outputs, PointsView, SensorPose, SimdLevel, Smoothed, Smoother,
-    SmootherOptions, Status,
+    CloudParams, CloudRadius, Edges, Engine, Outputs, PointsView, SensorModel, SensorPose, SimdLevel, Smoothed,
+    Smoother, SmootherOptions, Status, Strength,
 };
 use planish_tests::bits::{bits, of_points};
 use planish_tests::data::{bunny, folder, general_cloud, skip};
@@ -103,6 +103,8 @@ pub(super) fn settings() -> Vec<CloudParams> {
         robust.with_degree(3),
         robust.with_radius_m(0.06),
         robust.with_radius_m(0.1).with_ridge(1e-2).with_bandwidth_m(Some(0.05)),
+        CloudParams::for_sensor(SensorModel::KINECT_V1, Strength::DEFAULT),
+        CloudParams::for_sensor(SensorModel::AZURE_KINECT, Strength::LIGHT).with_edges(Edges::Off).with_degree(3),
     ]
 }
 

@@ -4,7 +4,7 @@
 use fearless_simd::Level;
 use glam::Vec3;
 
-use super::held_out::{FirstPass, HeldOut, Miss};
+use super::held_out::{FirstPass, HeldOut, Miss, ONE_IN};
 use super::leaves::{Kernels, SmoothedLeaf, Way};
 use crate::constants::MEDIAN_SQUARE;
 use crate::cpu::sensor::Sensor;
@@ -50,9 +50,13 @@ const SURE: f64 = 1.0;
 
 /// The two sides of a wall count as merged if the kurtosis of the held-out points' distances is below 3, the kurtosis
 /// of noise, by more than this and by more than [`FLAT_ERRORS`].
-const FLAT: f64 = 0.35;
+const FLAT: f64 = 0.25;
 /// Counterpart of [`FLAT`] in standard errors of the kurtosis.
 const FLAT_ERRORS: f64 = 3.0;
+/// Difference of the kurtosis from 3 above which more points of a small cloud are held out before it is judged.
+const FLAT_IN_FEW: f64 = 0.05;
+/// Number of held-out points that suffices to judge the kurtosis.
+const ENOUGH: usize = 4000;
 /// Fewer neighbours are chosen, to keep the sides of walls apart, if they reduce the mean square distance to less than
 /// this share.
 const MUCH_LESS: f64 = 2.0 / 3.0;
@@ -137,14 +141,16 @@ impl CloudEstimate {
         let mut passes_twice = decided.passes.map_or(is_noisy, |passes| passes > 1);
         let off = Way { edges: Edges::Off, neighbours: best.neighbours };
         let first = FirstPass { neighbours: Self::FIRST_NEIGHBOURS, reach_m: REACH * radius_m as f32 };
-        let held_out = HeldOut::new(&index, kernels, off, passes_twice.then_some(first)).ok()?;
+        let hold_out = |fold| HeldOut::new(&index, kernels, off, passes_twice.then_some(first), fold).ok();
+        let held_out = hold_out(0)?;
         // Noise larger than the spacing shifts round surfaces outwards, as keeping edges does.
         let may_have_edges = radius_m > NOISIEST * f64::from(noise_m);
         let edges = decided.edges.or((!may_have_edges).then_some(Edges::Off));
         let mut chosen = Compared { held_out: &held_out, most }.choose(off, passes_twice, edges);
-        if chosen.merges_walls() {
+        let held_out_more = |fold| hold_out(fold).map_or(Vec::new(), |held_out| held_out.misses(chosen.way));
+        if merges_walls(&chosen.misses, held_out_more) {
             let narrow = Way { edges: Edges::Robust, neighbours: Self::FIRST_NEIGHBOURS };
-            let held_out = HeldOut::new(&index, kernels, narrow, None).ok()?;
+            let held_out = HeldOut::new(&index, kernels, narrow, None, 0).ok()?;
             chosen = Compared { held_out: &held_out, most }.choose_apart(decided.edges.unwrap_or(Edges::Robust));
             passes_twice = decided.passes.is_some_and(|passes| passes > 1);
         }
@@ -212,16 +218,23 @@ impl Compared<'_> {
     }
 
     /// Returns parameters that keep the two sides of walls apart: 40 neighbours, or fewer if that makes the misses
-    /// much smaller. Fewer neighbours always make them slightly smaller, because the fit follows the noise.
+    /// much smaller, or as long as the sides are still merged. Fewer neighbours always make misses slightly smaller,
+    /// because the fit follows the noise.
     fn choose_apart(&self, edges: Edges) -> Tried {
-        let mut best = self.try_way(Way { edges, neighbours: TRIED[0] });
-        for neighbours in FEW.into_iter().rev() {
-            let fewer = self.try_way(Way { edges, neighbours });
-            if fewer.mean_whole() < MUCH_LESS * best.mean_whole() {
+        let mut tried: Vec<Tried> = TRIED[..1]
+            .iter()
+            .chain(FEW.iter().rev())
+            .map(|&neighbours| self.try_way(Way { edges, neighbours }))
+            .collect();
+        let mut best = 0;
+        for fewer in 1..tried.len() {
+            if tried[fewer].mean_whole() < MUCH_LESS * tried[best].mean_whole() {
                 best = fewer;
             }
         }
-        best
+        let is_merged = |tried: &Tried| below_gaussian(&finite_squares(&tried.misses)) > FLAT;
+        let apart = (best..tried.len() - 1).find(|&fewer| !is_merged(&tried[fewer])).unwrap_or(tried.len() - 1);
+        tried.swap_remove(apart)
     }
 
     fn try_way(&self, way: Way) -> Tried {
@@ -279,27 +292,38 @@ impl Tried {
         mean_of(self.misses.iter().map(|miss| miss.whole))
     }
 
-    /// Returns true if the distribution of the misses is flatter than a Gaussian, which indicates that the fitted
-    /// surface is between the two sides of a wall.
-    fn merges_walls(&self) -> bool {
-        let squares = self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite());
-        let (mut count, mut sum, mut squared) = (0.0, 0.0, 0.0);
-        for square in squares {
-            count += 1.0;
-            sum += square;
-            squared += square * square;
-        }
-        // The standard error of the kurtosis of normal deviates is √(24/count).
-        3.0 - count * squared / (sum * sum) > f64::max(FLAT, FLAT_ERRORS * (24.0 / count).sqrt())
-    }
-
     /// Returns the noise in metres that explains the median miss; `None` if no miss is finite.
     fn noise_m(&self) -> Option<f32> {
-        let mut squares: Vec<f64> =
-            self.misses.iter().map(|miss| miss.along).filter(|square| square.is_finite()).collect();
+        let mut squares = finite_squares(&self.misses);
         squares.sort_by(f64::total_cmp);
         squares.get(squares.len() / 2).map(|median| (median / MEDIAN_SQUARE).sqrt() as f32)
     }
+}
+
+/// Returns true if the distribution of the misses is flatter than a Gaussian, which indicates that the fitted surface
+/// is between the two sides of a wall. In a small cloud where that is possible, more points are held out.
+fn merges_walls(misses: &[Miss], more: impl Fn(usize) -> Vec<Miss>) -> bool {
+    let mut squares: Vec<f64> = finite_squares(misses);
+    if below_gaussian(&squares) > FLAT_IN_FEW {
+        for fold in 1..ONE_IN {
+            if squares.len() >= ENOUGH {
+                break;
+            }
+            squares.extend(finite_squares(&more(fold)));
+        }
+    }
+    // The standard error of the kurtosis of normal deviates is √(24/count).
+    below_gaussian(&squares) > f64::max(FLAT, FLAT_ERRORS * (24.0 / squares.len() as f64).sqrt())
+}
+
+fn finite_squares(misses: &[Miss]) -> Vec<f64> {
+    misses.iter().map(|miss| miss.along).filter(|square| square.is_finite()).collect()
+}
+
+/// Returns how far the kurtosis of deviates with these squares is below a Gaussian's, which is 3.
+fn below_gaussian(squares: &[f64]) -> f64 {
+    let (sum, squared) = squares.iter().fold((0.0, 0.0), |(sum, squared), x| (sum + x, squared + x * x));
+    3.0 - squares.len() as f64 * squared / (sum * sum)
 }
 
 /// Returns the mean of the finite values; NaN if there are none.

@@ -10,7 +10,7 @@ use crate::neighbours::{LEAF, PointIndex};
 use crate::params::Edges;
 
 /// Interval between held-out points in each sampled leaf: one of eight is held out.
-const ONE_IN: usize = 8;
+pub(super) const ONE_IN: usize = 8;
 /// Number of groups of leaves that are sampled in a large cloud.
 const GROUPS: usize = 32;
 /// Number of leaves in each group.
@@ -53,17 +53,18 @@ pub(super) struct HeldOut {
 }
 
 impl HeldOut {
-    /// Holds out points of a cloud. They are smoothed with the parameters `way` before they are compared with a
-    /// surface; otherwise their noise would determine which surface they belong to. A first pass, if any, smooths the
-    /// other points.
+    /// Holds out points of a cloud, other ones for each `fold` from 0 to [`ONE_IN`] - 1. They are smoothed with the
+    /// parameters `way` before they are compared with a surface; otherwise their noise would determine which surface
+    /// they belong to. A first pass, if any, smooths the other points.
     pub(super) fn new(
         cloud: &PointIndex,
         kernels: Kernels,
         way: Way,
         first: Option<FirstPass>,
+        fold: usize,
     ) -> Result<Self, FrameError> {
         let is_sampled = sampled_leaves(cloud);
-        let is_held_out = |&place: &usize| is_sampled(place / LEAF) && place % ONE_IN == place / LEAF % ONE_IN;
+        let is_held_out = |&place: &usize| is_sampled(place / LEAF) && place % ONE_IN == (place / LEAF + fold) % ONE_IN;
         let (held_out, others): (Vec<usize>, Vec<usize>) = (0..cloud.len()).partition(is_held_out);
         let measured: Vec<_> = held_out.iter().map(|&place| cloud.point(place)).collect();
         let others: Vec<_> = others.iter().map(|&place| cloud.point(place)).collect();

@@ -16,6 +16,8 @@ use crate::range::MIN_GATE_M;
 pub(super) struct Kernel<'a> {
     pub(super) fitting: Fitting,
     pub(super) sensor: Sensor,
+    /// True if points move along their rays.
+    pub(super) on_ray: bool,
     pub(super) index: &'a PointIndex,
     pub(super) radii: Radii<'a>,
     /// The first planes; `None` if edges are not kept, or if the first planes are yet to be fitted.

@@ -45,8 +45,8 @@ impl Kernels {
     #[inline(never)]
     pub(super) fn smooth(self, index: &PointIndex, way: Way, leaves: &[usize]) -> Vec<SmoothedLeaf> {
         let Self { sensor, level } = self;
-        let density =
-            Density { half: way.neighbours as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
+        let largest_m = (index.extent_m() / 2.0).min(MAX_RANGE_M);
+        let density = Density { half: way.neighbours as f32 / 2.0, largest_m, least: None };
         let radii_of = |first: usize| {
             let mut radii = [f32::NAN; LEAF];
             radius::solve(level, index, density, &mut RadiusRows { first, radii: &mut radii });
@@ -69,7 +69,8 @@ impl Kernels {
             fitted.retain(|leaf| leaf % ONE_LEAF_IN == 0 && leaves.binary_search(leaf).is_err());
             put(&mut radii, &fitted, of_leaves(&fitted, radii_of));
             fitted.extend(leaves);
-            let kernel = Kernel { fitting, sensor, index, radii: Radii::Known(&radii), first_planes: None };
+            let kernel =
+                Kernel { fitting, sensor, on_ray: false, index, radii: Radii::Known(&radii), first_planes: None };
             let planes = of_leaves(&fitted, |first| {
                 let (mut planes, mut radii) = ([FirstPlane::default(); LEAF], [f32::NAN; LEAF]);
                 let mut rows = FirstPlaneRows { first, planes: &mut planes, radii: &mut radii };
@@ -80,8 +81,14 @@ impl Kernels {
             put(rows.planes, &fitted, planes);
             rows.radii.copy_from_slice(&radii);
         }
-        let kernel =
-            Kernel { fitting, sensor, index, radii: Radii::Known(&radii), first_planes: first_planes.as_ref() };
+        let kernel = Kernel {
+            fitting,
+            sensor,
+            on_ray: false,
+            index,
+            radii: Radii::Known(&radii),
+            first_planes: first_planes.as_ref(),
+        };
         of_leaves(leaves, |leaf| {
             let mut smoothed = Smoothed::default();
             smoothed.prepare(LEAF, 1, Outputs::POINTS.with_normals(true).with_status(true));

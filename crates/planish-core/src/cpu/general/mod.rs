@@ -32,7 +32,7 @@ use crate::neighbours::{LEAF, PointIndex};
 use crate::outputs::{Outputs, SmoothedMut};
 use crate::params::{Edges, EngineParams, Radius};
 use crate::progress::Progress;
-use crate::range::MAX_RANGE_M;
+use crate::range::{MAX_RANGE_M, RangeRules};
 use crate::simd_level::SimdLevel;
 use crate::smoothed::Smoothed;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
@@ -42,7 +42,7 @@ pub(crate) use estimate::Decided;
 use first_planes::{FirstPlaneRows, FirstPlanes};
 use gather::{Gathered, load};
 use kernel::{Kernel, Radii};
-use radius::{Density, RadiusRows};
+use radius::{Density, LeastRadius, RadiusRows};
 
 /// Number of leaves per task, enough to make the overhead of a task negligible.
 const LEAVES_PER_TASK: usize = 64;
@@ -81,17 +81,20 @@ impl GeneralCpu {
         progress.reset();
         index.fill(&view);
         // Computing radii takes about a tenth of the time of the fits, first planes about half.
-        let of_radius = if matches!(params.radius, Radius::Neighbours { .. }) { 1 } else { 0 };
+        let of_radius = if params.radius.density().is_some() { 1 } else { 0 };
         let of_fit = 9;
         let keeps_edges = params.edges != Edges::Off;
         let of_first_plane = if keeps_edges { 5 } else { 0 };
         progress.begin((of_radius + of_first_plane + of_fit) * index.leaves());
+        let sensor = Sensor::new(&frame.geometry);
         let radii = match params.radius {
             Radius::Fixed { radius_m } => Radii::Fixed(radius_m),
             // `Smoother::open` rejects `Radius::Sensor`.
-            Radius::Neighbours { count } => {
-                let density =
-                    Density { half: count as f32 / 2.0, largest_m: (index.extent_m() / 2.0).min(MAX_RANGE_M) };
+            Radius::Neighbours { count } | Radius::SensorAndDensity { count } => {
+                let is_ranged = matches!(params.radius, Radius::SensorAndDensity { .. });
+                let least = LeastRadius { sensor, rules: RangeRules::new(params, &frame.geometry) };
+                let largest_m = (index.extent_m() / 2.0).min(MAX_RANGE_M);
+                let density = Density { half: count as f32 / 2.0, largest_m, least: is_ranged.then_some(least) };
                 radii.resize(LEAF * index.leaves(), f32::NAN);
                 let solve = |mut rows: RadiusRows<'_>| {
                     if progress.is_stopped() {
@@ -112,7 +115,8 @@ impl GeneralCpu {
                 keeps_isolated: !params.remove_isolated,
                 least_neighbours: params.least_neighbours(&view) as f32,
             },
-            sensor: Sensor::new(&frame.geometry),
+            sensor,
+            on_ray: frame.geometry.is_on_rays(params.project),
             index,
             radii,
             first_planes: None,
@@ -162,7 +166,7 @@ impl ImmediateEngine for GeneralCpu {
 
     fn own_radius_m(&self, i: usize) -> Option<f32> {
         let place = self.index.place(i)?;
-        matches!(self.params.radius, Radius::Neighbours { .. }).then(|| self.radii[place])
+        self.params.radius.density().map(|_| self.radii[place])
     }
 
     /// Returns the size in bytes of the index, the radii, the first planes and the sorted results.
@@ -238,7 +242,7 @@ fn smooth_vector<S: Simd, const D: usize>(
     let n = valid.select(is_far.select(splat(simd, 1.0), surface.n), splat(simd, 0.0));
     let surface = Surface { n, ..surface };
     let points = Points { p, ray: kernel.sensor.ray(simd, p), radius, valid };
-    let projection = rows.projection(false);
+    let projection = rows.projection(kernel.on_ray);
     let source = Source::Of(&*gathered);
     let projected = kernel.fitting.fit::<S, _, D>(simd, source, points, &surface, projection, terms);
     rows.store(row, u, &projected, [splat(simd, 0.0), surface.plane.curvature, surface.n]);

@@ -2,10 +2,13 @@
 
 use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdMask, dispatch};
 
+use super::super::polynomial_in_range;
 use super::super::row_tasks::SplitRows;
+use super::super::sensor::Sensor;
 use super::super::vector::{Mask, Vec3, splat};
 use super::gather::{Gathered, Reach, load};
 use crate::neighbours::{LEAF, PointIndex};
+use crate::range::{MAX_RANGE_M, RangeRules, WINDOWS_IN_CLOUD};
 
 /// First trial reach, in radii of the previous vector of points.
 const FIRST_REACH: f32 = 1.2;
@@ -40,6 +43,26 @@ pub(super) struct Density {
     pub(super) half: f32,
     /// Maximum radius, in metres.
     pub(super) largest_m: f32,
+    /// Minimum radius by range; `None` if the sensor is unknown.
+    pub(super) least: Option<LeastRadius>,
+}
+
+/// The minimum radius of points by their range.
+#[derive(Clone, Copy)]
+pub(super) struct LeastRadius {
+    pub(super) sensor: Sensor,
+    pub(super) rules: RangeRules,
+}
+
+impl LeastRadius {
+    #[inline(always)]
+    fn at<S: Simd>(&self, simd: S, p: Vec3<S>) -> S::f32s {
+        let ray = self.sensor.ray(simd, p);
+        let range = ray.dot(ray).sqrt().min(splat(simd, MAX_RANGE_M));
+        let window = range * splat(simd, self.rules.linear);
+        let steps = polynomial_in_range(simd, self.rules.radius, range);
+        steps.max(window).min(window * splat(simd, WINDOWS_IN_CLOUD))
+    }
 }
 
 /// Finds the radius of every point of the leaves.
@@ -94,6 +117,7 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
             }
             radius = S::f32s::from_slice(simd, &lanes[..S::f32s::LEN]);
         }
+        let radius = density.least.map_or(radius, |least| radius.max(least.at(simd, p)));
         let radius = radius.min(splat(simd, density.largest_m));
         radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
         let lanes = &radius.as_slice()[..S::f32s::LEN.min(index.len() - place)];

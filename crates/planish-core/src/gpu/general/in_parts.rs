@@ -138,7 +138,7 @@ impl GeneralGpu {
                 around > SURELY_TOO_MANY * most as f64
             }
             // Half of the neighbours are within the radius, unless the cloud's extent limits it.
-            Radius::Neighbours { count } => count as usize / 2 > most,
+            Radius::Neighbours { count } | Radius::SensorAndDensity { count } => count as usize / 2 > most,
             Radius::Sensor => false,
         };
         if is_crowded {

@@ -26,7 +26,7 @@ use crate::error::{EngineError, Error};
 use crate::frame::{Frame, PointsView};
 use crate::neighbours::middle;
 use crate::outputs::{Outputs, SmoothedMut};
-use crate::params::{Edges, EngineParams, Radius};
+use crate::params::{Edges, EngineParams};
 use crate::progress::Progress;
 use crate::range::MAX_RANGE_M;
 use crate::smoothing_engine::{AdmittedFrame, ImmediateEngine};
@@ -112,7 +112,7 @@ impl GeneralGpu {
     }
 
     fn is_by_density(&self) -> bool {
-        matches!(self.params.radius, Radius::Neighbours { .. })
+        self.params.radius.density().is_some()
     }
 
     /// Returns the layout of the points' results. Words with status and neighbours follow the other channels.
@@ -141,10 +141,7 @@ impl GeneralGpu {
         let middle = middle_of(view);
         let extent_m = view.extent_m().unwrap_or_else(|| extent_m(&middle));
         let half = middle.iter().map(|[low, high]| high - low).fold(0.0, f64::max) / 2.0;
-        let half_count = match self.params.radius {
-            Radius::Neighbours { count } => count as f32 / 2.0,
-            _ => 0.0,
-        };
+        let half_count = self.params.radius.density().map_or(0.0, |count| count as f32 / 2.0);
         CloudUniform {
             points: view.len() as u32,
             tiles: view.len().div_ceil(TILE) as u32,

@@ -9,6 +9,7 @@ use super::super::shader::shader;
 use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, Radius};
+use crate::range::WINDOWS_IN_CLOUD;
 
 /// Number of values of a digit. A digit is four bits of a key; each pass of the sort orders the points by one digit.
 pub(super) const DIGITS: usize = 16;
@@ -206,7 +207,13 @@ impl Pass {
             }
             Self::Leaves => text += &(node.to_owned() + shader!("../shaders/general/leaves.wgsl")),
             Self::Nodes => text += &(node.to_owned() + shader!("../shaders/general/nodes.wgsl")),
-            Self::Radii => text += &[gate, walk, shader!("../shaders/general/radii.wgsl")].concat(),
+            Self::Radii => {
+                let has_sensor = matches!(params.radius, Radius::SensorAndDensity { .. });
+                let _ = writeln!(text, "const HAS_SENSOR: bool = {has_sensor};");
+                let _ = writeln!(text, "const WINDOWS_IN_CLOUD: f32 = {WINDOWS_IN_CLOUD:?};");
+                text += &[gate, walk, shader!("../shaders/sensor.wgsl")].concat();
+                text += shader!("../shaders/general/radii.wgsl");
+            }
             Self::FirstPlanes => {
                 text += &[gate, walk, shader!("../shaders/eigen.wgsl")].concat();
                 text += shader!("../shaders/sensor.wgsl");
@@ -248,7 +255,9 @@ impl Pass {
 /// Returns the WGSL function that returns the radius at a position.
 fn radius_of(radius: Radius) -> &'static str {
     match radius {
-        Radius::Neighbours { .. } => shader!("../shaders/general/radius_limited.wgsl"),
+        Radius::Neighbours { .. } | Radius::SensorAndDensity { .. } => {
+            shader!("../shaders/general/radius_limited.wgsl")
+        }
         Radius::Fixed { .. } | Radius::Sensor => shader!("../shaders/general/radius_fixed.wgsl"),
     }
 }
