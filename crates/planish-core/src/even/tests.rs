@@ -22,8 +22,13 @@ fn noisy_sphere(noise_m: f32) -> Vec<[f32; 3]> {
             return p;
         }
     };
-    let mut points: Vec<_> =
-        (0..4000).map(|_| (in_ball().normalize() + 2.2 * noise_m * in_ball()).to_array()).collect();
+    // Sums of nine vectors are nearly normal; noise that is uniform would look like the two sides of a wall.
+    let mut points: Vec<_> = (0..4000)
+        .map(|_| {
+            let noise: Vec3 = (0..9).map(|_| in_ball()).sum();
+            (in_ball().normalize() + 0.75 * noise_m * noise).to_array()
+        })
+        .collect();
     points.push([9.0, 9.0, 9.0]);
     points.push([f32::NAN; 3]);
     points

@@ -45,7 +45,7 @@ fn shapes_and_kinds_may_change_from_frame_to_frame() {
     session.smooth(&cloud, &mut smoothed).unwrap();
     assert_eq!((smoothed.width, smoothed.height), (cloud.len(), 1));
     assert_eq!(session.engine(), Some(Engine::Cpu));
-    assert!(matches!(session.take_events()[..], [SessionEvent::NeighboursChosen(_)]));
+    assert!(matches!(session.take_events()[..], [SessionEvent::SensorRecognized { .. }]));
 }
 
 #[test]

@@ -51,6 +51,9 @@ const SURE: f64 = 1.0;
 /// The two sides of a wall count as merged if the kurtosis of the held-out points' distances is below 3, the kurtosis
 /// of noise, by more than this and by more than [`FLAT_ERRORS`].
 const FLAT: f64 = 0.25;
+/// Difference of the kurtosis from 3 above which the distances with 40 neighbours have two peaks; that of a uniform
+/// distribution is 1.2.
+const TWO_PEAKS: f64 = 1.25;
 /// Counterpart of [`FLAT`] in standard errors of the kurtosis.
 const FLAT_ERRORS: f64 = 3.0;
 /// Difference of the kurtosis from 3 above which more points of a small cloud are held out before it is judged.
@@ -218,8 +221,8 @@ impl Compared<'_> {
     }
 
     /// Returns parameters that keep the two sides of walls apart: 40 neighbours, or fewer if that makes the misses
-    /// much smaller, or as long as the sides are still merged. Fewer neighbours always make misses slightly smaller,
-    /// because the fit follows the noise.
+    /// much smaller, or as long as the distances of sides that are clearly apart do not look like noise. Fewer
+    /// neighbours always make misses slightly smaller, because the fit follows the noise.
     fn choose_apart(&self, edges: Edges) -> Tried {
         let mut tried: Vec<Tried> = TRIED[..1]
             .iter()
@@ -232,9 +235,13 @@ impl Compared<'_> {
                 best = fewer;
             }
         }
-        let is_merged = |tried: &Tried| below_gaussian(&finite_squares(&tried.misses)) > FLAT;
-        let apart = (best..tried.len() - 1).find(|&fewer| !is_merged(&tried[fewer])).unwrap_or(tried.len() - 1);
-        tried.swap_remove(apart)
+        let flatness = |tried: &Tried| below_gaussian(&finite_squares(&tried.misses));
+        if flatness(&tried[0]) > TWO_PEAKS {
+            while best + 1 < tried.len() && flatness(&tried[best]) > FLAT {
+                best += 1;
+            }
+        }
+        tried.swap_remove(best)
     }
 
     fn try_way(&self, way: Way) -> Tried {
