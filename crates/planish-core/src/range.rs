@@ -15,7 +15,10 @@ const PIXELS_AT_1M: f64 = 525.0;
 const DISC_IN_SQUARE: f64 = std::f64::consts::FRAC_2_SQRT_PI;
 /// Radius in an unorganized cloud of a known sensor, in depth steps.
 const STEPS_IN_CLOUD: f64 = 4.0;
-/// Maximum ratio of that radius to the radius of a window, which bounds the number of neighbours at long range.
+/// Maximum ratio of the radius to that by density for 20 neighbours, which bounds the number of neighbours to about
+/// 2000 in dense clouds.
+pub(crate) const DENSITIES_IN_CLOUD: f32 = 10.0;
+/// Maximum ratio of the radius to the radius of a window, which bounds the number of neighbours at long range.
 pub(crate) const WINDOWS_IN_CLOUD: f32 = 2.0;
 
 /// Maximum radius in metres, larger than any scene; its square fits f32. Without a limit, a coordinate of 1e30 would
@@ -87,11 +90,13 @@ impl RangeRules {
 }
 
 /// Returns the radius of an unorganized cloud's points at a range in metres, if the sensor is known (docs/method.md,
-/// section 8).
+/// section 8). `by_density_m` is the radius by density.
 #[cfg(any(test, feature = "reference"))]
-pub(crate) fn radius_in_cloud_m(params: &EngineParams, range_m: f64) -> f64 {
+pub(crate) fn radius_in_cloud_m(params: &EngineParams, range_m: f64, by_density_m: f64) -> f64 {
     let window_m = of_cloud(params) * range_m;
-    (STEPS_IN_CLOUD * params.sensor.step_m(range_m)).clamp(window_m, f64::from(WINDOWS_IN_CLOUD) * window_m)
+    let steps_m = STEPS_IN_CLOUD * params.sensor.step_m(range_m);
+    let ranged_m = steps_m.clamp(window_m, f64::from(WINDOWS_IN_CLOUD) * window_m);
+    by_density_m.max(ranged_m.min(f64::from(DENSITIES_IN_CLOUD) * by_density_m))
 }
 
 /// Returns the ratio of the radius to the range in an unorganized cloud: a disc with the area of a frame's window.

@@ -16,6 +16,8 @@ const WAIT_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 
 /// The declared default of `strength`.
 const DEFAULT_STRENGTH: f64 = 0.5;
+/// The declared default of `sensor`, which is that of frames.
+const DEFAULT_SENSOR: &str = "kinect1";
 
 /// A parameter: name, default, whether it can change at run time, and its description.
 pub type Declared = (&'static str, ParameterValue, bool, &'static str);
@@ -29,7 +31,7 @@ pub fn declared() -> Vec<Declared> {
         ("strength", Double(DEFAULT_STRENGTH), true, "Strength: 0 light, 0.5 default, 1 strong"),
         (
             "sensor",
-            text("kinect1"),
+            text(DEFAULT_SENSOR),
             true,
             "kinect1, d415, d435, d455, azure-kinect, l515, iphone, exact, or auto: estimated from the first frame",
         ),
@@ -194,6 +196,8 @@ fn smoothing(values: &BTreeMap<String, ParameterValue>, normals: bool, sigma: bo
     let is_preset = values.get("preset").is_some_and(|value| *value != ParameterValue::NotSet);
     for (name, value) in values.iter().filter(|(name, _)| Settings::NAMES.contains(&name.as_str())) {
         let value = match value {
+            // Clouds without a grid have no default sensor, and frames have this one anyway.
+            ParameterValue::String(value) if name == "sensor" && value == DEFAULT_SENSOR => continue,
             // The chosen preset replaces the declared default of `strength`.
             ParameterValue::Double(value) if name == "strength" && is_preset && *value == DEFAULT_STRENGTH => continue,
             ParameterValue::Integer(0) if name == "threads" => continue,
@@ -235,6 +239,11 @@ mod tests {
 
     #[test]
     fn defaults_are_the_library_s() {
+        let declared = declared().into_iter().map(|(name, value, ..)| (name.to_owned(), value));
+        let common = declared.filter(|(name, _)| Settings::NAMES.contains(&name.as_str()));
+        let smoothing = smoothing(&common.collect(), false, false).unwrap();
+        assert_eq!(smoothing.cloud_params().unwrap(), planish::CloudParams::default());
+        assert_eq!(smoothing.frame_params().unwrap(), planish::FrameParams::default());
         let settings = of(&[]).unwrap();
         assert_eq!(settings.smoothing.frame_params().unwrap(), planish::FrameParams::default());
         assert_eq!((settings.input, settings.smoothing.threads), (Input::Image, None));

@@ -131,9 +131,9 @@ pub struct SmoothingArgs {
     pub sensor: Option<SensorArg>,
     /// Creases and steps
     ///
-    /// By default robust for frames. For unorganized clouds, robust if that reduces the error at held-out points, and
-    /// off if a radius or a number of neighbours is given. Smoothing an unorganized cloud takes 1.5 to 3.6 times as
-    /// long with robust edges.
+    /// By default robust for frames. For unorganized clouds, robust if the sensor is given or recognized, or if that
+    /// reduces the error at held-out points, and off if a radius or a number of neighbours is given. Smoothing an
+    /// unorganized cloud takes 1.5 to 3.6 times as long with robust edges.
     #[arg(long, value_enum)]
     pub edges: Option<EdgesArg>,
     /// Engine
@@ -185,18 +185,20 @@ pub struct SmoothingArgs {
     pub radius: Option<RadiusArg>,
     /// For unorganized clouds: number of neighbours, 6 to 1000, instead of a radius
     ///
-    /// By default the noise and the shape of each cloud decide; in streams it is 40.
+    /// By default the noise and the shape of each cloud decide, or the range if the sensor is given or recognized; in
+    /// streams it is 40.
     #[arg(long, value_name = "K", conflicts_with = "radius", hide_short_help = true, help_heading = TUNING)]
     pub neighbours: Option<u32>,
     /// For unorganized clouds: number of passes; 2 adds a first pass with 20 neighbours [default: depends on the noise]
     ///
     /// The first pass helps where the noise exceeds half the spacing of the points. With a given radius or number of
-    /// neighbours, and in tiles, the default is 1.
+    /// neighbours, a known sensor, and in tiles, the default is 1.
     #[arg(long, value_name = "1|2", hide_short_help = true, help_heading = TUNING)]
     pub passes: Option<u32>,
     /// For unorganized clouds: turn isolated points into holes [default: false]
     ///
-    /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours.
+    /// Isolated points have fewer than 3 neighbours, or fewer than a quarter of --neighbours (fewer than 5 if the
+    /// sensor is known).
     #[arg(long, value_name = "true|false", num_args = 0..=1, require_equals = true, default_missing_value = "true", hide_short_help = true, help_heading = TUNING)]
     pub remove_isolated: Option<bool>,
     /// For unorganized clouds: whether to rebuild the grid of a frame that has lost it [default: auto]
@@ -234,7 +236,7 @@ pub struct SmoothingArgs {
     /// Direction in which a point moves onto the surface
     ///
     /// Points move along the normal in clouds whose sensor position is unknown, and in unorganized clouds unless
-    /// --sensor is given.
+    /// the sensor is given or recognized.
     #[arg(long, value_enum, hide_short_help = true, help_heading = TUNING)]
     pub project: Option<ProjectArg>,
     /// GPU for --engine gpu: index or part of the name (see `planish devices`) [default: the first hardware GPU]

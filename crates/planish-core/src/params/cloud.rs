@@ -21,7 +21,9 @@ pub enum CloudRadius {
     },
     /// A radius that grows with the range of a point, for clouds that one sensor measured from the cloud's pose: as
     /// wide as the windows of that sensor's frames, or up to twice as wide if four depth steps are wider. It is larger
-    /// where evenly spread points would have fewer than 20 neighbours. Points move along their rays.
+    /// where evenly spread points would have fewer than 20 neighbours, and smaller where they would have more than
+    /// about 2000. Points move along their rays. The cloud must be in the sensor's frame or state its pose;
+    /// [`Settings`](crate::Settings) refuse clouds whose sensor position is unknown.
     Sensor {
         /// The sensor that measured the points.
         sensor: SensorModel,
@@ -44,7 +46,8 @@ pub struct CloudParams {
     /// The gate: points farther away than this are not neighbours.
     pub radius: CloudRadius,
     /// Whether isolated points become holes instead of staying unchanged. A point is isolated if it has fewer than
-    /// three neighbours, or fewer than about a quarter of the number in [`CloudRadius::Neighbours`].
+    /// three neighbours, or fewer than about a quarter of the number in [`CloudRadius::Neighbours`] (five with
+    /// [`CloudRadius::Sensor`]).
     pub remove_isolated: bool,
 }
 

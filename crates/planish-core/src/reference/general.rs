@@ -136,12 +136,15 @@ impl Positions {
             // `Smoother::open` rejects this radius.
             Radius::Sensor => return vec![MIN_RADIUS_M; self.points.len()],
         };
-        let least_m = |p: DVec3| match params.radius {
-            Radius::SensorAndDensity { .. } => radius_in_cloud_m(params, (p - sensor).length()),
-            _ => 0.0,
+        let own_m = |&p: &DVec3| {
+            let by_density_m = self.radius_m(p, f64::from(count) / 2.0, extent_m / 2.0);
+            match params.radius {
+                Radius::SensorAndDensity { .. } => {
+                    radius_in_cloud_m(params, (p - sensor).length(), by_density_m).min(extent_m / 2.0)
+                }
+                _ => by_density_m,
+            }
         };
-        let own_m =
-            |&p: &DVec3| self.radius_m(p, f64::from(count) / 2.0, extent_m / 2.0).max(least_m(p)).min(extent_m / 2.0);
         let own_m: Vec<f64> = self.points.par_iter().map(own_m).collect();
         let limited = |(place, &radius_m): (usize, &f64)| {
             let limit_m = MAX_RADIUS_RATIO * self.mean_radius_m(place, radius_m, &own_m);

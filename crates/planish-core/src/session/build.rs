@@ -5,6 +5,7 @@ use crate::doubts::{doubt_about_lens, doubts};
 use crate::engines::SmootherOptions;
 use crate::fleet::FleetDevice;
 use crate::frame::Frame;
+use crate::sensor::SensorModel;
 use crate::threads::ONE_THREAD;
 
 impl Session {
@@ -30,6 +31,12 @@ impl Session {
     /// Otherwise it is estimated from every frame.
     pub fn with_kept_sensor(self, keeps_sensor: bool) -> Self {
         Self { keeps_sensor, ..self }
+    }
+
+    /// Sets the sensor that was estimated from earlier frames and is used for all frames, if the settings ask for an
+    /// estimate.
+    pub fn with_estimated_sensor(self, sensor: Option<SensorModel>) -> Self {
+        Self { estimated: sensor, keeps_sensor: self.keeps_sensor || sensor.is_some(), ..self }
     }
 
     /// Sets whether unorganized clouds are examined if the settings allow it [default: true]. If so, the pixel grid

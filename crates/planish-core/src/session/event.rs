@@ -41,7 +41,11 @@ impl fmt::Display for CloudChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("an unorganized cloud")?;
         if let Some(noise_m) = self.noise_m {
-            write!(f, " with about {:.2} mm of noise", 1e3 * noise_m)?;
+            if noise_m < 5e-6 {
+                f.write_str(" without noticeable noise")?;
+            } else {
+                write!(f, " with about {:.2} mm of noise", 1e3 * noise_m)?;
+            }
         }
         write!(f, ", smoothed with about {} neighbours per point", self.neighbours)?;
         f.write_str(if self.edges == Edges::Robust { ", edges kept" } else { "" })?;

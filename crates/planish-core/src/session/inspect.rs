@@ -57,7 +57,7 @@ impl Session {
     }
 
     /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, or if
-    /// the last frame was of another kind.
+    /// a sensor was recognized, or if the last frame was of another kind.
     pub fn cloud_choice(&self) -> Option<CloudChoice> {
         self.cloud_choice
     }

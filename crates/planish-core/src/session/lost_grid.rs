@@ -48,7 +48,7 @@ impl Session {
         let has_sensor = settings.sensor.is_some();
         let lattice = Lattice::of(&points).filter(|lattice| has_sensor || lattice.may_be_in_metres())?;
         let (width, height) = lattice.shape();
-        self.cloud_estimate = None;
+        (self.cloud_params, self.cloud_estimate) = (None, None);
         self.events.push(SessionEvent::GridRebuilt { width, height });
         self.known_points = points.len();
         Some((lattice, points))

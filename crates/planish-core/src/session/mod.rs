@@ -238,7 +238,7 @@ impl Session {
         }
         self.chosen = Chosen::Settings(Box::new(settings));
         (self.kept_window, self.estimated, self.instead_for_clouds) = (None, None, None);
-        (self.cloud_estimate, self.lattice, self.known_points) = (None, None, 0);
+        (self.cloud_params, self.cloud_estimate, self.lattice, self.known_points) = (None, None, None, 0);
         self.restart_video();
         if self.pending.is_empty() {
             self.video.close();
@@ -464,7 +464,7 @@ impl Session {
     pub fn close(&mut self) {
         self.forget_other_process();
         (self.open, self.open_for_first) = (None, None);
-        self.lattice = None;
+        (self.cloud_params, self.lattice) = (None, None);
         (self.on_grid, self.first_pass, self.before_even) = Default::default();
         self.finish = None;
         self.restart_video();

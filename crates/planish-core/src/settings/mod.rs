@@ -56,8 +56,8 @@ pub struct Settings {
     /// The sensor that took the frames [default: Kinect v1] or the points of an unorganized cloud, which is in the
     /// sensor's frame or states its pose [default: none, or Kinect v1 if its depth steps are recognized].
     pub sensor: Option<SensorChoice>,
-    /// Edge handling [default: robust for frames; for unorganized clouds chosen by their shape, or off if a radius or
-    /// a number of neighbours is given].
+    /// Edge handling [default: robust for frames and for clouds of a known sensor; for other clouds chosen by their
+    /// shape, or off if a radius or a number of neighbours is given].
     pub edges: Option<Edges>,
     /// Whether pixels that float between two surfaces become holes before smoothing [default: no].
     pub remove_floating: Option<bool>,
@@ -82,11 +82,11 @@ pub struct Settings {
     /// The radius of a neighbourhood.
     pub radius: Option<RadiusChoice>,
     /// Number of neighbours of a point in an unorganized cloud, 6 to 1000, instead of a radius [default: chosen by
-    /// the cloud's noise and shape].
+    /// the cloud's noise and shape, or by the range if the sensor is known].
     pub neighbours: Option<u32>,
     /// Number of passes over an unorganized cloud, 1 or 2. The first of two passes uses 20 neighbours, which helps if
     /// the noise exceeds half the spacing of the points [default: chosen from the noise; 1 if a radius or a number of
-    /// neighbours is given].
+    /// neighbours is given or the sensor is known].
     pub passes: Option<u32>,
     /// Reconstruction of a frame's pixel grid from an unorganized cloud [default: auto].
     pub grid: Option<GridChoice>,

@@ -20,8 +20,27 @@ impl Settings {
         self.resolve_on(frame, self.threads)
     }
 
+    /// Same as [`resolve`](Self::resolve), but does not recognize the sensor of an unorganized cloud, whose
+    /// neighbourhoods may be too wide for tiles.
+    ///
+    /// # Errors
+    /// Same as [`resolve`](Self::resolve).
+    pub fn resolve_by_density(&self, frame: Frame<'_>) -> Result<Resolved, ParamError> {
+        self.resolve_frame(frame, self.threads, false)
+    }
+
     /// Same as [`resolve`](Self::resolve), but estimates with `threads` threads.
     pub(crate) fn resolve_on(&self, frame: Frame<'_>, threads: Option<usize>) -> Result<Resolved, ParamError> {
+        // WebAssembly builds recognize no sensor, to stay small.
+        self.resolve_frame(frame, threads, !ONE_THREAD)
+    }
+
+    fn resolve_frame(
+        &self,
+        frame: Frame<'_>,
+        threads: Option<usize>,
+        recognizes: bool,
+    ) -> Result<Resolved, ParamError> {
         self.validate()?;
         if frame.grid().is_none() {
             if let (Frame::Points(cloud), Some(_)) = (frame, self.sensor_of_clouds()) {
@@ -32,7 +51,7 @@ impl Settings {
                 _ => None,
             };
             let unused = self.unused_by_clouds();
-            let recognized_sensor = to_estimate.as_ref().and_then(SensorModel::recognize);
+            let recognized_sensor = to_estimate.as_ref().filter(|_| recognizes).and_then(SensorModel::recognize);
             if let Some(sensor) = recognized_sensor {
                 let settings = Self { sensor: Some(SensorChoice::Known(sensor)), ..self.clone() };
                 let (params, first_pass) = (settings.cloud_params()?.into(), settings.first_pass(None));
@@ -131,7 +150,7 @@ impl Settings {
     /// # Errors
     /// Same as [`cloud_params`](Self::cloud_params).
     pub fn override_cloud(&self, preset: CloudParams) -> Result<CloudParams, ParamError> {
-        self.cloud_params()?;
+        Self { sensor: None, ..self.clone() }.cloud_params()?;
         Ok(self.overridden_cloud(preset))
     }
 

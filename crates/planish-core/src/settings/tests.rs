@@ -86,7 +86,13 @@ fn what_an_input_does_not_have_is_refused_or_listed() {
     assert_eq!(of_cloud("remove_floating=true").unwrap_err().field, "remove_floating");
     assert_eq!(of_cloud("preset=strong window=2 sensor=d435").unwrap().unused, ["window"]);
     assert_eq!(of_cloud("neighbours=20 sensor=d435 strength=0.2").unwrap().unused, ["sensor", "strength"]);
-    assert_eq!(of_cloud("sensor=auto").unwrap().unused, ["sensor"]);
+    assert_eq!(of_cloud("sensor=auto radius=0.1").unwrap().unused, ["sensor"]);
+    assert_eq!(of_cloud("sensor=auto project=ray").unwrap().unused, ["project"]);
+    assert_eq!(of_cloud("sensor=d435 project=normal").unwrap().unused, ["project"]);
+    assert_eq!(
+        parsed("sensor=d435 radius=sensor").override_cloud(CloudParams::default()).unwrap_err().field,
+        "radius_m"
+    );
     let known = of_cloud("preset=strong window=2 neighbours=50").unwrap();
     assert_eq!((known.unused, known.cloud_estimate), (vec!["window", "preset"], None));
     assert_eq!(of_frame("sensor=auto").unwrap_err().field, "sensor");

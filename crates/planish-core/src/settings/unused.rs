@@ -8,7 +8,11 @@ impl Settings {
     pub fn unused_by_clouds(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
         let has_sensor = self.sensor_of_clouds().is_some();
-        unused.extend(Some("sensor").filter(|_| self.sensor.is_some() && !has_sensor));
+        // Points move along rays if the sensor is known, otherwise along normals.
+        let idle = if has_sensor { Project::Normal } else { Project::Ray };
+        unused.extend(Some("project").filter(|_| self.project == Some(idle)));
+        let may_have_sensor = has_sensor || (self.estimates_sensor() && self.chooses_neighbours());
+        unused.extend(Some("sensor").filter(|_| self.sensor.is_some() && !may_have_sensor));
         if !self.chooses_neighbours() && !has_sensor {
             unused.extend(self.given_preset_or_strength());
         }
@@ -18,6 +22,7 @@ impl Settings {
     /// Same as [`unused_by_clouds`](Self::unused_by_clouds), for clouds whose known spacing determines the radius.
     pub fn unused_by_clouds_of_known_spacing(&self) -> Vec<&'static str> {
         let mut unused = self.unused_without_pixels();
+        unused.extend(Some("project").filter(|_| self.project == Some(Project::Ray)));
         unused.extend(Some("sensor").filter(|_| self.sensor.is_some()));
         unused.extend(self.given_preset_or_strength());
         unused.extend(Some("even").filter(|_| self.spaces_evenly()));
@@ -29,7 +34,6 @@ impl Settings {
             ("window", self.window.is_some()),
             ("stride", self.stride.is_some()),
             ("average_blocks", self.average_blocks.is_some()),
-            ("project", self.project == Some(Project::Ray)),
             ("temporal", self.temporal == Some(TemporalChoice::Steady)),
             ("track", self.tracks_camera()),
         ];

@@ -181,6 +181,9 @@ fn smooth_records<R: RecordReader>(
         _ => IoError::at(input)(problem).into(),
     };
     let mut spill = Spill::of(reader, folder_of(output), options.max_memory_bytes, progress).map_err(at_either)?;
+    if options.pose.is_none() {
+        options.settings.check_sensor_position(spill.assumed_sensor_m)?;
+    }
     let at_files = |error| match error {
         TileError::Files(problem) => at_either(problem),
         TileError::Other(error) => error,
@@ -269,7 +272,7 @@ impl<R: RecordReader> Tiler<'_, R> {
         // A tile's halo is wide enough for one pass only.
         let mut settings = self.options.settings.clone();
         settings.passes = Some(1);
-        let resolved = settings.resolve(Frame::Points(view)).map_err(Error::from)?;
+        let resolved = settings.resolve_by_density(Frame::Points(view)).map_err(Error::from)?;
         if let Params::Cloud(params) = resolved.params {
             (self.params, self.report.params, self.report.cloud_estimate) = (params, params, resolved.cloud_estimate);
         }
@@ -328,7 +331,6 @@ impl<R: RecordReader> Tiler<'_, R> {
         if let (true, Some(position_m)) = (cloud.pose.is_identity(), spill.assumed_sensor_m) {
             part = part.with_pose(SensorPose { position_m, ..SensorPose::IDENTITY })?;
             self.report.assumed_sensor_m = Some(position_m);
-            self.options.settings.check_sensor_position(Some(position_m))?;
         }
         smoother.smooth(part.into_frame()?, &mut smoothed)?;
         Ok(smoothed)

@@ -66,8 +66,8 @@ class Settings(TypedDict, total=False):
     track: bool | None
     """Whether to smooth over time with compensation of the camera's motion, estimated from frame to frame [default: false]."""
     edges: Literal["robust", "off"] | None
-    """Edge handling [default: robust for frames; chosen by the shape of unorganized clouds, off with a given radius or number
-    of neighbours]."""
+    """Edge handling [default: robust for frames and for clouds of a known sensor; chosen by the shape of other unorganized clouds,
+    off with a given radius or number of neighbours]."""
     window: int | None
     """Half-width of the window in samples, 1 to 7; without window and stride, both adapt to the frame's resolution."""
     stride: int | None

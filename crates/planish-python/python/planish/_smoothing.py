@@ -122,7 +122,8 @@ class Smoother:
 
     @property
     def cloud_choice(self) -> CloudChoice | None:
-        """The choices for the last unorganized cloud, and its noise; ``None`` if the settings made the choices, or after a frame on a grid."""
+        """The choices for the last unorganized cloud, and its noise; ``None`` if the settings made the choices, if a
+        sensor was recognized, or after a frame on a grid."""
         choice, _ = self._engine.chosen_for_cloud()
         return CloudChoice(*choice) if choice else None
 

@@ -13,7 +13,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use planish::io::internal::create_output_folder;
 use planish::io::{self, Trajectory};
-use planish::{Engine, Error, FormatError, IoError, SensorChoice, Session, Smoothed};
+use planish::{Engine, Error, FormatError, IoError, Session, Smoothed};
 use planish_bench::{errln, outln};
 
 use super::Worker;
@@ -261,14 +261,14 @@ fn beside_each_other(
     // The sensor and the devices found for the first frames apply to all others.
     let mut settings = settings.clone();
     settings.threads = Some(1);
-    settings.sensor = like.session.estimated_sensor().map(SensorChoice::Known).or(settings.sensor);
+    let sensor = like.session.estimated_sensor();
     let devices = like.session.devices();
     let work = |number: usize| {
         let Ok(session) = Session::new(settings.clone()) else { return };
         let mut worker = Worker {
             args,
             settings: settings.clone(),
-            session: session.with_devices(devices.to_vec()).with_device(number),
+            session: session.with_estimated_sensor(sensor).with_devices(devices.to_vec()).with_device(number),
             pose,
             beside: workers as u64,
             smoothed: Smoothed::default(),

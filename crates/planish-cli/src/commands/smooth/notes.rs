@@ -28,7 +28,9 @@ impl Worker<'_> {
         for event in self.session.take_events() {
             match event {
                 SessionEvent::SensorEstimated { .. } => {}
-                SessionEvent::SensorRecognized { .. } => report_recognized(output, &event),
+                SessionEvent::SensorRecognized { .. } => {
+                    errln!("{}: {event} (change with --sensor, --strength or --neighbours)", output.display());
+                }
                 SessionEvent::NeighboursChosen(choice) => self.report_choice(output, &choice),
                 SessionEvent::GridRebuilt { .. } => {
                     errln!("{}: {event} (leave it unorganized with --grid off)", output.display());
@@ -42,11 +44,6 @@ impl Worker<'_> {
         // The noise is converted from the cloud's unit to metres, since it is printed in millimetres.
         let mut choice = *choice;
         choice.noise_m = choice.noise_m.map(|noise| noise * self.unit.metres as f32);
-        errln!("{}: {choice} (change with --strength, --neighbours or --edges)", output.display());
+        errln!("{}: {choice} (change with --strength, --sensor, --neighbours or --edges)", output.display());
     }
-}
-
-/// Reports a sensor that was recognized by a cloud's depth steps.
-pub(super) fn report_recognized(output: &Path, event: &SessionEvent) {
-    errln!("{}: {event} (change with --sensor, --strength or --neighbours)", output.display());
 }

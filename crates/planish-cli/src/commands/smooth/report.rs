@@ -27,7 +27,8 @@ pub struct Report {
     /// Number of tiles of a file larger than memory; the smoothing time then includes reading and writing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<usize>,
-    /// Neighbours, edges and passes chosen for an unorganized cloud, if the settings leave them to planish.
+    /// Neighbours, edges and passes chosen for an unorganized cloud, if the settings leave them to planish and no
+    /// sensor was recognized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cloud: Option<CloudChoice>,
     /// Width and height of the rebuilt grid, for a cloud that had lost its grid.

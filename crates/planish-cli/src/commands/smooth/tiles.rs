@@ -6,14 +6,13 @@ use std::time::Instant;
 
 use anyhow::Result;
 use planish::tiles::{self, TileOptions};
-use planish::{CloudChoice, CloudRadius, Progress, SessionEvent};
+use planish::{CloudChoice, CloudRadius, Progress};
 use planish_bench::errln;
 
 use super::super::checks::refuse_unit;
 use super::super::checks::report_notes;
 use super::super::ms_since;
 use super::memory::NeedsMemory;
-use super::notes::report_recognized;
 use super::progress::with_progress;
 use super::report::{Report, StatusCounts, report_assumed_sensor, summarize};
 use super::{LOST_SHARE_TOLD, Worker};
@@ -53,9 +52,6 @@ impl Worker<'_> {
         let choice = choice.filter(|_| self.settings.chooses_neighbours());
         if let Some(choice) = &choice {
             self.report_choice(output, choice);
-        }
-        if let (CloudRadius::Sensor { sensor, .. }, true) = (report.params.radius, self.settings.chooses_neighbours()) {
-            report_recognized(output, &SessionEvent::SensorRecognized { sensor });
         }
         if self.outputs().normals && self.pose.is_none() && !report.has_pose {
             report_assumed_sensor(input, report.assumed_sensor_m);

@@ -8,7 +8,7 @@ use super::super::sensor::Sensor;
 use super::super::vector::{Mask, Vec3, splat};
 use super::gather::{Gathered, Reach, load};
 use crate::neighbours::{LEAF, PointIndex};
-use crate::range::{MAX_RANGE_M, RangeRules, WINDOWS_IN_CLOUD};
+use crate::range::{DENSITIES_IN_CLOUD, MAX_RANGE_M, RangeRules, WINDOWS_IN_CLOUD};
 
 /// First trial reach, in radii of the previous vector of points.
 const FIRST_REACH: f32 = 1.2;
@@ -55,13 +55,15 @@ pub(super) struct LeastRadius {
 }
 
 impl LeastRadius {
+    /// Returns radii by density, raised to the radii by range within bounds.
     #[inline(always)]
-    fn at<S: Simd>(&self, simd: S, p: Vec3<S>) -> S::f32s {
+    fn raise<S: Simd>(&self, simd: S, p: Vec3<S>, radius: S::f32s) -> S::f32s {
         let ray = self.sensor.ray(simd, p);
         let range = ray.dot(ray).sqrt().min(splat(simd, MAX_RANGE_M));
         let window = range * splat(simd, self.rules.linear);
         let steps = polynomial_in_range(simd, self.rules.radius, range);
-        steps.max(window).min(window * splat(simd, WINDOWS_IN_CLOUD))
+        let ranged = steps.max(window).min(window * splat(simd, WINDOWS_IN_CLOUD));
+        radius.max(ranged.min(radius * splat(simd, DENSITIES_IN_CLOUD)))
     }
 }
 
@@ -117,9 +119,9 @@ fn solve_rows<S: Simd>(simd: S, index: &PointIndex, density: Density, rows: &mut
             }
             radius = S::f32s::from_slice(simd, &lanes[..S::f32s::LEN]);
         }
-        let radius = density.least.map_or(radius, |least| radius.max(least.at(simd, p)));
         let radius = radius.min(splat(simd, density.largest_m));
-        radius.store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
+        let wide = density.least.map_or(radius, |least| least.raise(simd, p, radius));
+        wide.min(splat(simd, density.largest_m)).store_slice(&mut rows.radii[at..at + S::f32s::LEN]);
         let lanes = &radius.as_slice()[..S::f32s::LEN.min(index.len() - place)];
         // Ignore lanes with much larger radii than the smallest: they are a poor estimate for the next vector.
         let least = lanes.iter().copied().fold(f32::INFINITY, f32::min);

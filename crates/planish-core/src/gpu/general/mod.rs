@@ -86,7 +86,6 @@ impl GeneralGpu {
         let failed = || Err(gpu.failed("a kernel could not be compiled"));
         let compiled = on_a_thread_each(Pass::ALL, compile).into_iter();
         let kernels = compiled.map(|result| result.unwrap_or_else(|_| failed())).collect::<Result<_, _>>()?;
-        // Unorganized clouds have no rays (docs/method.md, section 7).
         let uploader = Uploader::new(params);
         let options = options.clone();
         let (radii, progress, bytes) = Default::default();

@@ -9,7 +9,7 @@ use super::super::shader::shader;
 use crate::error::EngineError;
 use crate::outputs::Outputs;
 use crate::params::{Edges, EngineParams, Radius};
-use crate::range::WINDOWS_IN_CLOUD;
+use crate::range::{DENSITIES_IN_CLOUD, WINDOWS_IN_CLOUD};
 
 /// Number of values of a digit. A digit is four bits of a key; each pass of the sort orders the points by one digit.
 pub(super) const DIGITS: usize = 16;
@@ -211,6 +211,7 @@ impl Pass {
                 let has_sensor = matches!(params.radius, Radius::SensorAndDensity { .. });
                 let _ = writeln!(text, "const HAS_SENSOR: bool = {has_sensor};");
                 let _ = writeln!(text, "const WINDOWS_IN_CLOUD: f32 = {WINDOWS_IN_CLOUD:?};");
+                let _ = writeln!(text, "const DENSITIES_IN_CLOUD: f32 = {DENSITIES_IN_CLOUD:?};");
                 text += &[gate, walk, shader!("../shaders/sensor.wgsl")].concat();
                 text += shader!("../shaders/general/radii.wgsl");
             }

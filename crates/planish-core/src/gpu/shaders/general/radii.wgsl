@@ -123,16 +123,18 @@ fn radius_of(place: u32) -> f32 {
     return min(sqrt(limit), cloud.largest_radius);
 }
 
-// Returns the least radius at the range of a point. Rays are limited, so their squares are finite.
-fn least_radius(p: vec3<f32>) -> f32 {
+// Returns a radius by density, raised to the radius by range within bounds. Rays are limited, so their squares are
+// finite.
+fn raised(p: vec3<f32>, radius: f32) -> f32 {
     if !HAS_SENSOR {
-        return 0.0;
+        return radius;
     }
     let ray = ray_to(0u, p);
     let range = min(sqrt(dot(ray, ray)), MAX_RANGE_M);
     let window = range * header(0u, RADIUS_LINEAR);
     let c = header_vec3(0u, RADIUS);
-    return clamp(fma(fma(range, c.z, c.y), range, c.x), window, WINDOWS_IN_CLOUD * window);
+    let ranged = clamp(fma(fma(range, c.z, c.y), range, c.x), window, WINDOWS_IN_CLOUD * window);
+    return min(max(radius, min(ranged, DENSITIES_IN_CLOUD * radius)), cloud.largest_radius);
 }
 
 @compute @workgroup_size(64)
@@ -144,6 +146,6 @@ fn find_radii(
     let in_part = number_of(group, groups) * 64u + thread;
     let place = part.number * cloud.part_places + in_part;
     if in_part < cloud.part_places && place < atomicLoad(&state[PLACES]) {
-        radii[place] = min(max(radius_of(place), least_radius(positions[place].xyz)), cloud.largest_radius);
+        radii[place] = raised(positions[place].xyz, radius_of(place));
     }
 }
