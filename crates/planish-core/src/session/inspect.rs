@@ -56,8 +56,8 @@ impl Session {
         self.cloud_estimate
     }
 
-    /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, or if
-    /// a sensor was recognized, or if the last frame was of another kind.
+    /// Returns the parameters that were chosen for the last unorganized cloud; `None` if the settings give them, a
+    /// sensor was recognized, or the last frame was of another kind.
     pub fn cloud_choice(&self) -> Option<CloudChoice> {
         self.cloud_choice
     }

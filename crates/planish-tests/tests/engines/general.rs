@@ -380,6 +380,33 @@ fn a_moved_sensor_turns_normals_and_moves_no_point() {
 }
 
 #[test]
+fn ranges_and_rays_of_a_known_sensor_start_at_its_pose() {
+    let points = few_frame_points(1);
+    // The sensor moves 2 m back, and the cloud with it.
+    let moved: Points = points.iter().map(|&[x, y, z]| [x, y, z - 2.0]).collect();
+    let pose = SensorPose { position_m: [0.0, 0.0, -2.0], ..SensorPose::IDENTITY };
+    let (view, moved) = (PointsView::from_rows(&points).unwrap(), PointsView::from_rows(&moved).unwrap());
+    let params = CloudParams::for_sensor(SensorModel::KINECT_V1, Strength::DEFAULT);
+    for engine in kinds() {
+        let own = engine.smooth(view, params);
+        let farthest = |other: &Smoothed, shift: f32| {
+            let pairs = own.points.iter().zip(other.points.iter()).filter(|(p, _)| p[2].is_finite());
+            let apart = pairs.map(|(p, q)| [0, 1, 2].map(|k| p[k] - q[k] - if k == 2 { shift } else { 0.0 }));
+            apart.flatten().fold(0.0, |most: f32, value| most.max(value.abs()))
+        };
+        let there = farthest(&engine.smooth(moved.with_pose(pose).unwrap(), params), 2.0);
+        assert!(there < 1e-4, "{} {there}", engine.engine.name());
+        // From the origin, the cloud would be nearer, and its neighbourhoods smaller.
+        let here = farthest(&engine.smooth(moved, params), 2.0);
+        assert!(here > 1e-3, "{} {here}", engine.engine.name());
+        // Points stay on their rays.
+        let rays = points.iter().zip(own.points.iter()).filter(|(p, _)| p[2].is_finite());
+        let off = rays.map(|(p, q)| (p[0] * q[2] - p[2] * q[0]).abs().max((p[1] * q[2] - p[2] * q[1]).abs()));
+        assert!(off.fold(0.0, f32::max) < 1e-5, "{}", engine.engine.name());
+    }
+}
+
+#[test]
 fn only_what_is_asked_for_is_there() {
     let points = few_frame_points(1);
     let (engine, params) = (TestEngine::cpu(SimdLevel::best()), CloudParams::default());

@@ -180,6 +180,7 @@ fn ply_in_tiles_is_the_same_with_its_holes_types_and_pose() {
         ("far.ply", BY_DENSITY),
         ("near.ply", "radius=0.8"),
         ("near.ply", "neighbours=40 remove_isolated=true"),
+        ("near.ply", "sensor=exact"),
         ("text.ply", BY_DENSITY),
         ("turned.ply", BY_DENSITY),
     ] {
